@@ -1,4 +1,6 @@
-"""Compiles the C library while setuptools builds the package, and is the build backend that pyproject.toml names."""
+"""Compiles the C library while setuptools builds the
+package, and is the build backend that pyproject.toml names.
+"""
 
 import os
 import shlex
@@ -24,8 +26,8 @@ FLAGS = [
     "-Wno-psabi",
 ]
 FLAGS += ["-fno-ivopts", "-Wno-ignored-optimization-argument"]
-"""Without fused multiplications, so that sums are rounded alike everywhere. Square roots of vectors need no errno.
-GCC's loops are 25 % faster without ivopts, which Clang does not know."""
+"""Without fused multiplications, so that sums are rounded alike everywhere. Square roots of vectors
+need no errno. GCC's loops are 25 % faster without ivopts, which Clang does not know."""
 ZIG = [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"]
 """The compiler of a Python package. By default it compiles for the CPU that it runs on."""
 
@@ -39,14 +41,18 @@ def compiler():
 
 def get_requires_for_build_wheel(config_settings=None):
     """What setuptools needs, and Zig's compiler where there is no other."""
-    return build_meta.get_requires_for_build_wheel(config_settings) + ["ziglang"] * (compiler() == ZIG)
+    return build_meta.get_requires_for_build_wheel(config_settings) + ["ziglang"] * (
+        compiler() == ZIG
+    )
 
 
 get_requires_for_build_editable = get_requires_for_build_wheel
 
 
 class Library(build_ext):
-    """Compiles all C files with one command; the library's name has no Python version, because it needs none."""
+    """Compiles all C files with one command; the library's
+    name has no Python version, because it needs none.
+    """
 
     def get_ext_filename(self, fullname):
         """The library's path below the folder of packages."""
@@ -63,7 +69,10 @@ class Library(build_ext):
             failure = err.strerror
         if failure:
             advice = "install gcc or clang, type `pip install ziglang`, or name a C compiler in CC"
-            raise SystemExit(f"error: this did not compile the C library: {shlex.join(command)} ({failure}); {advice}")
+            raise SystemExit(
+                f"error: this did not compile the C library: {shlex.join(command)} "
+                f"({failure}); {advice}"
+            )
 
 
 class Wheel(bdist_wheel):
@@ -75,7 +84,9 @@ class Wheel(bdist_wheel):
 
 
 def _library():
-    sources, headers = (sorted(map(str, Path("bodylog/estimation").rglob(name))) for name in ("*.c", "*.h"))
+    sources, headers = (
+        sorted(map(str, Path("bodylog/estimation").rglob(name))) for name in ("*.c", "*.h")
+    )
     return Extension("bodylog.estimation.inference.libkernel", sources, depends=headers)
 
 

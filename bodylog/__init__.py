@@ -1,4 +1,6 @@
-"""bodylog: where a robot's body was, how sure that is, and which sensor lied, from its log or beside the robot."""
+"""bodylog: where a robot's body was, how sure that is,
+and which sensor lied, from its log or beside the robot.
+"""
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
@@ -15,9 +17,23 @@ if TYPE_CHECKING:
     from .settings import Settings
 
 __all__ = [
-    "Belief", "BodylogError", "Estimator", "Result", "Settings", "__version__", "convert", "estimate", "evaluate",
-    "extract", "fit", "ingest", "load_body", "load_settings", "observe", "record",
-]  # fmt: skip
+    "Belief",
+    "BodylogError",
+    "Estimator",
+    "Result",
+    "Settings",
+    "__version__",
+    "convert",
+    "estimate",
+    "evaluate",
+    "extract",
+    "fit",
+    "ingest",
+    "load_body",
+    "load_settings",
+    "observe",
+    "record",
+]
 
 _HOMES = {
     "Belief": ("estimation.live.estimator", "Belief"),
@@ -31,8 +47,12 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """What is public, imported when first asked for: `import bodylog` itself imports nothing heavy."""
+    """What is public, imported when first asked for:
+    `import bodylog` itself imports nothing heavy.
+    """
     if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}")
+        raise AttributeError(
+            f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}"
+        )
     module, attribute = _HOMES.get(name, ("pipeline", name))
     return getattr(import_module(f"{__name__}.{module}"), attribute)

@@ -22,14 +22,18 @@ class ForwardModel(Protocol):
         """Names of the D outputs."""
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · model variance (N,D), sensor noise excluded."""
+        """At x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per
+        rad · model variance (N,D), sensor noise excluded.
+        """
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Learned variances: encoders (M,) rad² · senses {name: (D,) unit²} · process (M,) rad²/s³ (white acceleration).
+    """Learned variances: encoders (M,) rad² · senses {name:
+    (D,) unit²} · process (M,) rad²/s³ (white acceleration).
 
-    Of each joint one encoder variance is kept, pooled over all the logs learned from, though logs may differ in it.
+    Of each joint one encoder variance is kept, pooled over
+    all the logs learned from, though logs may differ in it.
     """
 
     encoder: tuple[float, ...]
@@ -40,7 +44,9 @@ class Noise:
 
 @dataclass(frozen=True)
 class TouchConstants:
-    """g_t = a1 exp(−b1 |g_v − o_v|²) · f_t: b1 in 1/px² (paper eq. touch); f_t is a pair's `Synchrony.weight`."""
+    """g_t = a1 exp(−b1 |g_v − o_v|²) · f_t: b1 in 1/px²
+    (paper eq. touch); f_t is a pair's `Synchrony.weight`.
+    """
 
     a1: float
     b1: float
@@ -50,10 +56,10 @@ class TouchConstants:
 class LandmarkMap:
     """Landmarks with their views.
 
-    body (K,): numbers of the model's bodies · places (K,3) m on them, at the shared unknowns of the logs learned from ·
-    precision (K,3,3) 1/m² and slopes (K,3,P) m: of places, given those unknowns · view_of (V,): the landmark of each
-    view, ascending · patches (V,S,S) uint8 · view_slopes (V,2,3) px/m: how the landmark moved in the image by its place
-    there.
+    body (K,): numbers of the model's bodies · places (K,3) m on them, at the shared unknowns of the
+    logs learned from · precision (K,3,3) 1/m² and slopes (K,3,P) m: of places, given those unknowns
+    · view_of (V,): the landmark of each view, ascending · patches (V,S,S) uint8 · view_slopes
+    (V,2,3) px/m: how the landmark moved in the image by its place there.
     """
 
     body: Array
@@ -77,19 +83,25 @@ class LandmarkMap:
         number[landmarks] = np.arange(len(landmarks))
         views = number[self.view_of] >= 0
         return LandmarkMap(
-            self.body[landmarks], self.places[landmarks], self.precision[landmarks], self.slopes[landmarks],
-            number[self.view_of[views]], self.patches[views], self.view_slopes[views],
-        )  # fmt: skip
+            self.body[landmarks],
+            self.places[landmarks],
+            self.precision[landmarks],
+            self.slopes[landmarks],
+            number[self.view_of[views]],
+            self.patches[views],
+            self.view_slopes[views],
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceCamera:
     """A camera that was calibrated by the robot's own surface.
 
-    size (width, height) px · anchor (4,4): its link in the camera before calibration, m · lens (6,) and doubt (12,):
-    prior mean, and prior std of pose and lens · unknowns (P,) ± covariance (P,P): pose (6), lens (6), each joint's
-    zero, row time (s) · delays (L,) s ± delay_std of the logs learned from · picture (h,w): their first log's median
-    image, shrunken, grey levels · landmarks: places on the links that are found again; None where too few are.
+    size (width, height) px · anchor (4,4): its link in the camera before calibration, m · lens (6,)
+    and doubt (12,): prior mean, and prior std of pose and lens · unknowns (P,) ± covariance (P,P):
+    pose (6), lens (6), each joint's zero, row time (s) · delays (L,) s ± delay_std of the logs
+    learned from · picture (h,w): their first log's median image, shrunken, grey levels · landmarks:
+    places on the links that are found again; None where too few are.
     """
 
     name: str
@@ -111,8 +123,8 @@ class SurfaceCamera:
 class Surface:
     """The robot's own surface as a sense: its URDF (text), and cameras calibrated on it.
 
-    joint_of {joint of the body: joint of the URDF} · still: angles, rad or m, of the URDF's joints at rest ·
-    zero_std: prior std of joint zeros, rad.
+    joint_of {joint of the body: joint of the URDF} · still: angles, rad or m, of the URDF's joints
+    at rest · zero_std: prior std of joint zeros, rad.
     """
 
     urdf: str
@@ -124,10 +136,12 @@ class Surface:
 
 @dataclass(frozen=True, eq=False)
 class BodyModel:
-    """A learned body: joint names in the order of x, one ForwardModel per sense, noise, touch constants, provenance.
+    """A learned body: joint names in the order of x, one
+    ForwardModel per sense, noise, touch constants, provenance.
 
-    cells {skin cell: (u, v, spread) px}: where a touched cell was seen beside the effector, and how far about there;
-    of a cell not in it nothing is known but what `touch` says of all · surface: where no marker was learned.
+    cells {skin cell: (u, v, spread) px}: where a touched cell was seen beside the effector, and how
+    far about there; of a cell not in it nothing is known but what `touch` says of all · surface:
+    where no marker was learned.
     """
 
     joints: tuple[str, ...]

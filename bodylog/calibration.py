@@ -1,4 +1,6 @@
-"""The calibration of a body learned with a URDF: as plain values, as text, and in the files that people use."""
+"""The calibration of a body learned with a URDF: as
+plain values, as text, and in the files that people use.
+"""
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
@@ -30,13 +32,17 @@ def load_calibration(body: Path) -> "Calibration":
 
 
 def calibration_as_values(found: "Calibration") -> dict[str, Any]:
-    """As plain values, in m, rad and px: {"cameras", "markers", "zeros", "scales", "earlier"}; None: not identifiable.
+    """As plain values, in m, rad and px: {"cameras", "markers",
+    "zeros", "scales", "earlier"}; None: not identifiable.
 
     earlier: where cameras and markers were before they moved between logs.
     """
     cameras = zip(found.cameras, found.lenses, strict=True)
     return {
-        "cameras": {camera_name_in_scores(one.name): _placement_as_values(one) | _lens_as_values(lens) for one, lens in cameras},
+        "cameras": {
+            camera_name_in_scores(one.name): _placement_as_values(one) | _lens_as_values(lens)
+            for one, lens in cameras
+        },
         "markers": {one.name: _placement_as_values(one) for one in found.markers},
         "zeros": offsets_as_values(found.zeros),
         "scales": offsets_as_values(found.scales),
@@ -52,12 +58,15 @@ def camera_name_in_scores(name: str) -> str:
 def _placement_as_values(one: "Placement") -> dict[str, Any]:
     from .kinematics.rotations import quaternions_from_rotations
 
-    sure, turned = one.identifiable, one.identifiable and one.turns
+    sure = one.identifiable
+    turned = one.identifiable and one.turns
     return {
         "link": one.link,
         "xyz_m": one.pose[:3, 3].tolist() if sure else None,
         "xyz_std_m": one.place_std.tolist(),
-        "quaternion_xyzw": quaternions_from_rotations(one.pose[None, :3, :3])[0].tolist() if turned else None,
+        "quaternion_xyzw": quaternions_from_rotations(one.pose[None, :3, :3])[0].tolist()
+        if turned
+        else None,
         "rotation_std_rad": one.turn_std.tolist() if one.turns else None,
     }
 
@@ -76,16 +85,23 @@ def _lens_as_values(lens: "Lens") -> dict[str, Any]:
 
 
 def summarise_placements(model: "BodyModel") -> tuple[str, ...]:
-    """Where each camera and marker of a body is, a line each; empty where it was learned without a URDF."""
+    """Where each camera and marker of a body is, a line
+    each; empty where it was learned without a URDF.
+    """
     from .body.kinematic.model import KinematicGP
     from .body.kinematic.placements import calibration_of_body
 
-    if model.surface is None and not any(isinstance(sense, KinematicGP) for sense in model.senses.values()):
+    if model.surface is None and not any(
+        isinstance(sense, KinematicGP) for sense in model.senses.values()
+    ):
         return ()
     found = calibration_of_body(model)
     texts = []
     for camera, lens in zip(found.cameras, found.lenses, strict=True):
-        texts.append(f"{next(placement_lines(camera))}, focal {_values_with_std(lens.focal, lens.focal_std, 1)} px")
+        texts.append(
+            f"{next(placement_lines(camera))}, focal "
+            f"{_values_with_std(lens.focal, lens.focal_std, 1)} px"
+        )
     return (*texts, *(next(placement_lines(one)) for one in found.markers))
 
 
@@ -106,7 +122,10 @@ def placement_lines(one: "Placement") -> Iterator[str]:
     if not one.identifiable:
         yield f"{one.name} in {one.link}: not identifiable"
         return
-    yield f"{one.name} in {one.link}: {_values_with_std(1e3 * one.pose[:3, 3], 1e3 * one.place_std, 1)} mm"
+    yield (
+        f"{one.name} in {one.link}: "
+        f"{_values_with_std(1e3 * one.pose[:3, 3], 1e3 * one.place_std, 1)} mm"
+    )
     if one.turns:
         import numpy as np
 
@@ -115,14 +134,20 @@ def placement_lines(one: "Placement") -> Iterator[str]:
         angles = np.degrees(rpy_from_rotation(one.pose[:3, :3]))
         std = np.degrees(one.turn_std)
         texts = ", ".join(f"{value:.2f}" for value in angles)
-        yield f"  roll, pitch, yaw {texts}°, ± {', '.join(f'{value:.2f}' for value in std)}° about x, y, z"
+        yield (
+            f"  roll, pitch, yaw {texts}°, ± {', '.join(f'{value:.2f}' for value in std)}° about "
+            "x, y, z"
+        )
 
 
 def lens_line(lens: "Lens") -> str:
     """A lens in px."""
     focal = _values_with_std(lens.focal, lens.focal_std, 1)
     centre = _values_with_std(lens.centre, lens.centre_std, 1)
-    text = f"focal {focal} px, centre {centre} px, k1, k2 {_values_with_std(lens.distortion, lens.distortion_std, 3)}"
+    text = (
+        f"focal {focal} px, centre {centre} px, k1, k2 "
+        f"{_values_with_std(lens.distortion, lens.distortion_std, 3)}"
+    )
     if lens.row_time is None or lens.row_time_std is None:
         return text
     return f"{text}, rows {1e3 * lens.row_time:.0f} ± {1e3 * lens.row_time_std:.0f} ms"
@@ -134,10 +159,16 @@ def _values_with_std(values: Any, stds: Any, digits: int) -> str:
 
 
 def zero_lines(found: "Sequence[Offset]") -> Iterator[str]:
-    """Yield each joint's zero in degrees or mm, each scale in percent, or what it cannot be separated from."""
+    """Yield each joint's zero in degrees or mm, each
+    scale in percent, or what it cannot be separated from.
+    """
     width = max((len(one.joint) for one in found), default=0)
     for one in found:
-        shown = one.shown if one.identifiable else f"not identifiable: {' and '.join(one.confused) or 'not seen'}"
+        shown = (
+            one.shown
+            if one.identifiable
+            else f"not identifiable: {' and '.join(one.confused) or 'not seen'}"
+        )
         yield f"{one.joint:<{width}}  {'scale ' if one.noun == 'scale' else ''}{shown}"
 
 
@@ -156,8 +187,11 @@ def optical_frame(camera: "Placement") -> str:
     return f"{camera_name_in_scores(camera.name).replace('/', '_')}_optical_frame"
 
 
-def write_calibration(found: "Calibration", out: Path, urdf: Path | None, values: Mapping[str, Any]) -> None:
-    """Write plain values as YAML or JSON, or a URDF with cameras and zeros moved, by the file's suffix.
+def write_calibration(
+    found: "Calibration", out: Path, urdf: Path | None, values: Mapping[str, Any]
+) -> None:
+    """Write plain values as YAML or JSON, or a URDF
+    with cameras and zeros moved, by the file's suffix.
 
     UsageError for other suffixes.
     """
@@ -167,7 +201,11 @@ def write_calibration(found: "Calibration", out: Path, urdf: Path | None, values
         raise UsageError(f"{out}: -o ends in {out.suffix!r}; possible: {', '.join(FORMS)}")
     if out.suffix == ".urdf" and urdf is None:
         raise UsageError(f"{out}: a URDF is written from one; type: --urdf ROBOT.urdf")
-    text = _corrected_urdf(found, urdf) if urdf is not None and out.suffix == ".urdf" else _values_as_text(values, out.suffix)
+    text = (
+        _corrected_urdf(found, urdf)
+        if urdf is not None and out.suffix == ".urdf"
+        else _values_as_text(values, out.suffix)
+    )
     with replace_atomically(out) as beside:
         beside.write_text(text)
 
@@ -193,7 +231,11 @@ def _corrected_urdf(found: "Calibration", urdf: Path) -> str:
     from .kinematics import urdf as files
     from .kinematics.corrected import CameraFrame, correct_urdf
 
-    cameras = [CameraFrame(one.link, optical_frame(one), one.pose) for one in found.cameras if one.identifiable]
+    cameras = [
+        CameraFrame(one.link, optical_frame(one), one.pose)
+        for one in found.cameras
+        if one.identifiable
+    ]
     zeros = {one.joint: one.value for one in found.zeros if one.identifiable}
     return correct_urdf(files.read_urdf_text(urdf), str(urdf), zeros, cameras)
 
@@ -204,7 +246,9 @@ def without_cameras(found: "Calibration") -> "Calibration":
 
 
 def write_lenses(body: Path, found: "Calibration", folder: Path) -> tuple[Path, ...]:
-    """Write each camera's lens as folder/CAMERA.yaml; UsageError where a body does not know the size of its images."""
+    """Write each camera's lens as folder/CAMERA.yaml; UsageError
+    where a body does not know the size of its images.
+    """
     from .io.atomic_files import ensure_dir, replace_atomically
 
     texts = {}
@@ -212,7 +256,10 @@ def write_lenses(body: Path, found: "Calibration", folder: Path) -> tuple[Path, 
         name = camera_name_in_scores(camera.name).replace("/", "_")
         size = found.image_sizes.get(camera.name)
         if size is None:
-            known = "tables of positions alone do not tell it; learn from images, or from a log with a CameraInfo"
+            known = (
+                "tables of positions alone do not tell it; learn from images, or from a log with "
+                "a CameraInfo"
+            )
             missing = "the size of its images is not known, and a CameraInfo needs it"
             raise UsageError(f"{body}: {camera.name}: {missing}; {known}")
         texts[folder / f"{name}.yaml"] = camera_info_yaml(name, lens, size)
@@ -224,7 +271,9 @@ def write_lenses(body: Path, found: "Calibration", folder: Path) -> tuple[Path, 
 
 
 def camera_info_yaml(name: str, lens: "Lens", size: Sequence[int]) -> str:
-    """A lens as ROS's camera_calibration_parsers read it: a CameraInfo in YAML, for images of (width, height) px."""
+    """A lens as ROS's camera_calibration_parsers read it:
+    a CameraInfo in YAML, for images of (width, height) px.
+    """
     fu, fv = lens.focal.tolist()
     cu, cv = lens.centre.tolist()
     matrix = [fu, 0.0, cu, 0.0, fv, cv, 0.0, 0.0, 1.0]
@@ -235,7 +284,15 @@ def camera_info_yaml(name: str, lens: "Lens", size: Sequence[int]) -> str:
         "rectification_matrix": (3, 3, [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
         "projection_matrix": (3, 4, projection),
     }
-    named = {key: {"rows": rows, "cols": cols, "data": data} for key, (rows, cols, data) in arrays.items()}
+    named = {
+        key: {"rows": rows, "cols": cols, "data": data}
+        for key, (rows, cols, data) in arrays.items()
+    }
     width, height = size
-    whole = {"image_width": width, "image_height": height, "camera_name": name, "distortion_model": "plumb_bob"}
+    whole = {
+        "image_width": width,
+        "image_height": height,
+        "camera_name": name,
+        "distortion_model": "plumb_bob",
+    }
     return "".join(f"{line}\n" for line in _yaml_lines({**whole, **named}))

@@ -21,14 +21,18 @@ MAX_TURNS = 5
 SHARED_DELAY_SIGMA = 4.0
 """Standard errors within which a log without a significant delay may share another log's."""
 MAX_ERROR_RATIO = 0.95
-"""Largest ratio of held-out errors after and before a correction; above it, the delay was the arm's shape."""
+"""Largest ratio of held-out errors after and before a
+correction; above it, the delay was the arm's shape.
+"""
 
 Delays = Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """A body learned from logs delayed by `late`, the delays left in each log, and the delays the body keeps."""
+    """A body learned from logs delayed by `late`, the
+    delays left in each log, and the delays the body keeps.
+    """
 
     found: "LearnedBody"
     late: Sequence[Delays]
@@ -37,12 +41,17 @@ class _Turn:
 
 
 def learn_with_delays(
-    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], known: BodyModel | None,
+    features: Sequence[Features],
+    settings: Settings,
+    provenance: Mapping[str, Any],
+    known: BodyModel | None,
     robot: "Robotics | None" = None,
-) -> "LearnedBody":  # fmt: skip
-    """Learn a body from features with each camera's delay corrected, as given or as measured in each log.
+) -> "LearnedBody":
+    """Learn a body from features with each camera's
+    delay corrected, as given or as measured in each log.
 
-    The body keeps the delays of the logs with the smallest standard errors. UsageError for an unknown camera.
+    The body keeps the delays of the logs with the smallest
+    standard errors. UsageError for an unknown camera.
     """
     from . import body
     from .estimation.timing import correction
@@ -54,31 +63,42 @@ def learn_with_delays(
     cameras = correction.list_track_cameras([name for found in features for name in found.tracks])
     fixed = correction.fixed_delays(settings.time.delay, cameras)
     turn, started = _alternate_until_converged(features, settings, provenance, known, keep, fixed)
-    timely = [correction.shift_features(found, delays) for found, delays in zip(features, turn.late, strict=True)]
-    still_late = any(correction.is_significant(rest) for one in turn.residuals for rest in one.values())
+    timely = [
+        correction.shift_features(found, delays)
+        for found, delays in zip(features, turn.late, strict=True)
+    ]
+    still_late = any(
+        correction.is_significant(rest) for one in turn.residuals for rest in one.values()
+    )
     # a late camera makes its tracks vague: the finding on the delay says so
     learned = replace(turn.found, vague={}) if still_late else turn.found
     found = body.with_kinematics(timely, settings, learned, robot, known)
     return replace(found, findings=(*_delay_findings(turn, fixed, started), *found.findings))
 
 
-def measure_log_delays(features: Features, settings: Settings) -> "tuple[dict[str, Delay], dict[str, Delay]]":
+def measure_log_delays(
+    features: Features, settings: Settings
+) -> "tuple[dict[str, Delay], dict[str, Delay]]":
     """Delays of a log's cameras relative to its encoders, by a body learned from the log itself.
 
-    The second ones are unclear: their correction does not make the body better. EvidenceError without a body.
+    The second ones are unclear: their correction does not
+    make the body better. EvidenceError without a body.
     """
     from .estimation.timing import correction
     from .estimation.timing.regression import Delay
 
     start = _coarse_delays(features)
     try:
-        turn, started = _alternate_until_converged([correction.shift_features(features, start)], settings, {}, None, "explained", {})
+        turn, started = _alternate_until_converged(
+            [correction.shift_features(features, start)], settings, {}, None, "explained", {}
+        )
     except EvidenceError:
         if not any(start.values()):
             raise
         start = {}
         turn, started = _alternate_until_converged([features], settings, {}, None, "explained", {})
-    found, unclear = dict[str, Delay](), dict[str, Delay]()
+    found = dict[str, Delay]()
+    unclear = dict[str, Delay]()
     for name, rest in turn.residuals[0].items():
         late = start.get(name, 0.0) + turn.late[0].get(name, 0.0) + rest.seconds
         clear = name in started or not correction.is_significant(rest)
@@ -96,49 +116,79 @@ def _coarse_delays(features: Features) -> dict[str, float]:
     found = dict[str, list[float]]()
     for name, track in features.tracks.items():
         seen = np.isfinite(track.values).all(axis=1)
-        if name.rpartition("/")[2] != "hand" and seen.sum() > 1 and features.picture_size is not None:
-            late = joint_motion.camera_delay_s(features.joints, track.t[seen], track.values[seen], features.picture_size[0])
+        if (
+            name.rpartition("/")[2] != "hand"
+            and seen.sum() > 1
+            and features.picture_size is not None
+        ):
+            late = joint_motion.camera_delay_s(
+                features.joints, track.t[seen], track.values[seen], features.picture_size[0]
+            )
             found.setdefault(camera_of_track(name), []).append(late)
     return {name: float(np.median(late)) for name, late in found.items()}
 
 
 def _alternate_until_converged(
-    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], known: BodyModel | None,
-    keep: "Keep", fixed: Delays,
-) -> tuple[_Turn, set[str]]:  # fmt: skip
-    """The last turn of learning and correcting by turns, and the cameras whose delay was corrected."""
+    features: Sequence[Features],
+    settings: Settings,
+    provenance: Mapping[str, Any],
+    known: BodyModel | None,
+    keep: "Keep",
+    fixed: Delays,
+) -> tuple[_Turn, set[str]]:
+    """The last turn of learning and correcting by
+    turns, and the cameras whose delay was corrected.
+    """
     from . import body
     from .estimation.timing import correction
 
     def turned(late: Sequence[Delays], own: Delays) -> _Turn:
-        timely = [correction.shift_features(found, delays) for found, delays in zip(features, late, strict=True)]
+        timely = [
+            correction.shift_features(found, delays)
+            for found, delays in zip(features, late, strict=True)
+        ]
         origin = {**provenance, **({"delay": dict(own)} if own else {})}
         found = body.learn_body(timely, settings, origin, known, keep)
-        sure = replace(found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor})
+        sure = replace(
+            found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor}
+        )
         return _Turn(found, late, [_remaining_delays(one, sure, known) for one in timely], own)
 
-    own = {} if known is None else {k: v for k, v in correction.learned_delays(known).items() if k not in fixed}
-    started, given = set[str](), {name: delay for name, delay in fixed.items() if delay}
+    own = (
+        {}
+        if known is None
+        else {k: v for k, v in correction.learned_delays(known).items() if k not in fixed}
+    )
+    started = set[str]()
+    given = {name: delay for name, delay in fixed.items() if delay}
     turn = turned([{**own, **fixed} for _ in features], {**own, **given})
     for _ in range(MAX_TURNS - 1):
         surest = _surest_logs(turn.residuals, fixed, started)
         if not surest:
             break
-        after, least = turned(*_add_measured_delays(turn, surest)), MAX_ERROR_RATIO if set(surest) - started else 1.0
+        after = turned(*_add_measured_delays(turn, surest))
+        least = MAX_ERROR_RATIO if set(surest) - started else 1.0
         if _held_out_error(after, surest) > least * _held_out_error(turn, surest):
             break
-        turn, started = after, started | set(surest)
+        turn = after
+        started = started | set(surest)
     return turn, started
 
 
 def _delay_findings(turn: _Turn, fixed: Delays, started: set[str]) -> Iterator[Finding]:
-    """Yield remarks on the delays corrected in each log, and on `fixed` ones that the log contradicts."""
+    """Yield remarks on the delays corrected in each
+    log, and on `fixed` ones that the log contradicts.
+    """
     from .estimation.timing import correction
 
     for k, (delays, residual) in enumerate(zip(turn.late, turn.residuals, strict=True)):
         sure = {name: residual[name].std_error for name in started if name in residual}
         for finding in correction.delay_findings(delays, sure, residual, fixed):
-            yield replace(finding, text=f"log {k + 1}: {finding.text}") if len(turn.late) > 1 else finding
+            yield (
+                replace(finding, text=f"log {k + 1}: {finding.text}")
+                if len(turn.late) > 1
+                else finding
+            )
 
 
 def _add_measured_delays(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequence[Delays], Delays]:
@@ -146,7 +196,10 @@ def _add_measured_delays(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequen
     late = [dict(delays) for delays in turn.late]
     for name, at in surest.items():
         for delays, residual in zip(late, turn.residuals, strict=True):
-            delays[name] = round(delays.get(name, 0.0) + _step_of_log(residual.get(name), turn.residuals[at][name]), 6)
+            delays[name] = round(
+                delays.get(name, 0.0) + _step_of_log(residual.get(name), turn.residuals[at][name]),
+                6,
+            )
     return late, {**turn.own, **{name: late[at][name] for name, at in surest.items()}}
 
 
@@ -156,10 +209,14 @@ def _held_out_error(turn: _Turn, cameras: Iterable[str]) -> float:
 
     kinds = (score.name.partition("rmse/held_out/") for score in turn.found.scores)
     seen = [found and camera_of_track(track) in cameras for _, found, track in kinds]
-    return sqrt(sum(score.value**2 for score, counts in zip(turn.found.scores, seen, strict=True) if counts))
+    return sqrt(
+        sum(score.value**2 for score, counts in zip(turn.found.scores, seen, strict=True) if counts)
+    )
 
 
-def _remaining_delays(timely: Features, model: BodyModel, known: BodyModel | None) -> dict[str, "Delay"]:
+def _remaining_delays(
+    timely: Features, model: BodyModel, known: BodyModel | None
+) -> dict[str, "Delay"]:
     """Each camera's remaining delay by a body learned with it."""
     from .body.senses import encoder_function
     from .estimation.timing import correction, gp_likelihood
@@ -170,7 +227,10 @@ def _remaining_delays(timely: Features, model: BodyModel, known: BodyModel | Non
     if encoders is None:
         return {}
     found = {
-        name: gp_likelihood.measure_delay_by_likelihood(encoders, some, [_process_prior(one.model) for one in some]) for name, some in seen.items()
+        name: gp_likelihood.measure_delay_by_likelihood(
+            encoders, some, [_process_prior(one.model) for one in some]
+        )
+        for name, some in seen.items()
     }
     return {name: delay for name, delay in found.items() if delay is not None}
 
@@ -187,13 +247,19 @@ def _process_prior(model: ForwardModel) -> "Prior":
         groups = zip(model.scales, model.amplitude, strict=True)
         kernels = [se_kernel(x / scales, x / scales, amplitude) for scales, amplitude in groups]
         outputs = range(len(model.mean))
-        return model.mean, np.stack([model.share[d] * kernels[d if len(kernels) > 1 else 0] for d in outputs])
+        return model.mean, np.stack(
+            [model.share[d] * kernels[d if len(kernels) > 1 else 0] for d in outputs]
+        )
 
     return prior
 
 
-def _surest_logs(residuals: Sequence[Mapping[str, "Delay"]], fixed: Delays, started: set[str]) -> dict[str, int]:
-    """The log with the smallest error of each camera with a delay, significant unless the camera is `started`."""
+def _surest_logs(
+    residuals: Sequence[Mapping[str, "Delay"]], fixed: Delays, started: set[str]
+) -> dict[str, int]:
+    """The log with the smallest error of each camera with
+    a delay, significant unless the camera is `started`.
+    """
     from .estimation.faults.threshold import MIN_DELAY_S
     from .estimation.timing import correction
 
@@ -207,11 +273,15 @@ def _surest_logs(residuals: Sequence[Mapping[str, "Delay"]], fixed: Delays, star
 
 
 def _step_of_log(residual: "Delay | None", surest: "Delay") -> float:
-    """A log's own step (s), or that of the surest log if its own is not significant but consistent."""
+    """A log's own step (s), or that of the surest
+    log if its own is not significant but consistent.
+    """
     from .estimation.timing import correction
 
     if residual is not None and correction.is_significant(residual):
         return residual.seconds
-    if residual is None or abs(residual.seconds - surest.seconds) < SHARED_DELAY_SIGMA * (residual.std_error + surest.std_error):
+    if residual is None or abs(residual.seconds - surest.seconds) < SHARED_DELAY_SIGMA * (
+        residual.std_error + surest.std_error
+    ):
         return surest.seconds
     return 0.0

@@ -16,10 +16,14 @@ if TYPE_CHECKING:
 OFFSETS = ("drifting", "offset")
 """Names of constant offsets in the filters' faults, and in those of still poses."""
 DIFFERING_SIGMA = 3.0
-"""Standard deviations by which two sizes of one offset must differ, in addition to a tenth of it."""
+"""Standard deviations by which two sizes of one
+offset must differ, in addition to a tenth of it.
+"""
 
 
-def compare_changes_with_faults(features: Features, body: BodyModel, found: Estimate, settings: EstimationSettings) -> Estimate:
+def compare_changes_with_faults(
+    features: Features, body: BodyModel, found: Estimate, settings: EstimationSettings
+) -> Estimate:
     """Add changes of joint zeros, cameras and markers to the estimate's faults.
 
     Without effect for a body learned without a URDF, and with `bias = "off"`.
@@ -36,20 +40,39 @@ def compare_changes_with_faults(features: Features, body: BodyModel, found: Esti
 
 
 def _usable_tracks(features: Features, found: Estimate) -> Features:
-    """Used tracks with corrected times, up to the first fault that is not a constant encoder offset."""
+    """Used tracks with corrected times, up to the
+    first fault that is not a constant encoder offset.
+    """
     from .estimation.timing import correction
 
     delays = found.settings.get("delay", {})
-    timely = correction.shift_features(features, delays) if isinstance(delays, Mapping) else features
-    seen = [fault.since for fault in found.faults if fault.sense == "vision" and fault.since >= OFF_FROM_START_S]
-    later = [fault.since for fault in found.faults if fault.sense == "encoders" and not _is_constant_offset(fault)] + seen
+    timely = (
+        correction.shift_features(features, delays) if isinstance(delays, Mapping) else features
+    )
+    seen = [
+        fault.since
+        for fault in found.faults
+        if fault.sense == "vision" and fault.since >= OFF_FROM_START_S
+    ]
+    later = [
+        fault.since
+        for fault in found.faults
+        if fault.sense == "encoders" and not _is_constant_offset(fault)
+    ] + seen
     end = min(later, default=float("inf"))
     tracks = {}
     for name, track in timely.tracks.items():
         if name in found.used and found.used[name].used:
             early = track.t < end
             std = None if track.std is None else track.std[early]
-            some = track.t[early], track.values[early], track.names, track.unit, track.source_ns[early], std
+            some = (
+                track.t[early],
+                track.values[early],
+                track.names,
+                track.unit,
+                track.source_ns[early],
+                std,
+            )
             tracks[name] = Series(*some)
     return replace(timely, tracks=tracks)
 
@@ -59,18 +82,31 @@ def _is_constant_offset(fault: Fault) -> bool:
     return fault.sense == "encoders" and fault.kind in OFFSETS and fault.since < OFF_FROM_START_S
 
 
-def merge_changes_and_faults(changes: "Sequence[Change]", found: Estimate) -> tuple[tuple[Fault, ...], tuple[Finding, ...]]:
+def merge_changes_and_faults(
+    changes: "Sequence[Change]", found: Estimate
+) -> tuple[tuple[Fault, ...], tuple[Finding, ...]]:
     """Merge the estimate's faults with the changes, and return a remark on each."""
     start = float(found.joints.t[0]) if len(found.joints.t) else 0.0
-    own, findings = [_change_as_fault(one, start) for one in changes], list[Finding]()
+    own = [_change_as_fault(one, start) for one in changes]
+    findings = list[Finding]()
     kept = []
     for fault in found.faults:
-        same = next((one for one in own if _alternative_names(one) & _alternative_names(fault) and one.sense == "encoders"), None)
+        same = next(
+            (
+                one
+                for one in own
+                if _alternative_names(one) & _alternative_names(fault) and one.sense == "encoders"
+            ),
+            None,
+        )
         moved = next((one for one in own if one.sense == "vision"), None)
         if not _is_constant_offset(fault) or (same is None and moved is None):
             kept.append(fault)
         elif same is None and moved is not None:
-            text = f"{moved.name} explains the filter's offset of {fault.name} ({fault.size:.4g} rad) better"
+            text = (
+                f"{moved.name} explains the filter's offset of {fault.name} ({fault.size:.4g} "
+                "rad) better"
+            )
             findings.append(Finding("info", text))
         elif same is not None:
             findings += _differing_size_findings(same, fault)
@@ -105,7 +141,9 @@ def _differing_size_findings(same: Fault, fault: Fault) -> Iterable[Finding]:
         return
     if abs(same.size - fault.size) > DIFFERING_SIGMA * same.std + 0.1 * abs(same.size):
         by_body = f"relative to the body's zeros {same.size:.4g} ± {same.std:.2g} rad"
-        yield Finding("info", f"{same.name}: by the filter its offset is {fault.size:.4g} rad, {by_body}")
+        yield Finding(
+            "info", f"{same.name}: by the filter its offset is {fault.size:.4g} rad, {by_body}"
+        )
 
 
 def _describe_change(one: "Change") -> str:
@@ -113,9 +151,14 @@ def _describe_change(one: "Change") -> str:
     sure = f"{one.nats:.0f} nats likelier than no change"
     if one.kind == "joint":
         factor, unit = (degrees(1.0), "°") if one.unit == "rad" else (1e3, " mm")
-        value, std = -factor * one.value[0], factor * one.std[0]
+        value = -factor * one.value[0]
+        std = factor * one.std[0]
         return f"{one.name}: reads {value:+.2f} ± {std:.2f}{unit} relative to the body, {sure}"
     assert one.shift is not None
     place = f"{1e3 * one.shift[0]:.1f} ± {1e3 * one.shift[1]:.1f} mm"
-    turn = "" if one.turn is None else f" and turned by {degrees(one.turn[0]):.2f} ± {degrees(one.turn[1]):.2f}°"
+    turn = (
+        ""
+        if one.turn is None
+        else f" and turned by {degrees(one.turn[0]):.2f} ± {degrees(one.turn[1]):.2f}°"
+    )
     return f"{one.name}: moved by {place}{turn}, {sure}"

@@ -1,4 +1,6 @@
-"""Choices of `bodylog record`, `convert` and `fix`, for help and completion without importing what they name."""
+"""Choices of `bodylog record`, `convert` and `fix`, for
+help and completion without importing what they name.
+"""
 
 from collections.abc import Mapping
 
@@ -33,10 +35,14 @@ HARDWARE: Mapping[str, str] = {
     "jitter": "s: standard deviation of encoder stamps",
     "rolling": "s from a picture's first row to its last",
 }
-"""Errors of real joints and encoders that `record --hardware` simulates, and what their numbers mean."""
+"""Errors of real joints and encoders that `record
+--hardware` simulates, and what their numbers mean.
+"""
 FORMATS = ("mcap", "lerobot", "lerobot-2.1")
 REPEATS = ("mark", "drop", "keep")
 """What `fix` does with frames that repeat the one before."""
 EXCLUDED = ("accused", "unusable")
-"""Which episodes `fix` leaves out: all that stand out, and copies, or those alone that lost something."""
+"""Which episodes `fix` leaves out: all that stand
+out, and copies, or those alone that lost something.
+"""
 VIDEO_CODECS = ("lossless", "h264", "av1")

@@ -39,15 +39,20 @@ def compare_methods(
 ) -> tuple[list[ComparisonRow], tuple[Finding, ...]]:
     """Run every method with the encoders and each subset of the log's other senses.
 
-    Each also predicts withheld images. full: subsets without the encoders too · `done` gets each row at once.
+    Each also predicts withheld images. full: subsets
+    without the encoders too · `done` gets each row at once.
 
-    A refused run is a warning, and an error if all are refused; EvidenceError if no sense has readings.
+    A refused run is a warning, and an error if all are
+    refused; EvidenceError if no sense has readings.
     """
     from .body import storage
 
     learned = storage.load_body(body)
     if learned.surface is not None:
-        raise UsageError(f"{body}: a body of the robot's surface has no sense to compare; type: bodylog estimate {log}")
+        raise UsageError(
+            f"{body}: a body of the robot's surface has no sense to compare; type: bodylog "
+            f"estimate {log}"
+        )
     settings = features_of_body(learned, settings)
     read, features = observe(log, settings, progress)
     cameras = require_same_camera(log, learned.provenance.get("cameras", ()), read, features)
@@ -71,20 +76,34 @@ def compare_methods(
     if refused and not rows:
         with log_context(log, read.findings):
             raise next(iter(refused.values()))
-    return rows, (*read.findings, *features.findings, *cameras, *_label_findings(rows, refused), *_skipped_findings(combined, kept))
+    return rows, (
+        *read.findings,
+        *features.findings,
+        *cameras,
+        *_label_findings(rows, refused),
+        *_skipped_findings(combined, kept),
+    )
 
 
 def select_usual_subsets(combined: list[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """The subsets with encoders, where the log has any: without them, each run searches for the arm for seconds."""
+    """The subsets with encoders, where the log has any:
+    without them, each run searches for the arm for seconds.
+    """
     return [senses for senses in combined if "encoders" in senses] or combined
 
 
-def _skipped_findings(combined: Sequence[tuple[str, ...]], kept: Sequence[tuple[str, ...]]) -> list[Finding]:
+def _skipped_findings(
+    combined: Sequence[tuple[str, ...]], kept: Sequence[tuple[str, ...]]
+) -> list[Finding]:
     left = [",".join(senses) for senses in combined if senses not in kept]
-    return [Finding("info", f"without encoders not run: {'; '.join(left)}; add --all")] if left else []
+    return (
+        [Finding("info", f"without encoders not run: {'; '.join(left)}; add --all")] if left else []
+    )
 
 
-def list_sense_subsets(features: Features, body: BodyModel, settings: EstimationSettings) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
+def list_sense_subsets(
+    features: Features, body: BodyModel, settings: EstimationSettings
+) -> tuple[list[tuple[str, ...]], tuple[str, ...]]:
     """Every non-empty subset of the senses that are allowed and have readings, all of them first.
 
     Also the excluded joints and tracks. UsageError if the settings name an unknown one.
@@ -105,7 +124,9 @@ def list_sense_subsets(features: Features, body: BodyModel, settings: Estimation
     return rows, tuple(name for name in (*body.joints, *visual) if name not in wanted)
 
 
-def _list_run_settings(settings: Settings, combined: Sequence[tuple[str, ...]], silent: tuple[str, ...]) -> Iterator[Settings]:
+def _list_run_settings(
+    settings: Settings, combined: Sequence[tuple[str, ...]], silent: tuple[str, ...]
+) -> Iterator[Settings]:
     """Every method with every subset of the senses that it can use, as settings."""
     from .estimation import METHODS
 
@@ -116,7 +137,9 @@ def _list_run_settings(settings: Settings, combined: Sequence[tuple[str, ...]], 
                 yield replace(settings, estimate=asked)
 
 
-def _run_one_method(features: Features, learned: BodyModel, settings: Settings, read: Recording) -> ComparisonRow:
+def _run_one_method(
+    features: Features, learned: BodyModel, settings: Settings, read: Recording
+) -> ComparisonRow:
     from .evaluation.heldout import score_withheld_frames, withhold_frames
 
     fewer, withheld = withhold_frames(features)
@@ -127,10 +150,18 @@ def _run_one_method(features: Features, learned: BodyModel, settings: Settings, 
     seconds = time.process_time() - started
     warnings = (*(f for f in found.findings if f.severity != "info"), *fault_warnings(found.faults))
     asked = settings.estimate
-    return ComparisonRow(asked.method, asked.senses or (), (*score_estimate(found, read), *heldout), seconds, warnings)
+    return ComparisonRow(
+        asked.method,
+        asked.senses or (),
+        (*score_estimate(found, read), *heldout),
+        seconds,
+        warnings,
+    )
 
 
-def _label_findings(rows: Sequence[ComparisonRow], refused: Mapping[str, Exception]) -> list[Finding]:
+def _label_findings(
+    rows: Sequence[ComparisonRow], refused: Mapping[str, Exception]
+) -> list[Finding]:
     """The rows' findings, each once, with the labels of its rows."""
     labels_of: dict[Finding, list[str]] = {}
     for row in rows:
@@ -138,7 +169,10 @@ def _label_findings(rows: Sequence[ComparisonRow], refused: Mapping[str, Excepti
             labels_of.setdefault(finding, []).append(_run_label(row.method, row.senses))
     for label, problem in refused.items():
         labels_of.setdefault(Finding("warning", str(problem)), []).append(label)
-    return [Finding(finding.severity, f"{'; '.join(labels)}: {finding.text}") for finding, labels in labels_of.items()]
+    return [
+        Finding(finding.severity, f"{'; '.join(labels)}: {finding.text}")
+        for finding, labels in labels_of.items()
+    ]
 
 
 def _run_label(method: str, senses: Sequence[str]) -> str:

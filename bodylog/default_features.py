@@ -1,4 +1,6 @@
-"""Default features of a log without configured ones: a body's own, or whatever moves with the joints."""
+"""Default features of a log without configured ones:
+a body's own, or whatever moves with the joints.
+"""
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -35,9 +37,14 @@ def features_of_body(learned: BodyModel, settings: Settings) -> Settings:
     with suppress(ValueError, KeyError, TypeError):
         stored = read_json(learned.provenance["settings"])
     with suppress(ConfigError, AttributeError, TypeError):
-        features = {str(name): parse_source(str(name), value, "body") for name, value in stored.get("features", {}).items()}
+        features = {
+            str(name): parse_source(str(name), value, "body")
+            for name, value in stored.get("features", {}).items()
+        }
         colours = stored.get("colours", {})
-        effector, hand = (check_colour(colours.get(key, default), key) for key, default in _DEFAULTS.items())
+        effector, hand = (
+            check_colour(colours.get(key, default), key) for key, default in _DEFAULTS.items()
+        )
         named = colours.get("markers", colours.get("shapes", {}))  # older bodies: shapes
         markers = {str(name): check_colour(value, name) for name, value in named.items()}
         there = replace(settings.colours, effector=effector, hand=hand, markers=markers)
@@ -47,11 +54,19 @@ def features_of_body(learned: BodyModel, settings: Settings) -> Settings:
 
 def features_of_log(read: Recording, settings: Settings) -> Settings:
     """The settings; without configured features, with those tracked in a log."""
-    return replace(settings, features=read.settings.features) if has_no_features(settings) else settings
+    return (
+        replace(settings, features=read.settings.features)
+        if has_no_features(settings)
+        else settings
+    )
 
 
 def search_again_without_default(
-    log: Path, read: Recording, found: Features, settings: Settings, look: Callable[[Recording, Settings], Features]
+    log: Path,
+    read: Recording,
+    found: Features,
+    settings: Settings,
+    look: Callable[[Recording, Settings], Features],
 ) -> tuple[Recording, Features]:
     """A recording and its features, searched again if the default colour is not on the arm.
 
@@ -60,20 +75,32 @@ def search_again_without_default(
     from .perception import find_alternative
 
     carried = read.tracks or (read.features and read.features.tracks)
-    other = find_alternative(read, found, settings) if has_no_features(read.settings) and not carried else None
+    other = (
+        find_alternative(read, found, settings)
+        if has_no_features(read.settings) and not carried
+        else None
+    )
     if other is None:
         return read, found
     chosen, findings = _choose_effector(str(log), other.why, other.survey, settings)
     if chosen.features:
-        read = replace(read, settings=replace(read.settings, features=chosen.features), consumed=None)
+        read = replace(
+            read, settings=replace(read.settings, features=chosen.features), consumed=None
+        )
         found = look(read, chosen)
     return read, replace(found, findings=(*findings, *found.findings))
 
 
-def _choose_effector(log: str, why: str, survey: "FeatureSurvey", settings: Settings) -> tuple[Settings, tuple[Finding, ...]]:
-    """The settings with an effector that moves with the joints, and findings about it and the others."""
+def _choose_effector(
+    log: str, why: str, survey: "FeatureSurvey", settings: Settings
+) -> tuple[Settings, tuple[Finding, ...]]:
+    """The settings with an effector that moves with
+    the joints, and findings about it and the others.
+    """
     rest = [one for one in survey.candidates if one is not survey.arm and one.seen]
-    others = _group_by_reason([(one.name, one.why or "also moves as the joints do") for one in rest])
+    others = _group_by_reason(
+        [(one.name, one.why or "also moves as the joints do") for one in rest]
+    )
     default = f"effector: {settings.colours.effector} is not the arm's: {why}"
     if survey.arm is None:
         text = f"{default}; nothing else moves as the joints do; in view: {others}; "
@@ -81,8 +108,13 @@ def _choose_effector(log: str, why: str, survey: "FeatureSurvey", settings: Sett
         return settings, (Finding("warning", text),)
     arm = survey.arm
     assert arm.explained is not None  # what moves as the joints do is explained by them
-    text = f"{default}; {arm.name} is: in {arm.seen:.0%} of {survey.count} images, the joints explain "
-    text += f"{arm.explained:.0%} of its motion; ready for robot.toml: [features] {toml_line('effector', arm.source)}"
+    text = (
+        f"{default}; {arm.name} is: in {arm.seen:.0%} of {survey.count} images, the joints explain "
+    )
+    text += (
+        f"{arm.explained:.0%} of its motion; ready for robot.toml: [features] "
+        f"{toml_line('effector', arm.source)}"
+    )
     findings = Finding("info", text), Finding("info", f"effector: not followed: {others}")
     return replace(settings, features={"effector": arm.source}), findings
 
@@ -91,9 +123,19 @@ def _group_by_reason(named: Sequence[tuple[str, str]]) -> str:
     """Names grouped by reason; of many names the first few."""
     by_reason: dict[str, list[str]] = {}
     for name, why in named:
-        by_reason.setdefault("in too few images" if why.startswith("seen in") else why, []).append(name)
-    more = {why: f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "" for why, names in by_reason.items()}
-    return "; ".join(f"{', '.join(names[:_NAMED])}{more[why]}: {why}" for why, names in by_reason.items()) or "nothing"
+        by_reason.setdefault("in too few images" if why.startswith("seen in") else why, []).append(
+            name
+        )
+    more = {
+        why: f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        for why, names in by_reason.items()
+    }
+    return (
+        "; ".join(
+            f"{', '.join(names[:_NAMED])}{more[why]}: {why}" for why, names in by_reason.items()
+        )
+        or "nothing"
+    )
 
 
 def toml_line(name: str, source: Source) -> str:

@@ -1,4 +1,6 @@
-"""Whether a log's images are late against its joints: by a body, or by one learned from the log itself."""
+"""Whether a log's images are late against its joints:
+by a body, or by one learned from the log itself.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -10,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from .body_model import BodyModel
 from .checks import require_same_camera, require_same_size
-from .default_features import search_again_without_default, features_of_body
+from .default_features import features_of_body, search_again_without_default
 from .errors import InputError
 from .observed import add_recorded_joints, moving_features
 from .settings import Settings
@@ -24,7 +26,9 @@ MAX_DURATION_S = 60.0
 MAX_IMAGES = 600
 """Most images of each camera that are searched, evenly spread."""
 MOST_FLOW_IMAGES = 6000
-"""Most images of each camera between which flow is measured: all of a minute at 100 Hz, as motion needs neighbours."""
+"""Most images of each camera between which flow is measured:
+all of a minute at 100 Hz, as motion needs neighbours.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +40,11 @@ class ExaminedDelays:
 
 
 def measure_image_delays(log: Path, body: BodyModel | None, settings: Settings) -> ExaminedDelays:
-    """Measure the delay of each camera's timestamps relative to the encoders; nothing with `delay` off.
+    """Measure the delay of each camera's timestamps
+    relative to the encoders; nothing with `delay` off.
 
-    With a body, InputError where its cameras are not those of the log; without one, a finding says what is missing.
+    With a body, InputError where its cameras are not those
+    of the log; without one, a finding says what is missing.
     """
     if settings.time.delay == "off":
         return ExaminedDelays()
@@ -48,7 +54,9 @@ def measure_image_delays(log: Path, body: BodyModel | None, settings: Settings) 
         if body is not None:
             raise
         text = str(problem).removeprefix(f"{log}: ").partition("; ")[0]
-        by_marker = ExaminedDelays((), (Finding("info", f"{log}: camera delays are not measured: {text}"),))
+        by_marker = ExaminedDelays(
+            (), (Finding("info", f"{log}: camera delays are not measured: {text}"),)
+        )
     if body is not None or by_marker.scores:
         return by_marker
     by_flow = _examine_by_flow(log, settings)
@@ -56,19 +64,29 @@ def measure_image_delays(log: Path, body: BodyModel | None, settings: Settings) 
 
 
 def _examine_by_flow(log: Path, settings: Settings) -> ExaminedDelays:
-    """Delays by the motion of the whole picture; a finding for each camera of which it does not tell one."""
+    """Delays by the motion of the whole picture; a
+    finding for each camera of which it does not tell one.
+    """
     from .estimation.timing.flow_delay import MIN_EVIDENCE_NATS
     from .flow_findings import measure_flow_delays
     from .recording import recording
 
-    read = middle_of_recording(recording.read_recording(log, settings, settings.input.strict), MAX_DURATION_S, MOST_FLOW_IMAGES)
+    read = middle_of_recording(
+        recording.read_recording(log, settings, settings.input.strict),
+        MAX_DURATION_S,
+        MOST_FLOW_IMAGES,
+    )
     measured = list(measure_flow_delays(read))
     expected = _given_delays(settings, tuple(one.camera for one in measured))
     rest: dict[str, Delay] = {}
     unclear = list[Finding]()
     for one in measured:
         if one.found is None:
-            unclear.append(Finding("info", f"{log}: {one.camera}: too few images or joints for a delay by flow"))
+            unclear.append(
+                Finding(
+                    "info", f"{log}: {one.camera}: too few images or joints for a delay by flow"
+                )
+            )
         elif one.found.certain:
             late = one.found.delay
             rest[one.camera] = replace(late, seconds=late.seconds - expected.get(one.camera, 0.0))
@@ -76,7 +94,10 @@ def _examine_by_flow(log: Path, settings: Settings) -> ExaminedDelays:
             why = f"{one.found.nats:.0f} nats of evidence, {MIN_EVIDENCE_NATS:.0f} are needed"
             text = f"{log}: {one.camera}: no delay by the picture's motion: {why}"
             unclear.append(Finding("info", text))
-    delay_findings = [replace(one, text=f"{log}: {one.text}") for one in _delay_difference_findings(rest, expected, "by the picture's motion")]
+    delay_findings = [
+        replace(one, text=f"{log}: {one.text}")
+        for one in _delay_difference_findings(rest, expected, "by the picture's motion")
+    ]
     return ExaminedDelays(tuple(_delay_scores(rest, expected)), (*delay_findings, *unclear))
 
 
@@ -89,8 +110,13 @@ def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> E
     if features.joints is None or features.poses or (read.frames is None and not features.tracks):
         text = f"{log}: camera delays are not measured: it has no moving joints with images"
         return ExaminedDelays((), () if body is None else (Finding("info", text),))
-    names = correction.list_track_cameras([*features.tracks, *(() if body is None else body.senses)])
-    expected = {**({} if body is None else correction.learned_delays(body)), **_given_delays(settings, names)}
+    names = correction.list_track_cameras(
+        [*features.tracks, *(() if body is None else body.senses)]
+    )
+    expected = {
+        **({} if body is None else correction.learned_delays(body)),
+        **_given_delays(settings, names),
+    }
     timely = correction.shift_features(features, expected)
     if body is None:
         found, unclear = camera_delay.measure_log_delays(timely, read.settings)
@@ -101,7 +127,10 @@ def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> E
         found = {name: one for name, one in every.items() if not one.doubt}
         unclear = {name: one for name, one in every.items() if one.doubt}
     by = "by the body learned from this log" if body is None else "by the body given"
-    some = (*_delay_difference_findings(found, expected, by), *_unmeasured_findings(names, found, unclear, expected, body is None))
+    some = (
+        *_delay_difference_findings(found, expected, by),
+        *_unmeasured_findings(names, found, unclear, expected, body is None),
+    )
     texts = [replace(one, text=f"{log}: {one.text}") for one in some]
     return ExaminedDelays(tuple(_delay_scores({**found, **unclear}, expected)), tuple(texts))
 
@@ -119,7 +148,9 @@ def _delay_scores(found: "Mapping[str, Delay]", expected: Mapping[str, float]) -
         yield Score(f"std/delay/{name}", rest.std_error, "s")
 
 
-def _delay_difference_findings(found: "Mapping[str, Delay]", expected: Mapping[str, float], by: str) -> Iterator[Finding]:
+def _delay_difference_findings(
+    found: "Mapping[str, Delay]", expected: Mapping[str, float], by: str
+) -> Iterator[Finding]:
     """A warning for each delay that differs from the expected one (s), else information."""
     from .estimation.timing import correction
 
@@ -127,17 +158,25 @@ def _delay_difference_findings(found: "Mapping[str, Delay]", expected: Mapping[s
         known = expected.get(name, 0.0)
         text = f"{name}: {correction.describe_delay(known + rest.seconds, rest.std_error)}, {by}"
         if not correction.is_significant(rest):
-            yield Finding("info", f"{text}; {f'{known:g} s is expected' if known else 'not significant'}")
+            yield Finding(
+                "info", f"{text}; {f'{known:g} s is expected' if known else 'not significant'}"
+            )
         elif name in expected:
-            yield Finding("warning", f"{text}, not {known:g} s; type --delay {name}={known + rest.seconds:.4f}")
+            yield Finding(
+                "warning",
+                f"{text}, not {known:g} s; type --delay {name}={known + rest.seconds:.4f}",
+            )
         else:
             yield Finding("warning", f"{text}; fit and estimate measure and correct it")
 
 
 def _unmeasured_findings(
-    names: tuple[str, ...], found: "Mapping[str, Delay]", unclear: "Mapping[str, Delay]",
-    expected: Mapping[str, float], alone: bool,
-) -> Iterator[Finding]:  # fmt: skip
+    names: tuple[str, ...],
+    found: "Mapping[str, Delay]",
+    unclear: "Mapping[str, Delay]",
+    expected: Mapping[str, float],
+    alone: bool,
+) -> Iterator[Finding]:
     """Information on each camera without a delay; `alone`: there was no body."""
     from .estimation.timing import correction
 
@@ -155,7 +194,9 @@ def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Record
     """The middle of a log and what perception finds in it; `guess`: as pipeline.observe."""
     from .recording import recording
 
-    read = middle_of_recording(recording.read_recording(log, settings, settings.input.strict), MAX_DURATION_S, MAX_IMAGES)
+    read = middle_of_recording(
+        recording.read_recording(log, settings, settings.input.strict), MAX_DURATION_S, MAX_IMAGES
+    )
     look = partial(moving_features, progress=None)
     found = look(read, settings)
     if guess:
@@ -170,7 +211,10 @@ def middle_of_recording(read: Recording, longest_s: float, most_images: int) -> 
     spare = max(0.0, 0.5 * (read.duration_s - longest_s))
     begin, end = spare, read.duration_s - spare
     films = {"": read.frames, **read.views}
-    counts = {name: _count_images(read, name) * min(1.0, longest_s / max(read.duration_s, longest_s)) for name in films}
+    counts = {
+        name: _count_images(read, name) * min(1.0, longest_s / max(read.duration_s, longest_s))
+        for name in films
+    }
     few = {
         name: partial(_thin_frames, film, begin, end, max(1, ceil(counts[name] / most_images)))
         for name, film in films.items()
@@ -180,8 +224,12 @@ def middle_of_recording(read: Recording, longest_s: float, most_images: int) -> 
         read,
         frames=few.pop("", None),
         views=few,
-        joints=None if read.joints is None else cut_to_window(read.joints, read.start_ns, (begin, end)),
-        reference=None if read.reference is None else cut_to_window(read.reference, read.start_ns, (begin, end)),
+        joints=None
+        if read.joints is None
+        else cut_to_window(read.joints, read.start_ns, (begin, end)),
+        reference=None
+        if read.reference is None
+        else cut_to_window(read.reference, read.start_ns, (begin, end)),
     )
 
 
@@ -192,7 +240,9 @@ def _count_images(read: Recording, camera: str) -> int:
     return 0 if health is None else health.used
 
 
-def _thin_frames(film: Callable[[], Iterator[LazyImage]], begin: float, end: float, every: int) -> Iterator[LazyImage]:
+def _thin_frames(
+    film: Callable[[], Iterator[LazyImage]], begin: float, end: float, every: int
+) -> Iterator[LazyImage]:
     """Every `every`-th frame from begin to end (s)."""
     inside = (frame for frame in film() if begin <= frame.t <= end)
     return islice(inside, 0, None, every)

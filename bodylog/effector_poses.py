@@ -1,4 +1,6 @@
-"""Kinematic results of an estimate: effector poses in metres, predictions without the residual process, joint zeros."""
+"""Kinematic results of an estimate: effector poses in metres,
+predictions without the residual process, joint zeros.
+"""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -21,8 +23,14 @@ def add_kinematic_results(body: BodyModel, found: Estimate) -> Estimate:
     if not senses or not len(found.joints.t):
         return found
     used = {**found.settings, "offsets": offsets_as_values(learned_zeros(body))}
-    kinematic = {name: _predict_by_kinematics(senses[name], found, name) for name in found.predicted if name in senses}
-    return replace(found, effector=_effector_poses(senses, found), kinematic=kinematic, settings=used)
+    kinematic = {
+        name: _predict_by_kinematics(senses[name], found, name)
+        for name in found.predicted
+        if name in senses
+    }
+    return replace(
+        found, effector=_effector_poses(senses, found), kinematic=kinematic, settings=used
+    )
 
 
 def _effector_poses(senses: "dict[str, KinematicGP]", found: Estimate) -> Poses | None:
@@ -33,16 +41,22 @@ def _effector_poses(senses: "dict[str, KinematicGP]", found: Estimate) -> Poses 
     first = senses.get(FIRST, senses[min(senses)])
     if first.base is None:
         return None
-    joints, chain = found.joints, first.base.chain
-    place, rotation, cov = pose_in_base(first.base, first.rig, first.theta, first.root, joints.values, found.cov)
-    return Poses(joints.t, place, quaternions_from_rotations(rotation), chain.start, joints.source_ns, cov)
+    joints = found.joints
+    chain = first.base.chain
+    place, rotation, cov = pose_in_base(
+        first.base, first.rig, first.theta, first.root, joints.values, found.cov
+    )
+    return Poses(
+        joints.t, place, quaternions_from_rotations(rotation), chain.start, joints.source_ns, cov
+    )
 
 
 def _predict_by_kinematics(sense: "KinematicGP", found: Estimate, name: str) -> Series:
     """A track's predictions by kinematics alone, px: without the residual process."""
     import numpy as np
 
-    predicted, joints = found.predicted[name], found.joints
+    predicted = found.predicted[name]
+    joints = found.joints
     x = np.column_stack([np.interp(predicted.t, joints.t, column) for column in joints.values.T])
     process: Array = sense.means(x)[0] - sense.kinematics(x)
     return Series(predicted.t, predicted.values - process, ("u", "v"), "px", predicted.source_ns)

@@ -16,7 +16,9 @@ BodylogError            1
 
 
 class BodylogError(Exception):
-    """Base: the message is one line naming file, topic, field, value found, values possible, what to type next."""
+    """Base: the message is one line naming file, topic,
+    field, value found, values possible, what to type next.
+    """
 
     exit_code = 1
 

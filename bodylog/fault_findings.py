@@ -34,13 +34,18 @@ def _fault_warning_text(fault: Fault) -> str:
         else "; the log does not determine which one"
     )
     size += (
-        "" if fault.turn is None else f", turned by {quantity_text(fault.turn, fault.turn_std, 'rad')}"
+        ""
+        if fault.turn is None
+        else f", turned by {quantity_text(fault.turn, fault.turn_std, 'rad')}"
     )
     first = "; from the start: homed differently, or the camera moved since the body was learned"
     body = "; relative to the body"
     compared = fault.kind == "moved" or (fault.kind == "offset" and fault.std is not None)
     return (
-        since + size + first * (fault.kind == "drifting" and fault.since < OFF_FROM_START_S) + body * compared
+        since
+        + size
+        + first * (fault.kind == "drifting" and fault.since < OFF_FROM_START_S)
+        + body * compared
     )
 
 
@@ -49,7 +54,8 @@ def sighting_findings(found: Features) -> tuple[Finding, ...]:
     from .body.data import trainable
 
     return tuple(
-        Finding("info", f"{name}: {trainable.describe_sighting_counts([found], name)}") for name in found.tracks
+        Finding("info", f"{name}: {trainable.describe_sighting_counts([found], name)}")
+        for name in found.tracks
     )
 
 
@@ -67,7 +73,8 @@ def unseen_findings(
         for name in looked
         if name in features.tracks and np.isfinite(features.tracks[name].values).any()
     }
-    sources, unseen = list_configured_sources(settings), dict[str, int]()
+    sources = list_configured_sources(settings)
+    unseen = dict[str, int]()
     for name in looked.keys() - seen:
         if looked[name]:
             unseen[feature_of(name)] = max(unseen.get(feature_of(name), 0), looked[name])
@@ -87,9 +94,14 @@ def unseen_findings(
 
 
 def truth_findings(found: Estimate, truth: Series | None) -> tuple[Finding, ...]:
-    """A remark where errors against truth cannot be computed: no truth, or truth of other joints."""
+    """A remark where errors against truth cannot be
+    computed: no truth, or truth of other joints.
+    """
     if truth is None:
-        text = "no truth topic, so no error against truth; name one in [topics] truth, or type --truth FILE"
+        text = (
+            "no truth topic, so no error against truth; name one in [topics] truth, or type "
+            "--truth FILE"
+        )
         return (Finding("warning", text),)
     if set(truth.names) & set(found.joints.names):
         return ()

@@ -1,4 +1,6 @@
-"""Whether a log's images are late against its joints, by the motion of the whole picture: no marker, body or URDF."""
+"""Whether a log's images are late against its joints, by
+the motion of the whole picture: no marker, body or URDF.
+"""
 
 import re
 from collections.abc import Iterator
@@ -15,7 +17,9 @@ if TYPE_CHECKING:
     from .perception.surface.repeats import FrameRepeats
 
 LONGEST_KNOT_S = 0.02
-"""Longest distance of the times at which smoothed joints are known: well below the delays that matter."""
+"""Longest distance of the times at which smoothed
+joints are known: well below the delays that matter.
+"""
 KNOTS_PER_INTERVAL = 4
 """Least number of these times between two images."""
 LEAST_READINGS = 8
@@ -23,13 +27,17 @@ LEAST_READINGS = 8
 LEAST_REPEATS = 10
 """Fewest repeats that tell a camera whose frames are stored twice."""
 ALTERNATING_SHARE = 0.9
-"""Share of the gaps between its repeats that have an even number of frames; the rest are slips of the recorder."""
+"""Share of the gaps between its repeats that have an even
+number of frames; the rest are slips of the recorder.
+"""
 _SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 
 @dataclass(frozen=True)
 class CameraFlow:
-    """A camera's name, and its delay by flow; None where the images or the joints do not suffice."""
+    """A camera's name, and its delay by flow; None
+    where the images or the joints do not suffice.
+    """
 
     camera: str
     found: "FlowDelay | None"
@@ -75,8 +83,9 @@ def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None
 def alternating_repeats(repeats: "FrameRepeats") -> Array:
     """Which frames (N,) repeat the one before, those of a slow picture included.
 
-    Where the picture moves slowly, a repeat is not told from a new frame. Two repeats that an even number of frames
-    lies between say that every second frame repeats there, if nearly all repeats of the film do.
+    Where the picture moves slowly, a repeat is not told from a new frame.
+    Two repeats that an even number of frames lies between say that every
+    second frame repeats there, if nearly all repeats of the film do.
     """
     told = np.flatnonzero(repeats.repeated)
     gaps = np.diff(told)
@@ -92,7 +101,9 @@ def alternating_repeats(repeats: "FrameRepeats") -> Array:
 
 
 def merge_slow_repeats(seen: "GridFlow") -> "GridFlow":
-    """The flow of a camera without intervals that end at a repeat: half of the motion's time would be missing."""
+    """The flow of a camera without intervals that end at
+    a repeat: half of the motion's time would be missing.
+    """
     repeated = alternating_repeats(seen.repeats)
     first = np.flatnonzero(~np.isin(seen.times[:, 0], seen.repeats.t[repeated]))
     if not len(first) or len(first) == len(seen.times):
@@ -103,12 +114,16 @@ def merge_slow_repeats(seen: "GridFlow") -> "GridFlow":
 
 
 def _longest_row_time(seen: "GridFlow") -> float:
-    """Time (s) that a rolling shutter may take: not more than from one distinct image to the next."""
+    """Time (s) that a rolling shutter may take: not
+    more than from one distinct image to the next.
+    """
     return float(np.median(np.diff(seen.times, axis=1)))
 
 
 def group_joints(names: tuple[str, ...]) -> tuple[tuple[int, ...], ...]:
-    """Joints of the left side, of the right side and of neither, by the words of their names; one group if alike."""
+    """Joints of the left side, of the right side and of
+    neither, by the words of their names; one group if alike.
+    """
     sides: dict[str, list[int]] = {}
     for number, name in enumerate(names):
         words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]
@@ -120,16 +135,22 @@ def group_joints(names: tuple[str, ...]) -> tuple[tuple[int, ...], ...]:
 def smooth_joints(joints: Series, step_s: float) -> Series:
     """Joints at evenly spaced times, by integrated Wiener processes of greatest evidence.
 
-    Interpolated readings would do harm: between two readings they have less noise than at them, and the delay at which
-    images fall between readings would win.
+    Interpolated readings would do harm: between two readings they have less noise than at them, and
+    the delay at which images fall between readings would win.
     """
     t = np.arange(joints.t[0], joints.t[-1], step_s)
-    columns = [_smooth_joint(joints.t, joints.values[:, k], t) for k in range(joints.values.shape[1])]
-    return replace(joints, t=t, values=np.column_stack(columns), source_ns=np.zeros(len(t), np.int64), std=None)
+    columns = [
+        _smooth_joint(joints.t, joints.values[:, k], t) for k in range(joints.values.shape[1])
+    ]
+    return replace(
+        joints, t=t, values=np.column_stack(columns), source_ns=np.zeros(len(t), np.int64), std=None
+    )
 
 
 def _smooth_joint(t: Array, values: Array, at: Array) -> Array:
-    """A joint's angle at the times `at` (K,); NaN without enough readings, constant for a joint at rest."""
+    """A joint's angle at the times `at` (K,); NaN without
+    enough readings, constant for a joint at rest.
+    """
     from .body.data import angle_smoother
 
     finite = np.isfinite(values)

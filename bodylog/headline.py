@@ -50,13 +50,18 @@ def _fault_headline(fault: Fault) -> str:
 def _reprojection_text(values: Mapping[str, float]) -> str:
     """The error of each track in px; of more than three the median and the largest."""
     errors = {
-        split_score_name(name)[1]: v for name, v in values.items() if split_score_name(name)[0] == "rmse/innovation"
+        split_score_name(name)[1]: v
+        for name, v in values.items()
+        if split_score_name(name)[0] == "rmse/innovation"
     }
     errors = {name: value for name, value in errors.items() if np.isfinite(value)}
     if len(errors) > 3:
         worst = max(errors, key=lambda name: errors[name])
         middle = float(np.median(list(errors.values())))
-        return f"{middle:.2g} px (median of {len(errors)} tracks), largest {errors[worst]:.2g} px ({worst})"
+        return (
+            f"{middle:.2g} px (median of {len(errors)} tracks), largest {errors[worst]:.2g} px "
+            f"({worst})"
+        )
     return ", ".join(f"{value:.2g} px ({name})" for name, value in errors.items()) or UNKNOWN
 
 

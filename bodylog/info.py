@@ -16,7 +16,8 @@ if TYPE_CHECKING:
 
 
 def describe_file(log: Path | str, settings: Settings) -> dict[str, Any]:
-    """What is in a log: topics, rates, roles, clocks; or in a body model (.npz): joints, senses, noise, provenance.
+    """What is in a log: topics, rates, roles, clocks; or in
+    a body model (.npz): joints, senses, noise, provenance.
 
     Of an MCAP behind a URL only what this needs is read.
     """
@@ -31,7 +32,9 @@ def describe_file(log: Path | str, settings: Settings) -> dict[str, Any]:
 
 
 def dataset_images(log: Path, settings: Settings) -> int:
-    """Images in a dataset of a log: one of each camera for each of the first one's; 0 without an image topic."""
+    """Images in a dataset of a log: one of each camera
+    for each of the first one's; 0 without an image topic.
+    """
     from .recording import dataset_rows
 
     return dataset_rows.count_row_images(log, settings)
@@ -55,7 +58,9 @@ def _info_body(path: Path) -> dict[str, Any]:
         "path": str(path),
         "format": "body",
         "joints": list(learned.joints),
-        "senses": {name: _describe_sense(sense, learned.joints) for name, sense in learned.senses.items()},
+        "senses": {
+            name: _describe_sense(sense, learned.joints) for name, sense in learned.senses.items()
+        },
         **_list_zeros_and_scales(learned),
         "noise": asdict(learned.noise),
         "touch": asdict(learned.touch),
@@ -72,11 +77,15 @@ def _list_zeros_and_scales(learned: "BodyModel") -> dict[str, Any]:
 
     if not any(isinstance(sense, kinematic_gp.KinematicGP) for sense in learned.senses.values()):
         return {}
-    return dict(offsets.offset_tables(offsets.learned_zeros(learned), offsets.learned_scales(learned)))
+    return dict(
+        offsets.offset_tables(offsets.learned_zeros(learned), offsets.learned_scales(learned))
+    )
 
 
 def _describe_sense(sense: "ForwardModel", joints: Sequence[str]) -> dict[str, Any]:
-    """What a sense's model is made of: samples and a length scale (rad) for each joint, or coefficients."""
+    """What a sense's model is made of: samples and a
+    length scale (rad) for each joint, or coefficients.
+    """
     from .body.gp.model import GP
     from .body.kinematic.model import KinematicGP
     from .body.senses.encoder_function import Polynomial
@@ -85,14 +94,25 @@ def _describe_sense(sense: "ForwardModel", joints: Sequence[str]) -> dict[str, A
     if isinstance(sense, GP):
         scales = [dict(zip(joints, group, strict=True)) for group in sense.scales.tolist()]
         facts |= {"samples": len(sense.samples), "length_scales": scales}
-        return facts | ({"kinematics": _list_links(sense)} if isinstance(sense, KinematicGP) else {})
-    return facts | ({"coefficients": sense.coefficients.tolist()} if isinstance(sense, Polynomial) else {})
+        return facts | (
+            {"kinematics": _list_links(sense)} if isinstance(sense, KinematicGP) else {}
+        )
+    return facts | (
+        {"coefficients": sense.coefficients.tolist()} if isinstance(sense, Polynomial) else {}
+    )
 
 
 def _list_links(sense: "KinematicGP") -> dict[str, str | None]:
     """What hangs on which link, and the robot's root."""
-    camera, marker, base = sense.rig.cameras[0], sense.rig.carriers[0], sense.base
-    links = {"camera": camera.name, "camera_link": camera.link, "marker": marker.name, "marker_link": marker.link}
+    camera = sense.rig.cameras[0]
+    marker = sense.rig.carriers[0]
+    base = sense.base
+    links = {
+        "camera": camera.name,
+        "camera_link": camera.link,
+        "marker": marker.name,
+        "marker_link": marker.link,
+    }
     return links | {"base": None if base is None else base.chain.start}
 
 

@@ -16,34 +16,53 @@ ENCODER_STEP_RAD = 2.0 * np.pi / 4096.0
 """rad: the step of a 12-bit encoder, assumed for one that never moves."""
 
 
-def limit_findings(joints: Series, limits: "Mapping[str, Limits]", source: str) -> Iterator[Finding]:
-    """Yield remarks on joints that read outside their limits (rad, m); `source`: where the limits are from.
+def limit_findings(
+    joints: Series, limits: "Mapping[str, Limits]", source: str
+) -> Iterator[Finding]:
+    """Yield remarks on joints that read outside their
+    limits (rad, m); `source`: where the limits are from.
 
-    Where units or zeros differ from the URDF's, no joint gets a warning. They differ if one joint is a whole turn
-    beyond its limits, or if most joints are beyond theirs.
+    Where units or zeros differ from the URDF's, no joint gets a warning. They differ if one joint
+    is a whole turn beyond its limits, or if most joints are beyond theirs.
     """
     columns = dict(zip(joints.names, joints.values.T, strict=True))
-    excess = {name: _excess_over_limits(y[np.isfinite(y)], limits[name]) for name, y in columns.items() if name in limits}
-    texts, typical, ranges = dict[str, str](), dict[str, float](), dict[str, float]()
+    excess = {
+        name: _excess_over_limits(y[np.isfinite(y)], limits[name])
+        for name, y in columns.items()
+        if name in limits
+    }
+    texts = dict[str, str]()
+    typical = dict[str, float]()
+    ranges = dict[str, float]()
     for name, beyond in excess.items():
         if (out := beyond > 0.0).any():
-            own, since = limits[name], joints.t[np.isfinite(columns[name])][out][0]
+            own = limits[name]
+            since = joints.t[np.isfinite(columns[name])][out][0]
             texts[name] = (
-                f"{name}: {out.sum()} of {len(beyond)} readings outside of {own.lower:.4g} to {own.upper:.4g} "
-                f"{own.unit} ({source}), by up to {beyond.max():.3g} {own.unit}, first at {since:.3f} s"
+                f"{name}: {out.sum()} of {len(beyond)} readings outside of {own.lower:.4g} "
+                f"to {own.upper:.4g} "
+                f"{own.unit} ({source}), by up to {beyond.max():.3g} {own.unit}, first at "
+                f"{since:.3f} s"
             )
             # single wild readings decide nothing about units
             typical[name], ranges[name] = float(np.quantile(beyond, 0.99)), own.upper - own.lower
     turned = any(typical[name] > tau and limits[name].unit == "rad" for name in texts)
     other = turned or 2 * len(texts) > max(len(excess), 2)
     foreign = [text for name, text in texts.items() if other or typical[name] > ranges[name]]
-    yield from (Finding("warning", f"joints: {text}") for text in texts.values() if text not in foreign)
+    yield from (
+        Finding("warning", f"joints: {text}") for text in texts.values() if text not in foreign
+    )
     if foreign:
         some = list_in_words(foreign, " joints", "; ")
-        yield Finding("info", f"joints: other units or zeros than those of {source}, or another robot's: {some}")
+        yield Finding(
+            "info",
+            f"joints: other units or zeros than those of {source}, or another robot's: {some}",
+        )
 
 
 def _excess_over_limits(y: Array, limits: "Limits") -> Array:
-    """How far readings (N,) are beyond the limits; 0 within them, and where that is rounding or an encoder's step."""
+    """How far readings (N,) are beyond the limits; 0 within
+    them, and where that is rounding or an encoder's step.
+    """
     beyond = np.maximum(y - limits.upper, limits.lower - y)
     return np.where(beyond > limits.rounding + ENCODER_STEP_RAD, beyond, 0.0)

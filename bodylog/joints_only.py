@@ -1,4 +1,6 @@
-"""Logs without a body: encoders alone, without images, and remarks on the quality of their readings."""
+"""Logs without a body: encoders alone, without
+images, and remarks on the quality of their readings.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +15,12 @@ from .types import Features, Finding, Recording, Series
 from .wording import list_in_words
 
 
-def read_joints_alone(log: Path, settings: Settings, body: BodyModel | None = None) -> tuple[Recording, Features]:
-    """Read a log's joints, with remarks on their readings; LogError without joints. `body`: the one that is used."""
+def read_joints_alone(
+    log: Path, settings: Settings, body: BodyModel | None = None
+) -> tuple[Recording, Features]:
+    """Read a log's joints, with remarks on their readings;
+    LogError without joints. `body`: the one that is used.
+    """
     from .recording import recording
 
     read = recording.read_recording(log, settings, settings.input.strict)
@@ -30,33 +36,59 @@ def read_joints_alone(log: Path, settings: Settings, body: BodyModel | None = No
 def _no_body(read: Recording) -> Finding:
     """The remark that no body is used, and which cameras are ignored."""
     unseen = [path for role, path in read.roles.items() if role.partition("/")[0] == "camera"]
-    unused = f"; images of {', '.join(unseen)} are not used: type --body body.npz, which fit writes" if unseen else ""
+    unused = (
+        f"; images of {', '.join(unseen)} are not used: type --body body.npz, which fit writes"
+        if unseen
+        else ""
+    )
     text = f"no --body: encoders alone, which do not show constant offsets{unused}"
     return Finding("warning" if unseen else "info", text)
 
 
 def _reading_findings(joints: Series) -> Iterator[Finding]:
     """Yield remarks on readings: gaps, repeats, joints without readings."""
-    t, steps = joints.t, np.diff(joints.t)
+    t = joints.t
+    steps = np.diff(joints.t)
     # longer than twenty usual steps, and half a second
     if len(steps) and (pause := steps > max(20.0 * np.median(steps), 0.5)).any():
-        pauses = [f"{at:.3f} s for {long:.2f} s" for at, long in zip(t[:-1][pause], steps[pause], strict=True)]
+        pauses = [
+            f"{at:.3f} s for {long:.2f} s"
+            for at, long in zip(t[:-1][pause], steps[pause], strict=True)
+        ]
         yield Finding("warning", f"joints: no reading from {list_in_words(pauses, ' times')}")
-    share = (np.diff(joints.values, axis=0) == 0.0).mean(axis=0) if len(t) > 1 else np.zeros(len(joints.names))
-    if often := [f"{joints.names[j]} {share[j]:.0%}" for j in np.argsort(-share, kind="stable") if share[j] > 0.5]:
-        yield Finding("info", f"joints: readings that repeat the one before: {list_in_words(often)}, as at rest or in steps")
+    share = (
+        (np.diff(joints.values, axis=0) == 0.0).mean(axis=0)
+        if len(t) > 1
+        else np.zeros(len(joints.names))
+    )
+    if often := [
+        f"{joints.names[j]} {share[j]:.0%}"
+        for j in np.argsort(-share, kind="stable")
+        if share[j] > 0.5
+    ]:
+        yield Finding(
+            "info",
+            f"joints: readings that repeat the one before: {list_in_words(often)}, as at "
+            "rest or in steps",
+        )
     if mute := _list_mute_joints(joints):
         yield Finding("warning", f"joints: {', '.join(mute)}: no reading is a number")
 
 
 def _list_mute_joints(joints: Series) -> list[str]:
-    return [name for name, y in zip(joints.names, joints.values.T, strict=True) if not np.isfinite(y).any()]
+    return [
+        name
+        for name, y in zip(joints.names, joints.values.T, strict=True)
+        if not np.isfinite(y).any()
+    ]
 
 
 def _outside_limit_findings(log: Path, joints: Series, settings: Settings) -> Iterator[Finding]:
     """Remarks on joints beyond the limits of their URDF; the log's own URDF may be invalid."""
     try:
-        yield from joint_limits.limit_findings(joints, *robot_model.joint_limits_of_log(log, settings))
+        yield from joint_limits.limit_findings(
+            joints, *robot_model.joint_limits_of_log(log, settings)
+        )
     except FormatError as problem:
         if settings.kinematics.urdf is not None:
             raise
@@ -64,14 +96,20 @@ def _outside_limit_findings(log: Path, joints: Series, settings: Settings) -> It
 
 
 def without_body(read: Recording, settings: Settings) -> BodyModel:
-    """A body of all joints with readings, or those wanted, without other senses; UsageError for an unknown joint."""
+    """A body of all joints with readings, or those wanted,
+    without other senses; UsageError for an unknown joint.
+    """
     from . import estimation
 
     assert read.joints is not None
-    mute, wanted = _list_mute_joints(read.joints), settings.body.joints
+    mute = _list_mute_joints(read.joints)
+    wanted = settings.body.joints
     known = [name for name in read.joints.names if name not in mute]
     if unknown := [name for name in wanted or () if name not in known]:
-        raise UsageError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(known)}; type: bodylog info LOG")
+        raise UsageError(
+            f"[body] joints: found {unknown[0]!r}, possible: {', '.join(known)}; type: "
+            "bodylog info LOG"
+        )
     names = tuple(wanted or known)
     # joints that never move keep this process noise, 1 rad²/s³; others learn theirs
     noise = Noise((joint_limits.ENCODER_STEP_RAD**2 / 12.0,) * len(names), {}, (1.0,) * len(names))

@@ -1,4 +1,6 @@
-"""What a user knows of the first camera beforehand ([camera]): its lens and its place, as a hint with doubt."""
+"""What a user knows of the first camera beforehand
+([camera]): its lens and its place, as a hint with doubt.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +31,9 @@ def with_known(hint: "CameraHint", known: CameraSettings, robot: "Robot") -> "Ca
     if known.focal is not None:
         hint = _with_focal(hint, known)
     if known.link is not None and known.link not in robot.links:
-        raise ConfigError(f"[camera] link: found {known.link!r}, possible: {', '.join(robot.links[:30])}")
+        raise ConfigError(
+            f"[camera] link: found {known.link!r}, possible: {', '.join(robot.links[:30])}"
+        )
     if known.link is not None:
         hint = replace(hint, link=known.link, pose=None)
     return hint if known.place is None else _with_place(hint, known)
@@ -41,7 +45,11 @@ def _with_focal(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
 
     assert known.focal is not None
     width, height = hint.size or hint.extent or (640, 480)
-    numbers = lens_without_distortion(known.focal, width, height) if hint.lens is None else hint.lens.copy()
+    numbers = (
+        lens_without_distortion(known.focal, width, height)
+        if hint.lens is None
+        else hint.lens.copy()
+    )
     numbers[0] = np.log(known.focal)
     std = (FREE_LENS if hint.lens is None else INFO_LENS).copy()
     std[0] = known.focal_std
@@ -49,16 +57,20 @@ def _with_focal(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
 
 
 def _with_place(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
-    from .kinematics.rotations import rotation_from_rpy, make_transform
+    from .kinematics.rotations import make_transform, rotation_from_rpy
 
     assert known.place is not None
     if hint.link is None:
         raise ConfigError("[camera] place: in which link? give [camera] link as well")
     if len(known.place) != 6:
-        raise ConfigError(f"[camera] place: found {len(known.place)} numbers, possible: 6: {_PLACE}")
+        raise ConfigError(
+            f"[camera] place: found {len(known.place)} numbers, possible: 6: {_PLACE}"
+        )
     values = np.array(known.place)
     std = np.array([known.place_std] * 3 + [np.radians(known.turn_std)] * 3)
-    return replace(hint, pose=make_transform(rotation_from_rpy(values[3:]), values[:3]), pose_std=std)
+    return replace(
+        hint, pose=make_transform(rotation_from_rpy(values[3:]), values[:3]), pose_std=std
+    )
 
 
 def load_lens(path: Path) -> tuple[Array, tuple[int, int]]:
@@ -75,13 +87,26 @@ def load_lens(path: Path) -> tuple[Array, tuple[int, int]]:
     try:
         values = YAML(typ="safe", pure=True).load(read_text(path, _MOST_BYTES))
     except (OSError, UnicodeDecodeError, YAMLError, RecursionError) as problem:
-        raise ConfigError(f"{where}: cannot be read as YAML ({' '.join(str(problem).split())[:150]})") from problem
-    width, height = (_require_number(values, name, where) for name in ("image_width", "image_height"))
+        raise ConfigError(
+            f"{where}: cannot be read as YAML ({' '.join(str(problem).split())[:150]})"
+        ) from problem
+    width, height = (
+        _require_number(values, name, where) for name in ("image_width", "image_height")
+    )
     matrix = _require_number_list(values, "camera_matrix", 9, where)
     distortion = _require_number_list(values, "distortion_coefficients", 4, where)
     if matrix[0] <= 0.0 or matrix[4] <= 0.0 or width < 1.0 or height < 1.0:
-        raise ConfigError(f"{where}: found focal lengths {matrix[0]:g}, {matrix[4]:g} px, possible: positive numbers")
-    numbers = [np.log(matrix[0]), np.log(matrix[4] / matrix[0]), matrix[2], matrix[5], *distortion[:2]]
+        raise ConfigError(
+            f"{where}: found focal lengths {matrix[0]:g}, {matrix[4]:g} px, possible: "
+            "positive numbers"
+        )
+    numbers = [
+        np.log(matrix[0]),
+        np.log(matrix[4] / matrix[0]),
+        matrix[2],
+        matrix[5],
+        *distortion[:2],
+    ]
     return np.array(numbers), (int(width), int(height))
 
 
@@ -97,5 +122,7 @@ def _require_number_list(values: Any, name: str, fewest: int, where: str) -> Arr
     found = part.get("data") if isinstance(part, dict) else None
     sound = isinstance(found, list) and len(found) >= fewest
     if not sound or not all(isinstance(one, int | float) and abs(one) < 1e9 for one in found or ()):
-        raise ConfigError(f"{where}: {name}: found {str(found)[:80]}, possible: data: a list of {fewest} numbers")
+        raise ConfigError(
+            f"{where}: {name}: found {str(found)[:80]}, possible: data: a list of {fewest} numbers"
+        )
     return np.array(found, float)

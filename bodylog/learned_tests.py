@@ -12,16 +12,25 @@ from .types import Features, Finding, Health, Recording, Score
 def score_learned_body(
     learned: BodyModel, observed: Sequence[tuple[Path, Recording, Features]]
 ) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
-    """A body's scores on test logs, dated as it knows its cameras, and what was found in them; none without logs."""
+    """A body's scores on test logs, dated as it knows its
+    cameras, and what was found in them; none without logs.
+    """
     from .body import test_scores
     from .estimation.timing import correction
 
     if not observed:
         return (), ()
-    findings = [f for _, read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
+    findings = [
+        f
+        for _, read, found in observed
+        for f in (*read.findings, *found.findings, *sighting_findings(found))
+    ]
     for log, read, found in observed:
         findings += require_same_camera(log, learned.provenance.get("cameras", ()), read, found)
-    timely = [correction.shift_features(found, correction.learned_delays(learned)) for _, _, found in observed]
+    timely = [
+        correction.shift_features(found, correction.learned_delays(learned))
+        for _, _, found in observed
+    ]
     with log_context(observed[0][0], findings, len(observed) - 1):
         scores, more = test_scores.score_body_on_tests(learned, timely)
     return scores, (*findings, *more)

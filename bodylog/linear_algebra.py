@@ -6,12 +6,15 @@ from .types import Array
 
 
 def selected_inverse(diagonal: Array, upper: Array) -> tuple[Array, Array]:
-    """Diagonal (K,p,p) and upper (K-1,p,p) blocks of the inverse, by cyclic reduction: O(K), log K rounds."""
+    """Diagonal (K,p,p) and upper (K-1,p,p) blocks of the
+    inverse, by cyclic reduction: O(K), log K rounds.
+    """
     count = len(diagonal)
     if count == 1:
         return np.linalg.inv(diagonal), np.zeros((0, *diagonal.shape[1:]))
     odd = np.linalg.inv(diagonal[1::2])
-    before, after = upper[0::2], upper[1::2]
+    before = upper[0::2]
+    after = upper[1::2]
     left = np.matmul(before, odd)
     right = np.matmul(odd[: len(after)], after)
     even = diagonal[0::2].copy()
@@ -22,10 +25,14 @@ def selected_inverse(diagonal: Array, upper: Array) -> tuple[Array, Array]:
     return _restore_eliminated_blocks(kept, between, odd, left, right, count)
 
 
-def _restore_eliminated_blocks(kept: Array, between: Array, odd: Array, left: Array, right: Array, count: int) -> tuple[Array, Array]:
+def _restore_eliminated_blocks(
+    kept: Array, between: Array, odd: Array, left: Array, right: Array, count: int
+) -> tuple[Array, Array]:
     """Put back the eliminated blocks: Σ_oe = −D⁻¹ B Σ_ee, Σ_oo = D⁻¹ − Σ_oe Bᵀ D⁻¹."""
-    inner, order = len(right), kept.shape[1]
-    diagonal, upper = np.empty((count, order, order)), np.empty((count - 1, order, order))
+    inner = len(right)
+    order = kept.shape[1]
+    diagonal = np.empty((count, order, order))
+    upper = np.empty((count - 1, order, order))
     diagonal[0::2] = kept
     before = -np.matmul(kept[: len(left)], left)
     before[:inner] -= np.matmul(between[:inner], right.transpose(0, 2, 1))
@@ -38,11 +45,15 @@ def _restore_eliminated_blocks(kept: Array, between: Array, odd: Array, left: Ar
 
 
 SMALL_ROWS = 64
-"""Rows of a triangular matrix that LAPACK's general solver may take; from 20 to 100 cost the same."""
+"""Rows of a triangular matrix that LAPACK's general
+solver may take; from 20 to 100 cost the same.
+"""
 
 
 def forward_substituted(lower: Array, right: Array) -> Array:
-    """L⁻¹ B (N,R) for a lower triangular L (N,N) and B (N,R), by halves: NumPy alone has a solver for full matrices."""
+    """L⁻¹ B (N,R) for a lower triangular L (N,N) and B (N,R),
+    by halves: NumPy alone has a solver for full matrices.
+    """
     half = len(lower) // 2
     if len(lower) <= SMALL_ROWS:
         return np.linalg.solve(lower, right)

@@ -1,4 +1,6 @@
-"""The estimate of one log, with the checks around it: whether it fits the body, and what changed since learning."""
+"""The estimate of one log, with the checks around it:
+whether it fits the body, and what changed since learning.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,19 +14,27 @@ from .types import Estimate, Features, Finding, Recording
 
 
 def estimate_log(
-    log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings, typed: Settings
+    log: Path,
+    read: Recording,
+    features: Features,
+    learned: BodyModel,
+    settings: Settings,
+    typed: Settings,
 ) -> Estimate:
     """`infer` and the checks around it; errors name the log and what it lost.
 
-    settings: with the features of the body where the user named none · typed: as the user gave them.
+    settings: with the features of the body where the
+    user named none · typed: as the user gave them.
     """
-    from .misfit import with_doubt, find_misfit, from_many_faults
+    from .misfit import find_misfit, from_many_faults, with_doubt
 
     chosen = settings.estimate, settings.time.delay
     with log_context(log, read.findings):
         misfit = find_misfit(features, learned, *chosen)
         if misfit is None:
-            found = change_findings.compare_changes_with_faults(features, learned, infer(features, learned, settings), settings.estimate)
+            found = change_findings.compare_changes_with_faults(
+                features, learned, infer(features, learned, settings), settings.estimate
+            )
             misfit = from_many_faults(found, features, learned, *chosen)
         if misfit is not None:
             found = with_doubt(infer_from_encoders(features, learned, settings), features, misfit)
@@ -51,9 +61,17 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
 
     estimation.check_estimation_settings(learned, settings.estimate)
     coding = estimation.METHODS[settings.estimate.method].encoder_model
-    understood = encoder_function.convert_readings_to_angles(features, learned, settings.estimate, coding)
+    understood = encoder_function.convert_readings_to_angles(
+        features, learned, settings.estimate, coding
+    )
     found = estimation.estimate_from_features(*understood, settings.time.delay)
     if "encoders" not in learned.senses or features.joints is None:
         return found
-    left_out = Finding("info", "encoders: read what the body has learned, no angles; rmse/encoders is left out")
-    return replace(found, settings={**found.settings, ENCODERS_READ_KEY: "as learned"}, findings=(*found.findings, left_out))
+    left_out = Finding(
+        "info", "encoders: read what the body has learned, no angles; rmse/encoders is left out"
+    )
+    return replace(
+        found,
+        settings={**found.settings, ENCODERS_READ_KEY: "as learned"},
+        findings=(*found.findings, left_out),
+    )

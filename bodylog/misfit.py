@@ -1,8 +1,10 @@
-"""Whether a log fits a body, and if not, what would explain it: one sentence in place of faults that nobody has.
+"""Whether a log fits a body, and if not, what would explain
+it: one sentence in place of faults that nobody has.
 
-Explanations are compared by −ln p of all sightings (`sighting_evidence`): the log as it is with at most two faults,
-each with what its unknowns cost, or with its columns read differently: two joints swapped, a sign flipped, degrees for
-radians, two cameras swapped. What is read differently has no unknowns; it must win EVIDENCE_THRESHOLD_NATS over any fault.
+Explanations are compared by −ln p of all sightings (`sighting_evidence`): the log as it is with at
+most two faults, each with what its unknowns cost, or with its columns read differently: two joints
+swapped, a sign flipped, degrees for radians, two cameras swapped. What is read differently has no
+unknowns; it must win EVIDENCE_THRESHOLD_NATS over any fault.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +14,7 @@ from itertools import combinations
 import numpy as np
 
 from .body_model import BodyModel
-from .estimation.faults.threshold import PRIOR_STD_RAD, EVIDENCE_THRESHOLD_NATS
+from .estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 from .estimation.measurements.gather import camera_of_track
 from .estimation.timing import correction
 from .evaluation.figures import MISFIT
@@ -33,17 +35,20 @@ from .sighting_evidence import (
 from .types import ALTERNATIVE_SEPARATOR, Array, Estimate, Features, Finding, Health
 
 MAX_SHARE_OFF = 0.5
-"""Share of sightings off from which a log does not fit. Encoders of real arms with play and load, and one image in
-three of something else, stay below it."""
+"""Share of sightings off from which a log does not fit. Encoders of real arms with play and load,
+and one image in three of something else, stay below it."""
 MIN_PREDICTABLE_SHARE = 0.9
 """Share of the images' motion that joints must predict where another camera is named."""
 MOST_CAUSES = 2
-"""Encoders, cameras and markers that may have faults at once which only the body shows: a log of another body is more
-likely than three sensors that fail together."""
+"""Encoders, cameras and markers that may have faults at once which only the body shows: a log of
+another body is more likely than three sensors that fail together."""
 _SHOWN_BY_BODY = {
-    ("encoders", "drifting"), ("encoders", "offset"), ("encoders", "jumping"),
-    ("vision", "displaced"), ("vision", "moved"),
-}  # fmt: skip
+    ("encoders", "drifting"),
+    ("encoders", "offset"),
+    ("encoders", "jumping"),
+    ("vision", "displaced"),
+    ("vision", "moved"),
+}
 _PROMISING = 3
 _UNITS = (
     (np.deg2rad(1.0), "deg", "its angles in degrees, not rad"),
@@ -55,9 +60,10 @@ _RIDGE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class LogMisfit:
-    """A log that does not fit the body: the share of its sightings off, after the likeliest faults, and how many there
-    are; the explanation that wins, what to type then, the share off with it, and the nats it wins; change (M,M) makes
-    the angles meant from those read, None where joints are not the cause; causes: sensors that would be wrong at once.
+    """A log that does not fit the body: the share of its sightings off, after the likeliest faults,
+    and how many there are; the explanation that wins, what to type then, the share off with it, and
+    the nats it wins; change (M,M) makes the angles meant from those read, None where joints are not
+    the cause; causes: sensors that would be wrong at once.
     """
 
     off: float
@@ -72,7 +78,9 @@ class LogMisfit:
 
 @dataclass(frozen=True, eq=False)
 class LogReading:
-    """A way to read a log, in words and as the log read so; change (M,M) makes the angles meant from those read."""
+    """A way to read a log, in words and as the log read so;
+    change (M,M) makes the angles meant from those read.
+    """
 
     words: str
     advice: str
@@ -82,7 +90,10 @@ class LogReading:
 
 @one_thread("scipy.linalg")
 def find_misfit(
-    features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float] = "auto"
+    features: Features,
+    body: BodyModel,
+    settings: EstimationSettings,
+    delay: str | Mapping[str, float] = "auto",
 ) -> LogMisfit | None:
     """Return how a log does not fit the body; None where it fits, or too little is seen to tell.
 
@@ -99,9 +110,13 @@ def find_misfit(
         return None
     fault = _likeliest_fault(log, plain)
     if fault.off > MAX_SHARE_OFF:
-        fault = min(fault, _with_measured_delay(features, body, settings, delay), key=lambda one: one.nats)
+        fault = min(
+            fault, _with_measured_delay(features, body, settings, delay), key=lambda one: one.nats
+        )
     tried = [(fit_unknowns(one.log, usual_offsets(one.log)), one) for one in promising]
-    fitting = sorted((one for one in tried if one[0].off <= MAX_SHARE_OFF), key=lambda one: one[0].nats)
+    fitting = sorted(
+        (one for one in tried if one[0].off <= MAX_SHARE_OFF), key=lambda one: one[0].nats
+    )
     # all readings together are as likely as one fault
     margin = EVIDENCE_THRESHOLD_NATS + float(np.log(len(readings)))
     if fitting and fitting[0][0].nats < fault.nats - margin:
@@ -111,18 +126,35 @@ def find_misfit(
     return _unexplained_misfit(log, plain.off)
 
 
-def share_of_sightings_off(features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float]) -> float:
-    """The share of sightings more than 3 standard deviations off without any fault; NaN where too little is seen."""
-    log = select_sightings(correction.shift_features(features, _known_delays(features, body, delay)), body, settings)
+def share_of_sightings_off(
+    features: Features,
+    body: BodyModel,
+    settings: EstimationSettings,
+    delay: str | Mapping[str, float],
+) -> float:
+    """The share of sightings more than 3 standard deviations
+    off without any fault; NaN where too little is seen.
+    """
+    log = select_sightings(
+        correction.shift_features(features, _known_delays(features, body, delay)), body, settings
+    )
     return float("nan") if log is None else fit_unknowns(log, usual_offsets(log)).off
 
 
 def from_many_faults(
-    found: Estimate, features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float]
+    found: Estimate,
+    features: Features,
+    body: BodyModel,
+    settings: EstimationSettings,
+    delay: str | Mapping[str, float],
 ) -> LogMisfit | None:
-    """Return that a log does not fit where more than MOST_CAUSES sensors would have faults that only the body shows."""
+    """Return that a log does not fit where more than MOST_CAUSES
+    sensors would have faults that only the body shows.
+    """
     causes = {fault.name for fault in found.faults if (fault.sense, fault.kind) in _SHOWN_BY_BODY}
-    log = select_sightings(correction.shift_features(features, _known_delays(features, body, delay)), body, settings)
+    log = select_sightings(
+        correction.shift_features(features, _known_delays(features, body, delay)), body, settings
+    )
     if len(causes) <= MOST_CAUSES or log is None:
         return None
     unexplained = _unexplained_misfit(log, fit_unknowns(log, usual_offsets(log)).off)
@@ -131,25 +163,36 @@ def from_many_faults(
 
 def misfit_sentence(misfit: LogMisfit) -> str:
     """The verdict on a log that does not fit."""
-    off = f": {misfit.off:.0%} of {misfit.sightings} sightings are more than 3 σ off" if misfit.off > MAX_SHARE_OFF else ""
+    off = (
+        f": {misfit.off:.0%} of {misfit.sightings} sightings are more than 3 σ off"
+        if misfit.off > MAX_SHARE_OFF
+        else ""
+    )
     text = f"this log does not fit this body{off}"
     if misfit.causes:
-        text = f"{text}{' and' if off else ':'} {misfit.causes} sensors would have to be wrong at once"
+        text = (
+            f"{text}{' and' if off else ':'} {misfit.causes} sensors would have to be wrong at once"
+        )
     if misfit.explanation is None:
         return f"{text}; no swapped joints, sign, unit or camera explains it"
     if misfit.off_explained is None:
         return f"{text}; likely {misfit.explanation}: {misfit.advice}"
-    likelier = f"it fits with {misfit.explanation} ({misfit.off_explained:.0%} off, {misfit.nats:.0f} nats likelier)"
+    likelier = (
+        f"it fits with {misfit.explanation} ({misfit.off_explained:.0%} off, {misfit.nats:.0f} "
+        "nats likelier)"
+    )
     return f"{text}; {likelier}: {misfit.advice}"
 
 
 def with_doubt(found: Estimate, features: Features, misfit: LogMisfit) -> Estimate:
-    """An estimate from encoders alone, as that of a log that does not fit: without faults, and with the doubt in it.
+    """An estimate from encoders alone, as that of a log that
+    does not fit: without faults, and with the doubt in it.
 
-    Where other angles explain the log, their difference from those read adds to the covariance; else FAR rad do, as of
-    an encoder with a fault.
+    Where other angles explain the log, their difference from those read adds to the covariance;
+    else FAR rad do, as of an encoder with a fault.
     """
-    angles, text = found.joints.values, misfit_sentence(misfit)
+    angles = found.joints.values
+    text = misfit_sentence(misfit)
     if misfit.change is None:
         doubt = PRIOR_STD_RAD**2 * np.eye(angles.shape[1])
     else:
@@ -162,29 +205,46 @@ def with_doubt(found: Estimate, features: Features, misfit: LogMisfit) -> Estima
     }
     own = {"text": text, "off": misfit.off, "explanation": misfit.explanation}
     return replace(
-        found, cov=found.cov + doubt, faults=(), bias=None, used={**found.used, **tracks},
-        settings={**found.settings, MISFIT: own}, findings=(*found.findings, Finding("lost", text)),
-    )  # fmt: skip
+        found,
+        cov=found.cov + doubt,
+        faults=(),
+        bias=None,
+        used={**found.used, **tracks},
+        settings={**found.settings, MISFIT: own},
+        findings=(*found.findings, Finding("lost", text)),
+    )
 
 
 def _with_measured_delay(
-    features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float]
+    features: Features,
+    body: BodyModel,
+    settings: EstimationSettings,
+    delay: str | Mapping[str, float],
 ) -> FittedUnknowns:
     """The log with its likeliest fault after camera delays are measured and corrected."""
     timely = correction.correct_camera_delays(features, body, delay).features
     log = select_sightings(timely, body, settings)
-    return FittedUnknowns(float("inf"), 1.0) if log is None else _likeliest_fault(log, fit_unknowns(log, usual_offsets(log)))
+    return (
+        FittedUnknowns(float("inf"), 1.0)
+        if log is None
+        else _likeliest_fault(log, fit_unknowns(log, usual_offsets(log)))
+    )
 
 
-def _known_delays(features: Features, body: BodyModel, given: str | Mapping[str, float]) -> dict[str, float]:
+def _known_delays(
+    features: Features, body: BodyModel, given: str | Mapping[str, float]
+) -> dict[str, float]:
     """Delays (s) that are given, or else the body's."""
     names = correction.list_track_cameras([*features.tracks, *body.senses])
     return {**correction.learned_delays(body), **correction.fixed_delays(given, names)}
 
 
-def _list_log_readings(log: SightingLog, features: Features, body: BodyModel, settings: EstimationSettings) -> list[LogReading]:
+def _list_log_readings(
+    log: SightingLog, features: Features, body: BodyModel, settings: EstimationSettings
+) -> list[LogReading]:
     """The ways to read the log that are compared."""
-    names, eye = body.joints, np.eye(len(body.joints))
+    names = body.joints
+    eye = np.eye(len(body.joints))
     found = []
     for i, j in combinations(range(len(names)), 2):
         order = np.arange(len(names))
@@ -200,14 +260,22 @@ def _list_log_readings(log: SightingLog, features: Features, body: BodyModel, se
         # jumps and whole turns are those of angles in rad, so the readings are converted first
         converted = select_sightings(_scale_joint_readings(features, factor), body, settings)
         if converted is not None:
-            found.append(LogReading(words, f'type [body] unit = "{unit}" in robot.toml', converted, factor * eye))
+            found.append(
+                LogReading(
+                    words, f'type [body] unit = "{unit}" in robot.toml', converted, factor * eye
+                )
+            )
     return [*found, *_swapped_cameras(log)]
 
 
 def _scale_joint_readings(features: Features, factor: float) -> Features:
     """The features with all joint readings times a factor."""
     joints = features.joints
-    return features if joints is None else replace(features, joints=replace(joints, values=factor * joints.values))
+    return (
+        features
+        if joints is None
+        else replace(features, joints=replace(joints, values=factor * joints.values))
+    )
 
 
 def _swapped_cameras(log: SightingLog) -> Iterator[LogReading]:
@@ -219,15 +287,22 @@ def _swapped_cameras(log: SightingLog) -> Iterator[LogReading]:
             name: models[partner]
             for name in models
             for partner in models
-            if {camera_of_track(name), camera_of_track(partner)} == {one, other} and name.split("/")[-1] == partner.split("/")[-1]
+            if {camera_of_track(name), camera_of_track(partner)} == {one, other}
+            and name.split("/")[-1] == partner.split("/")[-1]
         }
         if swapped:
             words = f"the images of {one} and {other} swapped"
-            yield LogReading(words, "name each camera's topic in [topics] camera", log.seen_by(swapped))
+            yield LogReading(
+                words, "name each camera's topic in [topics] camera", log.seen_by(swapped)
+            )
 
 
-def _select_promising_readings(log: SightingLog, readings: Sequence[LogReading]) -> list[LogReading]:
-    """The likeliest readings that are likelier than the log as it is, with wide errors: unknowns are not fitted yet."""
+def _select_promising_readings(
+    log: SightingLog, readings: Sequence[LogReading]
+) -> list[LogReading]:
+    """The likeliest readings that are likelier than the log
+    as it is, with wide errors: unknowns are not fitted yet.
+    """
     plain = wide_nats(log)
     each = [(wide_nats(reading.log), number) for number, reading in enumerate(readings)]
     return [readings[number] for nats, number in sorted(each)[:_PROMISING] if nats < plain]
@@ -245,29 +320,56 @@ def _likeliest_fault(log: SightingLog, plain: FittedUnknowns) -> FittedUnknowns:
     others = [one for one in each if (one.kind, one.joint) != (first.kind, first.joint)]
     # two joints that wander explain any place in an image
     others = [one for one in others if first.kind != WALK or one.kind != WALK]
-    return min([best, *(fit_unknowns(log, (*usual, first, one)) for one in others)], key=lambda one: one.nats)
+    return min(
+        [best, *(fit_unknowns(log, (*usual, first, one)) for one in others)],
+        key=lambda one: one.nats,
+    )
 
 
-def _explain_misfit(fitting: Sequence[tuple[FittedUnknowns, LogReading]], plain: FittedUnknowns, fault: FittedUnknowns, sightings: int) -> LogMisfit:
+def _explain_misfit(
+    fitting: Sequence[tuple[FittedUnknowns, LogReading]],
+    plain: FittedUnknowns,
+    fault: FittedUnknowns,
+    sightings: int,
+) -> LogMisfit:
     """The misfit with the readings that win; several where none of them wins over the others."""
     best = fitting[0][0]
-    indistinct_models = [one for fit, one in fitting if fit.nats < best.nats + EVIDENCE_THRESHOLD_NATS]
+    indistinct_models = [
+        one for fit, one in fitting if fit.nats < best.nats + EVIDENCE_THRESHOLD_NATS
+    ]
     words = ALTERNATIVE_SEPARATOR.join(one.words for one in indistinct_models)
-    advice = indistinct_models[0].advice if len(indistinct_models) == 1 else "the log cannot tell which; check the driver"
+    advice = (
+        indistinct_models[0].advice
+        if len(indistinct_models) == 1
+        else "the log cannot tell which; check the driver"
+    )
     change = indistinct_models[0].change
-    return LogMisfit(max(plain.off, fault.off), sightings, words, advice, best.off, fault.nats - best.nats, change)
+    return LogMisfit(
+        max(plain.off, fault.off),
+        sightings,
+        words,
+        advice,
+        best.off,
+        fault.nats - best.nats,
+        change,
+    )
 
 
 def _unexplained_misfit(log: SightingLog, off: float) -> LogMisfit:
     """The misfit of a log that no other reading of its columns explains; another camera may."""
     if min(_predictable_share(track) for track in log.tracks) < MIN_PREDICTABLE_SHARE:
         return LogMisfit(off, log.count)
-    words = "another camera, marker or body, as the joints explain the images, but not as this body does"
+    words = (
+        "another camera, marker or body, as the joints explain the images, but not as this body "
+        "does"
+    )
     return LogMisfit(off, log.count, words, "fit a body from a log of this one")
 
 
 def _has_moved(features: Features, body: BodyModel) -> bool:
-    """Whether a camera or marker with kinematics, moved since the body was learned, explains most of the sightings."""
+    """Whether a camera or marker with kinematics, moved since
+    the body was learned, explains most of the sightings.
+    """
     from .body.kinematic.model import can_show_changes
     from .body.kinematic.moved_share import moved_share_off
 
@@ -275,15 +377,20 @@ def _has_moved(features: Features, body: BodyModel) -> bool:
 
 
 def _predictable_share(track: TrackSightings) -> float:
-    """Share of a track's variance predicted by a regression on squares of the angles, of parts not learned from."""
+    """Share of a track's variance predicted by a regression
+    on squares of the angles, of parts not learned from.
+    """
     own = track.x - track.x.mean(axis=0)
     own = own / np.maximum(own.std(axis=0), 1e-6)
     upper = np.triu_indices(own.shape[1])
-    terms = np.column_stack([np.ones(len(own)), own, (own[:, :, None] * own[:, None, :])[:, *upper]])
+    terms = np.column_stack(
+        [np.ones(len(own)), own, (own[:, :, None] * own[:, None, :])[:, *upper]]
+    )
     parts = np.arange(len(own)) * _PARTS // len(own)
     wrong = np.zeros_like(track.y)
     for part in range(_PARTS):
-        held, known = parts == part, parts != part
+        held = parts == part
+        known = parts != part
         square = terms[known].T @ terms[known] + _RIDGE * np.eye(terms.shape[1])
         fit = np.linalg.solve(square, terms[known].T @ track.y[known])
         wrong[held] = track.y[held] - terms[held] @ fit

@@ -8,7 +8,9 @@ from .types import Array
 
 
 def motion_covariance(order: int, gap: Array) -> Array:
-    """Covariance (K,p,p) of (angle, rate, …) after the gaps for unit white noise in the p-th derivative."""
+    """Covariance (K,p,p) of (angle, rate, …) after the
+    gaps for unit white noise in the p-th derivative.
+    """
     back = np.arange(order - 1, -1, -1)
     scale = np.array([factorial(int(b)) for b in back], float)
     power = back[:, None] + back + 1.0
@@ -18,12 +20,16 @@ def motion_covariance(order: int, gap: Array) -> Array:
 def motion_transition(order: int, gap: Array) -> Array:
     """Transition (K,p,p) of (angle, rate, …) over the gaps."""
     lag = np.arange(order)[None, :] - np.arange(order)[:, None]
-    coefficient = np.array([[1.0 / factorial(int(k)) if k >= 0 else 0.0 for k in row] for row in lag])
+    coefficient = np.array(
+        [[1.0 / factorial(int(k)) if k >= 0 else 0.0 for k in row] for row in lag]
+    )
     return np.asarray(coefficient * gap[:, None, None] ** np.maximum(lag, 0))
 
 
 def motion_precision(order: int, gap: Array) -> tuple[Array, Array]:
-    """Precision of (angle, rate, …) on nodes with gaps (K-1,), unit density: diagonal (K,p,p), upper (K-1,p,p)."""
+    """Precision of (angle, rate, …) on nodes with gaps
+    (K-1,), unit density: diagonal (K,p,p), upper (K-1,p,p).
+    """
     step = motion_transition(order, gap)
     grow = gap[:, None] ** (order - np.arange(order) - 0.5)
     unit = np.linalg.inv(motion_covariance(order, np.ones(1))[0])

@@ -1,4 +1,6 @@
-"""Which postures to record next for a calibration: within a URDF's limits, or among those of a table."""
+"""Which postures to record next for a calibration:
+within a URDF's limits, or among those of a table.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,8 +17,11 @@ if TYPE_CHECKING:
     from .body.kinematic.next_poses import Proposal
 
 
-def propose_next_postures(body: Path, count: int, urdf: Path | None, among: Path | None) -> "Proposal":
-    """The postures that narrow a body's calibration most, of a table of postures or at random within joint limits.
+def propose_next_postures(
+    body: Path, count: int, urdf: Path | None, among: Path | None
+) -> "Proposal":
+    """The postures that narrow a body's calibration most,
+    of a table of postures or at random within joint limits.
 
     UsageError without a URDF and a table.
     """
@@ -54,8 +59,13 @@ def _postures_of_table(learned: BodyModel, table: Path) -> Array:
 
 
 def posture_lines(found: "Proposal") -> Iterator[str]:
-    """Yield each posture in degrees (mm where a joint slides), and the error in the image that it leaves."""
-    yield f"now the calibration foretells images to ± {found.std_px[0]:.2f} px; record, in this order:"
+    """Yield each posture in degrees (mm where a joint
+    slides), and the error in the image that it leaves.
+    """
+    yield (
+        f"now the calibration foretells images to ± {found.std_px[0]:.2f} px; record, in this "
+        "order:"
+    )
     for number, (posture, left) in enumerate(zip(found.postures, found.std_px[1:], strict=True), 1):
         joints = zip(found.joints, posture, found.sliding, strict=True)
         values = [f"{name} {_joint_value_text(value, slides)}" for name, value, slides in joints]
@@ -69,7 +79,9 @@ def _joint_value_text(value: float, slides: bool) -> str:
 def postures_as_values(found: "Proposal") -> dict[str, Any]:
     """As plain values: postures in rad or m by joint, nats and px."""
     return {
-        "postures": [dict(zip(found.joints, posture.tolist(), strict=True)) for posture in found.postures],
+        "postures": [
+            dict(zip(found.joints, posture.tolist(), strict=True)) for posture in found.postures
+        ],
         "nats": found.nats.tolist(),
         "std_px": found.std_px.tolist(),
     }

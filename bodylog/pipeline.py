@@ -8,13 +8,13 @@ from typing import Any
 
 from . import default_features, learned_tests, verdict
 from .checks import (
-    require_distinct_paths,
     log_context,
+    require_distinct_paths,
     require_features,
-    require_sights,
-    require_trainable,
     require_same_camera,
     require_same_size,
+    require_sights,
+    require_trainable,
     select_features_to_learn,
 )
 from .errors import EvidenceError, InputError, ModelError, UsageError
@@ -31,7 +31,7 @@ from .logs.protocol import Progress
 from .observed import add_recorded_joints, moving_features, still_pose_features
 from .result import NO_SCORES, Scores, estimate_result
 from .result import Result as Result
-from .scoring import with_truth_beside_log, score_estimate, with_true_poses
+from .scoring import score_estimate, with_true_poses, with_truth_beside_log
 from .settings import Settings, settings_as_values
 from .types import Features, Finding, FrameConsumer, Recording
 from .written_messages import estimate_messages, feature_messages, provenance_of_logs, topic_of_role
@@ -41,7 +41,9 @@ DEFAULTS = Settings()
 
 @with_text_paths
 def record(scenario: str, out: Path, **options: Any) -> Result:
-    """Simulate a scenario into an ordinary log; UsageError names the scenarios and options possible."""
+    """Simulate a scenario into an ordinary log;
+    UsageError names the scenarios and options possible.
+    """
     from . import sim
 
     sim.record_scenario(scenario, out, **options)
@@ -52,10 +54,11 @@ def record(scenario: str, out: Path, **options: Any) -> Result:
 def observe(
     log: Path, settings: Settings = DEFAULTS, progress: Progress | None = None, guess: bool = False
 ) -> tuple[Recording, Features]:
-    """A log as signals, and what perception finds in it; tracks and touches the log already carries are taken over.
+    """A log as signals, and what perception finds in it;
+    tracks and touches the log already carries are taken over.
 
-    `guess`: where nothing is configured and the default colour is not the arm's, what moves as the joints do is
-    followed; the recording's settings then name it.
+    `guess`: where nothing is configured and the default colour is not the arm's, what moves as the
+    joints do is followed; the recording's settings then name it.
     """
     from . import perception
     from .recording import recording
@@ -67,16 +70,23 @@ def observe(
     look = still_pose_features if read.poses else moving_features
     found = look(read, settings, progress)
     if guess:
-        read, found = default_features.search_again_without_default(log, read, found, settings, partial(look, progress=progress))
+        read, found = default_features.search_again_without_default(
+            log, read, found, settings, partial(look, progress=progress)
+        )
     return read, add_recorded_joints(read, found)
 
 
 @with_text_paths
 def extract(
-    log: Path, out: Path, settings: Settings = DEFAULTS, progress: Progress | None = None,
+    log: Path,
+    out: Path,
+    settings: Settings = DEFAULTS,
+    progress: Progress | None = None,
     tables: Path | None = None,
-) -> Result:  # fmt: skip
-    """Write the log's signals with tracks, touches and synchrony, without its pictures; `tables`: a folder for CSV."""
+) -> Result:
+    """Write the log's signals with tracks, touches and
+    synchrony, without its pictures; `tables`: a folder for CSV.
+    """
     from .annotating import annotate
     from .recording import tables as export
 
@@ -84,7 +94,9 @@ def extract(
     with annotate.open_annotation(log, out, whole=False, limits=settings.input) as written:
         read, features = observe(log, settings, progress, guess=True)
         require_features(log, features)
-        roles = [role for role in read.roles if role.partition("/")[0] in ("joints", "truth", "skin")]
+        roles = [
+            role for role in read.roles if role.partition("/")[0] in ("joints", "truth", "skin")
+        ]
         kept = [topic for role in roles if (topic := topic_of_role(read, role)) is not None]
         lost = written.add(feature_messages(read, features), only=kept)
         written.about(provenance_of_logs([(log, written.digest())], read.settings))
@@ -104,7 +116,8 @@ def fit(
     update: Path | None = None,
     test: Sequence[Path] = (),
 ) -> Result:
-    """Learn a body model from exploration logs and write it as .npz; `update` is one to learn on from.
+    """Learn a body model from exploration logs and
+    write it as .npz; `update` is one to learn on from.
 
     It is scored on the logs to `test` it with, which it does not learn from.
     """
@@ -114,10 +127,14 @@ def fit(
 
     asked = settings
     bodies = () if update is None else (update,)
-    require_distinct_paths([*logs, *test, *bodies, *robot_model.urdf_files(settings)], [Output(out)], settings)
+    require_distinct_paths(
+        [*logs, *test, *bodies, *robot_model.urdf_files(settings)], [Output(out)], settings
+    )
     known = None if update is None else storage.load_body(update)
     if known is not None and known.surface is not None:
-        raise UsageError(f"{update}: a body of the robot's surface is not learned on; fit all logs together anew")
+        raise UsageError(
+            f"{update}: a body of the robot's surface is not learned on; fit all logs together anew"
+        )
     settings = settings if known is None else default_features.features_of_body(known, settings)
     otherwise = robot_model.check_urdf(logs, settings)
     if surface_body.is_asked(settings):
@@ -126,7 +143,9 @@ def fit(
         return _fit_surface(logs, out, settings, test, otherwise)
     if otherwise is not None:
         raise ModelError(f"{otherwise}; rename them in the URDF")
-    digests, observed, camera_findings = [], [], list[Finding]()
+    digests = []
+    observed = []
+    camera_findings = list[Finding]()
     for log in logs:
         with Copy(log) as read_too:
             observed.append(observe(log, settings, progress, guess=True))
@@ -139,8 +158,14 @@ def fit(
         camera_findings += require_same_camera(log, cameras, read, found)
     if known is None:
         require_sights(logs, observed)
-    origin = provenance_of_logs(digests, settings) | ({} if update is None else {"update_sha256": hash_files(update)})
-    findings = [f for read, found in observed for f in (*read.findings, *found.findings, *sighting_findings(found))]
+    origin = provenance_of_logs(digests, settings) | (
+        {} if update is None else {"update_sha256": hash_files(update)}
+    )
+    findings = [
+        f
+        for read, found in observed
+        for f in (*read.findings, *found.findings, *sighting_findings(found))
+    ]
     robot, unfit = robot_model.find_robot(logs, features, settings)
     features, not_joints = robot_model.joints_of_urdf(features, robot)
     settings = robot_model.with_coordinates(settings, robot)
@@ -156,59 +181,102 @@ def fit(
         except InputError as also:
             raise EvidenceError(f"{problem}; nor by the robot's own surface: {also}") from also
     learned = replace(learned, model=robot_model.with_robot_chain(learned.model, robot, features))
-    tested, more = learned_tests.score_learned_body(learned.model, [(log, *observe(log, settings, progress)) for log in test])
+    tested, more = learned_tests.score_learned_body(
+        learned.model, [(log, *observe(log, settings, progress)) for log in test]
+    )
     storage.save(learned.model, out)
-    findings = [*findings, *camera_findings, *unfit, *not_joints, *learned.findings, *learned.faint, *more]
+    findings = [
+        *findings,
+        *camera_findings,
+        *unfit,
+        *not_joints,
+        *learned.findings,
+        *learned.faint,
+        *more,
+    ]
     scores = (*learned.scores, *tested)
-    placed, others = calibration.summarise_placements(learned.model), robot_model.list_joints_not_learned(learned.model, features)
+    placed = calibration.summarise_placements(learned.model)
+    others = robot_model.list_joints_not_learned(learned.model, features)
     text = verdict.verdict_of_body(learned.model.joints, scores, placed, others)
     health = learned_tests.merged_health(observed)
-    return Result(out, Scores(scores), health, tuple(findings), settings_as_values(settings), verdict=text)
+    return Result(
+        out, Scores(scores), health, tuple(findings), settings_as_values(settings), verdict=text
+    )
 
 
 def _fit_surface(
-    logs: Sequence[Path], out: Path, settings: Settings, test: Sequence[Path], why: str | None = None
+    logs: Sequence[Path],
+    out: Path,
+    settings: Settings,
+    test: Sequence[Path],
+    why: str | None = None,
 ) -> Result:
-    """Learn a body by the robot's own surface and write it; `why`: the reason why there is no other body."""
+    """Learn a body by the robot's own surface and write
+    it; `why`: the reason why there is no other body.
+    """
     from . import calibration, surface_body
     from .annotating.background_copy import Copy
     from .body import storage
     from .recording import recording
 
     if test:
-        raise UsageError("--test: a body of the robot's surface foretells no track; type: bodylog estimate LOG --body")
-    digests, read = [], list[tuple[Path, Recording]]()
+        raise UsageError(
+            "--test: a body of the robot's surface foretells no track; type: bodylog "
+            "estimate LOG --body"
+        )
+    digests = []
+    read = list[tuple[Path, Recording]]()
     for log in logs:
         with Copy(log) as read_too:
             read.append((log, recording.read_recording(log, settings, settings.input.strict)))
             digests.append((log, read_too.digest()))
     learned = surface_body.learn_surface_body(read, settings, provenance_of_logs(digests, settings))
     storage.save(learned.model, out)
-    urdf_warnings = () if why is None else (Finding("warning", f"{why}; so it is learned by the robot's own surface"),)
-    findings = (*urdf_warnings, *(finding for _, one in read for finding in one.findings), *learned.findings)
+    urdf_warnings = (
+        ()
+        if why is None
+        else (Finding("warning", f"{why}; so it is learned by the robot's own surface"),)
+    )
+    findings = (
+        *urdf_warnings,
+        *(finding for _, one in read for finding in one.findings),
+        *learned.findings,
+    )
     placed = calibration.summarise_placements(learned.model)
     text = verdict.verdict_of_body(learned.model.joints, learned.scores, placed)
     by = "by the robot's own surface, without a marker"
-    return Result(out, Scores(learned.scores), {}, findings, settings_as_values(settings), verdict=(by, *text))
+    return Result(
+        out, Scores(learned.scores), {}, findings, settings_as_values(settings), verdict=(by, *text)
+    )
 
 
 @with_text_paths
 def estimate(
-    log: Path, body: Path | None = None, out: Path | None = None, settings: Settings = DEFAULTS,
+    log: Path,
+    body: Path | None = None,
+    out: Path | None = None,
+    settings: Settings = DEFAULTS,
     progress: Progress | None = None,
-) -> Result:  # fmt: skip
-    """Replay a log against a learned body and write it back with the estimate in it; without one, its joints alone.
+) -> Result:
+    """Replay a log against a learned body and write it back
+    with the estimate in it; without one, its joints alone.
 
     Without `out`, nothing is left behind but the result.
     """
     if out is None:
         with create_scratch_folder() as folder:
-            return replace(estimate(log, body, folder / "estimate.mcap", settings, progress), output=None)
+            return replace(
+                estimate(log, body, folder / "estimate.mcap", settings, progress), output=None
+            )
     from . import estimation, robot_model, surface_estimate
     from .annotating import annotate, estimate_metadata
     from .body import storage
 
-    require_distinct_paths([log, *(robot_model.urdf_files(settings) if body is None else [body])], [Output(out)], settings)
+    require_distinct_paths(
+        [log, *(robot_model.urdf_files(settings) if body is None else [body])],
+        [Output(out)],
+        settings,
+    )
     typed = settings
     known = None if body is None else storage.load_body(body)
     if known is not None:
@@ -216,7 +284,11 @@ def estimate(
         estimation.check_estimation_settings(known, settings.estimate)
     with annotate.open_annotation(log, out, limits=settings.input) as written:
         by_joints = known is None or known.surface is not None
-        read, features = read_joints_alone(log, settings, known) if by_joints else observe(log, settings, progress)
+        read, features = (
+            read_joints_alone(log, settings, known)
+            if by_joints
+            else observe(log, settings, progress)
+        )
         learned = without_body(read, settings) if known is None else known
         written.copy()
         cameras = require_same_camera(log, learned.provenance.get("cameras", ()), read, features)
@@ -230,16 +302,27 @@ def estimate(
         scores = score_estimate(found, read)
         origin = provenance_of_logs([(log, written.digest())], read.settings)
         written.about(
-            origin | ({} if body is None else {"body_sha256": hash_files(body)}) | estimate_metadata.describe_estimate(found)
+            origin
+            | ({} if body is None else {"body_sha256": hash_files(body)})
+            | estimate_metadata.describe_estimate(found)
         )
-    findings = (*read.findings, *features.findings, *cameras, *found.findings, *fault_warnings(found.faults), *lost)
+    findings = (
+        *read.findings,
+        *features.findings,
+        *cameras,
+        *found.findings,
+        *fault_warnings(found.faults),
+        *lost,
+    )
     health = {**read.health, **features.health, **found.used}
     return estimate_result(out, found, scores, health, findings)
 
 
 @with_text_paths
 def evaluate(log: Path, settings: Settings = DEFAULTS, truth: Path | None = None) -> Result:
-    """Score the estimate an annotated log carries; `truth`: a table, arrays or a log that has the true angles."""
+    """Score the estimate an annotated log carries; `truth`:
+    a table, arrays or a log that has the true angles.
+    """
     from .annotating import read_back
     from .recording import recording
 
@@ -255,15 +338,25 @@ def evaluate(log: Path, settings: Settings = DEFAULTS, truth: Path | None = None
 
 @with_text_paths
 def ingest(
-    log: Path, out: Path, settings: Settings = DEFAULTS, tables: Mapping[str, Path] | None = None,
-    progress: Progress | None = None, **window: float | None,
-) -> Result:  # fmt: skip
-    """Write any log as one tidy MCAP with its roles named; `tables`: folders for its signals by form (csv, parquet)."""
+    log: Path,
+    out: Path,
+    settings: Settings = DEFAULTS,
+    tables: Mapping[str, Path] | None = None,
+    progress: Progress | None = None,
+    **window: float | None,
+) -> Result:
+    """Write any log as one tidy MCAP with its roles named;
+    `tables`: folders for its signals by form (csv, parquet).
+    """
     from .recording import recording, tidy
     from .recording import tables as export
 
     tables = tables or {}
-    require_distinct_paths([log], [Output(out), *(Output(folder, f"--{form}", True) for form, folder in tables.items())], settings)
+    require_distinct_paths(
+        [log],
+        [Output(out), *(Output(folder, f"--{form}", True) for form, folder in tables.items())],
+        settings,
+    )
     for form in tables:
         export.choose_table_writer(form)  # refused before the log is read
     findings = tuple(tidy.write_tidy_log(log, out, settings, progress=progress, **window))
@@ -274,14 +367,22 @@ def ingest(
 
 @with_text_paths
 def convert(
-    logs: Sequence[Path], out: Path, settings: Settings = DEFAULTS, form: str = "mcap", how: str = "lossless",
-    topics: Sequence[str] | None = None, task: str | None = None, progress: Progress | None = None,
+    logs: Sequence[Path],
+    out: Path,
+    settings: Settings = DEFAULTS,
+    form: str = "mcap",
+    how: str = "lossless",
+    topics: Sequence[str] | None = None,
+    task: str | None = None,
+    progress: Progress | None = None,
     **window: float | None,
-) -> Result:  # fmt: skip
-    """Write logs in another form: one as a chunked MCAP, or several as the episodes of a LeRobot dataset.
+) -> Result:
+    """Write logs in another form: one as a chunked MCAP,
+    or several as the episodes of a LeRobot dataset.
 
-    form: mcap, lerobot or lerobot-2.1 · how: a dataset's videos, lossless, h264 or av1 · topics: only these, of an
-    MCAP · task: what the robot does, of a dataset · window: start, end (s since the log's start).
+    form: mcap, lerobot or lerobot-2.1 · how: a dataset's videos, lossless,
+    h264 or av1 · topics: only these, of an MCAP · task: what the robot
+    does, of a dataset · window: start, end (s since the log's start).
     """
     from .logs.conversion import extract as conversion
     from .recording import lerobot_writer
@@ -290,25 +391,48 @@ def convert(
     if form not in ("mcap", *lerobot_writer.FORMS):
         raise UsageError(f"--to {form}: possible are mcap, {', '.join(lerobot_writer.FORMS)}")
     if form != "mcap":
-        return Result(out, findings=lerobot_writer.write_lerobot(logs, out, settings, form, how, task, progress, **window))
+        return Result(
+            out,
+            findings=lerobot_writer.write_lerobot(
+                logs, out, settings, form, how, task, progress, **window
+            ),
+        )
     if len(logs) != 1:
-        raise UsageError(f"{len(logs)} logs: an MCAP is made of one; a dataset of several, with --to lerobot")
-    return Result(out, findings=conversion.convert_to_mcap(logs[0], out, topics, progress=progress, **window))
+        raise UsageError(
+            f"{len(logs)} logs: an MCAP is made of one; a dataset of several, with --to lerobot"
+        )
+    return Result(
+        out, findings=conversion.convert_to_mcap(logs[0], out, topics, progress=progress, **window)
+    )
 
 
 @with_text_paths
-def diagnose_log(log: Path, repair: Path | None = None, settings: Settings | None = None, progress: Progress | None = None,
-           body: Path | None = None) -> Result:  # fmt: skip
-    """What is wrong with a log, with settings its camera delays too (see delay_findings); `repair`: a sound copy."""
+def diagnose_log(
+    log: Path,
+    repair: Path | None = None,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
+    body: Path | None = None,
+) -> Result:
+    """What is wrong with a log, with settings its camera
+    delays too (see delay_findings); `repair`: a sound copy.
+    """
     from . import delay_findings, surface_findings
     from .body import storage
     from .logs.conversion import examination as logs_doctor
 
     limits = LIMITS if settings is None else settings.input
-    require_distinct_paths([log, *(() if body is None else [body])], [] if repair is None else [Output(repair, "--repair")])
+    require_distinct_paths(
+        [log, *(() if body is None else [body])],
+        [] if repair is None else [Output(repair, "--repair")],
+    )
     known = None if body is None else storage.load_body(body)
     findings = logs_doctor.examine_log_file(log, limits.strict, limits, progress)
-    late = delay_findings.ExaminedDelays() if settings is None else surface_findings.examine_delays(log, known, settings)
+    late = (
+        delay_findings.ExaminedDelays()
+        if settings is None
+        else surface_findings.examine_delays(log, known, settings)
+    )
     if repair is not None:
         logs_doctor.rewrite_sound_messages(log, repair, limits)
     return Result(repair, Scores(late.scores), findings=(*findings, *late.findings))

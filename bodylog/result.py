@@ -48,10 +48,12 @@ NO_SCORES = Scores()
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The result of a command: file written, scores, health per topic, findings, faults, verdict in sentences.
+    """The result of a command: file written, scores, health
+    per topic, findings, faults, verdict in sentences.
 
-    `scores["rmse/joint"]` finds one by its name. `figures` are all that a bound may name: scores, faults, delays,
-    shares used. `headline` names an estimate's main figures, each with its text, as a report's cards show them.
+    `scores["rmse/joint"]` finds one by its name. `figures` are all that a bound may name: scores,
+    faults, delays, shares used. `headline` names an estimate's main figures, each with its text, as
+    a report's cards show them.
     """
 
     output: Path | None
@@ -66,7 +68,11 @@ class Result:
 
 
 def estimate_result(
-    out: Path, found: Estimate, scores: tuple[Score, ...], health: Mapping[str, Health], findings: Sequence[Finding]
+    out: Path,
+    found: Estimate,
+    scores: tuple[Score, ...],
+    health: Mapping[str, Health],
+    findings: Sequence[Finding],
 ) -> Result:
     """An estimate's result with all figures that bounds may name, and its verdict."""
     return Result(

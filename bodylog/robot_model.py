@@ -1,4 +1,6 @@
-"""The robot of a body: its URDF, from a file or the log, and its cameras as the log describes them."""
+"""The robot of a body: its URDF, from a file or
+the log, and its cameras as the log describes them.
+"""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -36,8 +38,8 @@ def find_robot(
 ) -> "tuple[Robotics | None, tuple[Finding, ...]]":
     """The robot, or None without a URDF or if it is not to be used; a remark on an unsuitable one.
 
-    A log's own URDF is used by default. FormatError where a requested URDF cannot be read, LogError where the log's own
-    is requested but missing.
+    A log's own URDF is used by default. FormatError where a requested URDF cannot be read, LogError
+    where the log's own is requested but missing.
     """
     chosen = settings.kinematics
     if not chosen.use or settings.fit.preset == "paper":
@@ -50,7 +52,9 @@ def find_robot(
 
     descriptions = [read_robot_description(log, settings.input) for log in logs]
     if (known := _robot_of_frame(features)) is not None and chosen.urdf is None:
-        return Robotics(known, _build_camera_hints(known, descriptions, features, settings), 0.0, True, 0.0), ()
+        return Robotics(
+            known, _build_camera_hints(known, descriptions, features, settings), 0.0, True, 0.0
+        ), ()
     texts = [(log, one.urdf) for log, one in zip(logs, descriptions, strict=True) if one.urdf]
     if chosen.urdf not in (None, FROM_LOG):
         found = urdf.load_urdf(Path(str(chosen.urdf)), settings.input)
@@ -84,11 +88,13 @@ def _robot_of_frame(features: Sequence[Features]) -> "Robot | None":
 def joints_of_urdf(
     features: Sequence[Features], robot: "Robotics | None"
 ) -> tuple[list[Features], tuple[Finding, ...]]:
-    """The features with joints in the chain's order, of tables without columns that a requested URDF does not know.
+    """The features with joints in the chain's order, of tables
+    without columns that a requested URDF does not know.
 
     Without effect where the URDF knows none of them.
     """
-    kept, findings = list[Features](), list[Finding]()
+    kept = list[Features]()
+    findings = list[Finding]()
     for found in features:
         joints = found.joints
         if robot is None or not robot.asked or not found.poses or joints is None:
@@ -98,15 +104,21 @@ def joints_of_urdf(
         others = [name for name in joints.names if name not in robot.robot.by_name]
         if known and others:
             names = tuple(joints.names[k] for k in known)
-            found = replace(found, joints=replace(joints, values=joints.values[:, known], names=names))
+            found = replace(
+                found, joints=replace(joints, values=joints.values[:, known], names=names)
+            )
             what = "these columns are not in it, so they are no joints"
-            findings.append(Finding("info", f"{robot.robot.source}: {what}: {list_in_words(others)}"))
+            findings.append(
+                Finding("info", f"{robot.robot.source}: {what}: {list_in_words(others)}")
+            )
         kept.append(found)
     return in_chain_order(kept, robot), tuple(findings)
 
 
 def with_coordinates(settings: Settings, robot: "Robotics | None") -> Settings:
-    """The settings with all six coordinates of a frame as joints: none may be left out, however little it moved."""
+    """The settings with all six coordinates of a frame as
+    joints: none may be left out, however little it moved.
+    """
     from dataclasses import replace
 
     from .logs.tables.frame_columns import frame_of
@@ -118,9 +130,11 @@ def with_coordinates(settings: Settings, robot: "Robotics | None") -> Settings:
 
 
 def check_urdf(logs: Sequence[Path], settings: Settings) -> str | None:
-    """Check a URDF before images are read: FormatError if it is invalid, ModelError without any of the joints.
+    """Check a URDF before images are read: FormatError if
+    it is invalid, ModelError without any of the joints.
 
-    Why a marker cannot be placed on it, where it has a log's joints by names that are spelt otherwise; else None.
+    Why a marker cannot be placed on it, where it has a log's
+    joints by names that are spelt otherwise; else None.
     """
     chosen = settings.kinematics
     if not chosen.use or chosen.urdf in (None, FROM_LOG) or settings.fit.preset == "paper":
@@ -138,16 +152,23 @@ def check_urdf(logs: Sequence[Path], settings: Settings) -> str | None:
         alike = match_joints(names, found.by_name)
         if not alike:
             have = ", ".join(list(found.by_name)[:12]) or "none"
-            raise ModelError(f"{chosen.urdf}: none of the joints of {log} ({', '.join(names)}) is in it; it has {have}")
+            raise ModelError(
+                f"{chosen.urdf}: none of the joints of {log} ({', '.join(names)}) is in it; "
+                f"it has {have}"
+            )
         name, joint = next(iter(alike.items()))
-        otherwise = f"{log}: its {name} is {joint} in {chosen.urdf}; a marker needs joints of the same names"
+        otherwise = (
+            f"{log}: its {name} is {joint} in {chosen.urdf}; a marker needs joints of the same "
+            "names"
+        )
     return otherwise
 
 
 def joint_limits_of_log(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":
     """Joint limits and their source, by the named URDF or else the log's own; empty without a URDF.
 
-    FormatError where the named URDF cannot be read, LogError where the log's own is named but missing.
+    FormatError where the named URDF cannot be read,
+    LogError where the log's own is named but missing.
     """
     from .kinematics import urdf
     from .recording.robot_description import read_robot_description
@@ -156,9 +177,11 @@ def joint_limits_of_log(log: Path, settings: Settings) -> "tuple[dict[str, Limit
     if not chosen.use:
         return {}, ""
     if chosen.urdf not in (None, FROM_LOG):
-        found, source = urdf.load_urdf(Path(str(chosen.urdf)), settings.input), str(chosen.urdf)
+        found = urdf.load_urdf(Path(str(chosen.urdf)), settings.input)
+        source = str(chosen.urdf)
     elif text := read_robot_description(log, settings.input).urdf:
-        found, source = _parse_logged_urdf(log, text, settings), "/robot_description"
+        found = _parse_logged_urdf(log, text, settings)
+        source = "/robot_description"
     elif chosen.urdf == FROM_LOG:
         raise LogError(_NO_URDF.format(log))
     else:
@@ -175,8 +198,12 @@ def _parse_logged_urdf(log: Path, text: str, settings: Settings) -> "Robot":
     return urdf.parse_urdf(text, f"{log}: /robot_description", settings.input)
 
 
-def with_robot_chain(body: BodyModel, known: "Robotics | None", features: Sequence[Features]) -> BodyModel:
-    """Add to each kinematic sense the chain from the robot's root, and the sizes of the images to the provenance."""
+def with_robot_chain(
+    body: BodyModel, known: "Robotics | None", features: Sequence[Features]
+) -> BodyModel:
+    """Add to each kinematic sense the chain from the robot's
+    root, and the sizes of the images to the provenance.
+    """
     if known is None:
         return body
     from .body.kinematic.learn import still_joint_angles
@@ -192,12 +219,15 @@ def with_robot_chain(body: BodyModel, known: "Robotics | None", features: Sequen
         for name, one in body.senses.items()
     }
     hints = known.hints.items()
-    sizes = {f"camera {name}".strip(): list(hint.size) for name, hint in hints if hint.size is not None}
+    sizes = {
+        f"camera {name}".strip(): list(hint.size) for name, hint in hints if hint.size is not None
+    }
     return replace(body, senses=senses, provenance={**body.provenance, IMAGE_SIZES: sizes})
 
 
 def in_chain_order(features: Sequence[Features], known: "Robotics | None") -> list[Features]:
-    """The features with their joints in the order of the robot's chain, from its root on; those of no URDF stay last.
+    """The features with their joints in the order of the
+    robot's chain, from its root on; those of no URDF stay last.
 
     Drivers publish joints alphabetically, or as they were configured.
     """
@@ -208,9 +238,13 @@ def in_chain_order(features: Sequence[Features], known: "Robotics | None") -> li
     for one in features:
         series = one.joints
         if series is not None:
-            columns = sorted(range(len(series.names)), key=lambda k: place.get(series.names[k], len(place)))
+            columns = sorted(
+                range(len(series.names)), key=lambda k: place.get(series.names[k], len(place))
+            )
             names = tuple(series.names[k] for k in columns)
-            one = replace(one, joints=replace(series, values=series.values[:, columns], names=names))
+            one = replace(
+                one, joints=replace(series, values=series.values[:, columns], names=names)
+            )
         ordered.append(one)
     return ordered
 
@@ -222,7 +256,10 @@ def list_joints_not_learned(body: BodyModel, features: Sequence[Features]) -> tu
 
 
 def _build_camera_hints(
-    robot: "Robot", descriptions: "Sequence[Described]", features: Sequence[Features], settings: Settings
+    robot: "Robot",
+    descriptions: "Sequence[Described]",
+    features: Sequence[Features],
+    settings: Settings,
 ) -> "dict[str, CameraHint]":
     """Hints on each camera by name, from the logs; on the first one from [camera] too."""
     from .kinematics.links import CameraHint
@@ -232,15 +269,27 @@ def _build_camera_hints(
     topics = {name: topic for found in features for name, topic in found.cameras.items()}
     hints = {}
     for name in sorted(names):
-        size = next((found.picture_size for found in features if found.picture_size and not name), None)
-        camera_hints = [hint for one in descriptions if (hint := describe_logged_camera(topics.get(name), one, robot)) is not None]
-        hint = camera_hints[0] if camera_hints else CameraHint(size=size, extent=_image_extent(name, features))
+        size = next(
+            (found.picture_size for found in features if found.picture_size and not name), None
+        )
+        camera_hints = [
+            hint
+            for one in descriptions
+            if (hint := describe_logged_camera(topics.get(name), one, robot)) is not None
+        ]
+        hint = (
+            camera_hints[0]
+            if camera_hints
+            else CameraHint(size=size, extent=_image_extent(name, features))
+        )
         hints[name] = hint if name else with_known(hint, settings.camera, robot)
     return hints
 
 
 def named_robot(log: Path, settings: Settings) -> "Robot":
-    """The robot of the URDF that the settings name, or of the log's own. LogError where that is missing."""
+    """The robot of the URDF that the settings name, or
+    of the log's own. LogError where that is missing.
+    """
     from .kinematics import urdf
     from .recording.robot_description import read_robot_description
 
@@ -254,7 +303,9 @@ def named_robot(log: Path, settings: Settings) -> "Robot":
 
 
 def named_urdf(log: Path, settings: Settings) -> str:
-    """The text of the URDF that the settings name, or of the log's own. LogError where that is missing."""
+    """The text of the URDF that the settings name, or
+    of the log's own. LogError where that is missing.
+    """
     from .kinematics import urdf
     from .recording.robot_description import read_robot_description
 
@@ -267,8 +318,12 @@ def named_urdf(log: Path, settings: Settings) -> str:
     return text
 
 
-def describe_logged_camera(topic: str | None, description: "Described", robot: "Robot") -> "CameraHint | None":
-    """What a log's description tells of the camera of an image topic; None without its CameraInfo."""
+def describe_logged_camera(
+    topic: str | None, description: "Described", robot: "Robot"
+) -> "CameraHint | None":
+    """What a log's description tells of the camera
+    of an image topic; None without its CameraInfo.
+    """
     from .kinematics.links import CameraHint
 
     info = _find_camera_info(topic, description.cameras)
@@ -278,7 +333,9 @@ def describe_logged_camera(topic: str | None, description: "Described", robot: "
     return CameraHint(link, pose, _lens_of_info(info), (info.width, info.height))
 
 
-def _find_camera_info(topic: str | None, cameras: "Mapping[str, CameraInfo]") -> "CameraInfo | None":
+def _find_camera_info(
+    topic: str | None, cameras: "Mapping[str, CameraInfo]"
+) -> "CameraInfo | None":
     """The CameraInfo of an image topic."""
     from .recording.cameras import camera_name_of_source
 
@@ -303,10 +360,13 @@ def _image_extent(name: str, features: Sequence[Features]) -> tuple[int, int] | 
 def _find_mounting_link(
     frame: str, robot: "Robot", transforms: "Mapping[str, tuple[str, Array]]"
 ) -> "tuple[str | None, Array | None]":
-    """The link to which fixed transforms attach a frame, and its pose (4,4) there, None where it is that link."""
+    """The link to which fixed transforms attach a frame,
+    and its pose (4,4) there, None where it is that link.
+    """
     import numpy as np
 
-    pose, seen = np.eye(4), {frame}
+    pose = np.eye(4)
+    seen = {frame}
     while frame not in robot.links and frame in transforms:
         frame, step = transforms[frame]
         pose = step @ pose
@@ -322,6 +382,11 @@ def _lens_of_info(info: "CameraInfo") -> "Array":
     """The six lens parameters; distortion other than radial is ignored."""
     import numpy as np
 
-    radial = info.distortion[:2] if info.model == "plumb_bob" and len(info.distortion) > 1 else np.zeros(2)
-    fu, fv = info.matrix[0], info.matrix[4]
+    radial = (
+        info.distortion[:2]
+        if info.model == "plumb_bob" and len(info.distortion) > 1
+        else np.zeros(2)
+    )
+    fu = info.matrix[0]
+    fv = info.matrix[4]
     return np.array([np.log(fu), np.log(fv / fu), info.matrix[2], info.matrix[5], *radial])

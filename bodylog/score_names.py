@@ -1,39 +1,98 @@
-"""Names of scores: FIGURE or FIGURE/PART, the unit of each figure, and the names they had before."""
+"""Names of scores: FIGURE or FIGURE/PART, the unit
+of each figure, and the names they had before.
+"""
 
 from collections.abc import Mapping
 from fnmatch import fnmatchcase
 
 FIGURES: Mapping[str, str] = {
-    "rmse/joint": "rad", "rmse/encoders": "rad", "rmse/effector_position": "m", "rmse/effector_rotation": "rad",
-    "rmse/innovation": "px", "rmse/held_out": "px", "rmse/held_out_encoders": "rad", "rmse/kinematics": "px",
-    "rmse/test": "px", "rmse/test_u": "px", "rmse/test_v": "px", "median_error/test": "px",
-    "nees/joint": "1", "nees/effector_position": "1", "nees/effector_rotation": "1",
-    "nis": "1", "nis/held_out": "1", "nis/test": "1",
-    "coverage_2sigma/joint": "%", "coverage_2sigma/effector_position": "%",
-    "coverage_2sigma/effector_rotation": "%", "coverage_2sigma/test": "%",
-    "free_energy": "nats", "log_evidence": "nats", "log_density/held_out": "nats",
-    "used": "messages", "used_share": "1", "sightings/test": "images", "explained": "1",
-    "std/encoders": "rad", "std/noise": "px", "std/model": "px", "std/lasting": "px", "std_over_noise/model": "1",
-    "process_noise/acceleration": "rad²/s³", "process_noise/jerk": "rad²/s⁵", "variance_factor": "1",
-    "range": "rad", "influence": "px", "length_scale": "rad",
-    "offset": "rad", "std/offset": "rad", "scale": "1", "std/scale": "1",
-    "faults": "1", "fault": "", "delay": "s", "std/delay": "s",
-    "repeated": "1", "rate": "Hz", "dropped": "1", "frozen": "1", "black": "1", "saturated": "1",
-    "blurred": "1", "stamp_jitter": "s", "idle": "1", "duration": "s", "longest_repeat": "s",
-    "clipped": "1", "jumps": "1", "moved": "px",
-    "error/action": "", "jitter/delay": "s", "episodes": "1", "outliers": "1",
-    "row_time": "s", "std/row_time": "s", "focal": "px", "std/focal": "px", "rmse/surface": "px",
-}  # fmt: skip
+    "rmse/joint": "rad",
+    "rmse/encoders": "rad",
+    "rmse/effector_position": "m",
+    "rmse/effector_rotation": "rad",
+    "rmse/innovation": "px",
+    "rmse/held_out": "px",
+    "rmse/held_out_encoders": "rad",
+    "rmse/kinematics": "px",
+    "rmse/test": "px",
+    "rmse/test_u": "px",
+    "rmse/test_v": "px",
+    "median_error/test": "px",
+    "nees/joint": "1",
+    "nees/effector_position": "1",
+    "nees/effector_rotation": "1",
+    "nis": "1",
+    "nis/held_out": "1",
+    "nis/test": "1",
+    "coverage_2sigma/joint": "%",
+    "coverage_2sigma/effector_position": "%",
+    "coverage_2sigma/effector_rotation": "%",
+    "coverage_2sigma/test": "%",
+    "free_energy": "nats",
+    "log_evidence": "nats",
+    "log_density/held_out": "nats",
+    "used": "messages",
+    "used_share": "1",
+    "sightings/test": "images",
+    "explained": "1",
+    "std/encoders": "rad",
+    "std/noise": "px",
+    "std/model": "px",
+    "std/lasting": "px",
+    "std_over_noise/model": "1",
+    "process_noise/acceleration": "rad²/s³",
+    "process_noise/jerk": "rad²/s⁵",
+    "variance_factor": "1",
+    "range": "rad",
+    "influence": "px",
+    "length_scale": "rad",
+    "offset": "rad",
+    "std/offset": "rad",
+    "scale": "1",
+    "std/scale": "1",
+    "faults": "1",
+    "fault": "",
+    "delay": "s",
+    "std/delay": "s",
+    "repeated": "1",
+    "rate": "Hz",
+    "dropped": "1",
+    "frozen": "1",
+    "black": "1",
+    "saturated": "1",
+    "blurred": "1",
+    "stamp_jitter": "s",
+    "idle": "1",
+    "duration": "s",
+    "longest_repeat": "s",
+    "clipped": "1",
+    "jumps": "1",
+    "moved": "px",
+    "error/action": "",
+    "jitter/delay": "s",
+    "episodes": "1",
+    "outliers": "1",
+    "row_time": "s",
+    "std/row_time": "s",
+    "focal": "px",
+    "std/focal": "px",
+    "rmse/surface": "px",
+}
 """Unit of each figure; a linear joint's offset is in m, a fault's size in its own unit."""
 RENAMED: Mapping[str, str] = {
-    "joint_rmse": "rmse/joint", "encoder_rmse": "rmse/encoders", "nees": "nees/joint",
-    "coverage_2sigma": "coverage_2sigma/joint", "error_squared": "nis", "encoder_std": "std/encoders",
-    "process": "process_noise/acceleration", "held_out": "log_density/held_out",
+    "joint_rmse": "rmse/joint",
+    "encoder_rmse": "rmse/encoders",
+    "nees": "nees/joint",
+    "coverage_2sigma": "coverage_2sigma/joint",
+    "error_squared": "nis",
+    "encoder_std": "std/encoders",
+    "process": "process_noise/acceleration",
+    "held_out": "log_density/held_out",
 } | {
     f"effector_{old}_{figure}": f"{figure}/effector_{new}"
     for old, new in (("position", "position"), ("turn", "rotation"))
     for figure in ("rmse", "nees", "coverage_2sigma")
-}  # fmt: skip
+}
 """What a figure was called before, and is called now."""
 _LONGEST_FIRST = sorted(FIGURES, key=len, reverse=True)
 
@@ -53,7 +112,9 @@ def score_unit(name: str) -> str:
 
 
 def current_score_name(name: str) -> str | None:
-    """What a score of an earlier version is called now; None for a name of today, or no name at all."""
+    """What a score of an earlier version is called
+    now; None for a name of today, or no name at all.
+    """
     figure, part = split_score_name(name)
     if figure in FIGURES or any(fnmatchcase(one, name) for one in FIGURES):
         return None

@@ -22,7 +22,9 @@ def score_estimate(found: Estimate, read: Recording) -> tuple[Score, ...]:
 
 
 def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
-    """The recording with the effector's true poses, where the estimate has poses and the log carries true ones."""
+    """The recording with the effector's true poses, where
+    the estimate has poses and the log carries true ones.
+    """
     if found.effector is None:
         return read
     from .annotating import pose_topics
@@ -30,8 +32,12 @@ def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
     return replace(read, truth_pose=pose_topics.true_poses(log, read.start_ns))
 
 
-def with_truth_beside_log(path: Path, found: Estimate, read: Recording, settings: Settings) -> Recording:
-    """The recording with the truth in a file beside it; InputError where that says nothing about the estimate."""
+def with_truth_beside_log(
+    path: Path, found: Estimate, read: Recording, settings: Settings
+) -> Recording:
+    """The recording with the truth in a file beside it;
+    InputError where that says nothing about the estimate.
+    """
     if (poses := _poses_beside(path, read)) is not None:
         return _comparable_poses(path, found, replace(read, truth_pose=poses))
     read = replace(read, truth=_read_truth_beside_log(path, read, settings))
@@ -48,14 +54,21 @@ def _poses_beside(path: Path, read: Recording) -> Poses | None:
 
 def _comparable_poses(path: Path, found: Estimate, read: Recording) -> Recording:
     """The recording; InputError where true poses have no estimate beside them."""
-    truth, t = read.truth_pose, found.joints.t
+    truth = read.truth_pose
+    t = found.joints.t
     assert truth is not None
     if found.effector is None:
         advice = "type: bodylog fit LOG --urdf ROBOT.urdf, and estimate again"
         raise InputError(f"{path}: has x, y, z, but the estimate has no pose; {advice}")
     if truth.t[0] > t[-1] or truth.t[-1] < t[0]:
-        span = f"it is from {truth.t[0]:.3f} to {truth.t[-1]:.3f} s, the estimate from {t[0]:.3f} to {t[-1]:.3f} s"
-        raise InputError(f"{path}: {span} after the log's first joint reading; give times since that one, or 1970")
+        span = (
+            f"it is from {truth.t[0]:.3f} to {truth.t[-1]:.3f} s, the estimate from {t[0]:.3f} "
+            f"to {t[-1]:.3f} s"
+        )
+        raise InputError(
+            f"{path}: {span} after the log's first joint reading; give times since that one, "
+            "or 1970"
+        )
     return read
 
 
@@ -67,7 +80,9 @@ def _read_truth_beside_log(path: Path, read: Recording, settings: Settings) -> S
     if path.suffix in (".csv", ".npz"):
         return truth.load_truth(path, read.start_ns, read.joints)
     # the names of topics are those of the log that was estimated
-    other = recording.read_recording(path, Settings(topics=TopicSettings(truth=settings.topics.truth)), settings.input.strict)
+    other = recording.read_recording(
+        path, Settings(topics=TopicSettings(truth=settings.topics.truth)), settings.input.strict
+    )
     angles = other.truth if other.truth is not None else other.joints
     if angles is None:
         raise LogError(f"{path}: neither truth nor joints in it; type: bodylog info {path}")
@@ -82,12 +97,23 @@ def list_bounded_figures(found: Estimate, scores: tuple[Score, ...]) -> tuple[Sc
 
 
 def _require_comparable_truth(path: Path, found: Estimate, read: Recording) -> None:
-    """InputError where truth from a file beside the log is of other joints, or of another time, than the estimate."""
-    truth, t = read.truth, found.joints.t
+    """InputError where truth from a file beside the log is
+    of other joints, or of another time, than the estimate.
+    """
+    truth = read.truth
+    t = found.joints.t
     assert truth is not None
     if not set(truth.names) & set(found.joints.names):
-        names = f"its columns are {', '.join(truth.names)}, possible: {', '.join(found.joints.names)}"
+        names = (
+            f"its columns are {', '.join(truth.names)}, possible: {', '.join(found.joints.names)}"
+        )
         raise InputError(f"{path}: {names}; name the columns as the joints")
     if not len(t) or truth.t[0] > t[-1] or truth.t[-1] < t[0]:
-        span = f"it is from {truth.t[0]:.3f} to {truth.t[-1]:.3f} s, the estimate from {t[0]:.3f} to {t[-1]:.3f} s"
-        raise InputError(f"{path}: {span} after the log's first joint reading; give times since that one, or 1970")
+        span = (
+            f"it is from {truth.t[0]:.3f} to {truth.t[-1]:.3f} s, the estimate from {t[0]:.3f} "
+            f"to {t[-1]:.3f} s"
+        )
+        raise InputError(
+            f"{path}: {span} after the log's first joint reading; give times since that one, "
+            "or 1970"
+        )

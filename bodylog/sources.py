@@ -9,7 +9,9 @@ from .errors import ConfigError
 from .io.toml_keys import check_values, declare_key
 
 Colour = str | Mapping[str, tuple[int, int, int]]
-"""A name ("green"), or {"low": (h, s, v), "high": (h, s, v)} in OpenCV ranges; low h > high h wraps around red."""
+"""A name ("green"), or {"low": (h, s, v), "high": (h, s,
+v)} in OpenCV ranges; low h > high h wraps around red.
+"""
 
 NAMED_COLOURS = ("blue", "cyan", "green", "magenta", "orange", "red", "yellow")
 RANGES = "{low = [h,s,v], high = [h,s,v]} with h 0..180, s and v 0..255"
@@ -41,7 +43,9 @@ def is_colour(value: Any) -> bool:
 
 def _is_board(value: str) -> bool:
     sides = value.split("x")
-    return len(sides) == 2 and all(s.isdecimal() and s.isascii() and len(s) < 3 and 2 <= int(s) <= 64 for s in sides)
+    return len(sides) == 2 and all(
+        s.isdecimal() and s.isascii() and len(s) < 3 and 2 <= int(s) <= 64 for s in sides
+    )
 
 
 def colour_key(default: Any, meaning: str) -> Any:
@@ -62,7 +66,9 @@ class TagSource:
     """An ArUco tag or AprilTag: its centre, or its corners as the tracks NAME.0 to NAME.3."""
 
     tag: int = declare_key(MISSING, "Number of the tag.", low=0, high=10**6)
-    dictionary: str = declare_key("apriltag_36h11", "Dictionary of the tag.", choices=tuple(DICTIONARIES))
+    dictionary: str = declare_key(
+        "apriltag_36h11", "Dictionary of the tag.", choices=tuple(DICTIONARIES)
+    )
     size: float | None = declare_key(None, "Side of the tag.", unset="unknown", **_LENGTH)
     corners: bool = declare_key(False, "Track the four corners.")
 
@@ -72,11 +78,16 @@ class CharucoSource:
     """A ChArUco board: each inner corner k is the track NAME.k."""
 
     charuco: str = declare_key(
-        MISSING, "Squares of the board.", accepts=_is_board, form='columns and rows, "10x14", each from 2 to 64'
+        MISSING,
+        "Squares of the board.",
+        accepts=_is_board,
+        form='columns and rows, "10x14", each from 2 to 64',
     )
     square: float = declare_key(MISSING, "Side of a square.", **_LENGTH)
     marker: float = declare_key(MISSING, "Side of a marker.", **_LENGTH)
-    dictionary: str = declare_key("4x4_50", "Dictionary of the markers.", choices=tuple(DICTIONARIES))
+    dictionary: str = declare_key(
+        "4x4_50", "Dictionary of the markers.", choices=tuple(DICTIONARIES)
+    )
     legacy: bool | None = declare_key(None, "Pattern of OpenCV before 4.6.", unset="either pattern")
 
     @property
@@ -91,7 +102,9 @@ class TopicSource:
     """Points that another detector published on a topic."""
 
     topic: str = declare_key(MISSING, "Topic of the points.", noun="topic")
-    path: str | None = declare_key(None, "Message path of a point.", noun="message path", unset="by message type")
+    path: str | None = declare_key(
+        None, "Message path of a point.", noun="message path", unset="by message type"
+    )
 
 
 @dataclass(frozen=True)
@@ -100,27 +113,44 @@ class TableSource:
 
     table: str = declare_key(MISSING, "File of the table.", noun="file")
     columns: tuple[str, ...] | None = declare_key(
-        None, "Columns of u and v.", accepts=lambda names: len(names) > 1 and all(names), unset="NAME_u, NAME_v",
+        None,
+        "Columns of u and v.",
+        accepts=lambda names: len(names) > 1 and all(names),
+        unset="NAME_u, NAME_v",
         form="names of two or more columns",
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True)
 class PointSource:
     """The patch around a point of one frame."""
 
-    point: tuple[float, float] = declare_key(MISSING, "Place of the point.", unit="px", form="[u, v] in px")
-    at: float = declare_key(0.0, "Time of the frame after the start of the log.", form="number of seconds")
+    point: tuple[float, float] = declare_key(
+        MISSING, "Place of the point.", unit="px", form="[u, v] in px"
+    )
+    at: float = declare_key(
+        0.0, "Time of the frame after the start of the log.", form="number of seconds"
+    )
 
 
 @dataclass(frozen=True)
 class SurfaceSource:
     """The robot's own surface: corners on its links, explained by a URDF; no track of its own."""
 
-    surface: bool = declare_key(MISSING, "Learn by the robot's own surface.", accepts=lambda on: on is True, form="true")
+    surface: bool = declare_key(
+        MISSING, "Learn by the robot's own surface.", accepts=lambda on: on is True, form="true"
+    )
 
 
-Source = ColourSource | TagSource | CharucoSource | TopicSource | TableSource | PointSource | SurfaceSource
+Source = (
+    ColourSource
+    | TagSource
+    | CharucoSource
+    | TopicSource
+    | TableSource
+    | PointSource
+    | SurfaceSource
+)
 
 SOURCES: Mapping[str, type[Source]] = {
     "colour": ColourSource,
@@ -131,21 +161,31 @@ SOURCES: Mapping[str, type[Source]] = {
     "point": PointSource,
     "surface": SurfaceSource,
 }
-"""The key that identifies a source, and its record; the record's other fields are its other keys."""
+"""The key that identifies a source, and its record;
+the record's other fields are its other keys.
+"""
 
 
 def parse_source(name: str, value: Any, where: str) -> Source:
-    """The source that a value of `[features]` NAME describes; ConfigError names key, value and what is possible."""
+    """The source that a value of `[features]` NAME describes;
+    ConfigError names key, value and what is possible.
+    """
     label = f"{where}: features.{name}"
     if not name or {"/", "."} & set(name):
-        raise ConfigError(f"{where}: [features] names {name!r}; a feature's name is not empty and has no / and no .")
+        raise ConfigError(
+            f"{where}: [features] names {name!r}; a feature's name is not empty and has no / "
+            "and no ."
+        )
     if name in RESERVED:
-        raise ConfigError(f"{where}: [features] names {name!r}, which is another sense; possible: any other name")
+        raise ConfigError(
+            f"{where}: [features] names {name!r}, which is another sense; possible: any other name"
+        )
     if isinstance(value, str) or (isinstance(value, Mapping) and {"low", "high"} & set(value)):
         return ColourSource(check_colour(value, label))
     if not isinstance(value, Mapping):
         raise ConfigError(
-            f"{label} is {value!r}; possible: a colour's name, or a table with one of {', '.join(SOURCES)}"
+            f"{label} is {value!r}; possible: a colour's name, or a table with one of "
+            f"{', '.join(SOURCES)}"
         )
     kinds = [kind for kind in SOURCES if kind in value]
     if len(kinds) != 1:
@@ -158,10 +198,19 @@ def check_colour(colour: Any, key: str) -> Colour:
     """The colour, its bounds as tuples; ConfigError for an unknown name or an invalid HSV range."""
     if isinstance(colour, str):
         if colour not in NAMED_COLOURS:
-            raise ConfigError(f"{key} is {colour!r}; possible: {', '.join(NAMED_COLOURS)}, or {RANGES}")
+            raise ConfigError(
+                f"{key} is {colour!r}; possible: {', '.join(NAMED_COLOURS)}, or {RANGES}"
+            )
         return colour
-    if not isinstance(colour, Mapping) or set(colour) != {"low", "high"} or not all(map(_is_hsv_bound, colour.values())):
-        raise ConfigError(f"{key} is {dict(colour) if isinstance(colour, Mapping) else colour!r}; it must be {RANGES}")
+    if (
+        not isinstance(colour, Mapping)
+        or set(colour) != {"low", "high"}
+        or not all(map(_is_hsv_bound, colour.values()))
+    ):
+        raise ConfigError(
+            f"{key} is {dict(colour) if isinstance(colour, Mapping) else colour!r}; it must "
+            f"be {RANGES}"
+        )
     return {bound: (int(h), int(s), int(v)) for bound, (h, s, v) in colour.items()}
 
 
@@ -217,13 +266,19 @@ def group_of(track: str) -> str:
 
 
 def board_points(source: Source) -> list[tuple[float, float, float]] | None:
-    """The places of a rigid thing's tracks on it, m, in the order of `track_names`; None where unknown.
+    """The places of a rigid thing's tracks on it, m,
+    in the order of `track_names`; None where unknown.
 
-    The origin is a tag's centre or a board's outer corner; x to the right and y down as printed, z into it.
+    The origin is a tag's centre or a board's outer corner;
+    x to the right and y down as printed, z into it.
     """
     if isinstance(source, CharucoSource):
         columns, rows = source.shape
-        return [(x * source.square, y * source.square, 0.0) for y in range(1, rows) for x in range(1, columns)]
+        return [
+            (x * source.square, y * source.square, 0.0)
+            for y in range(1, rows)
+            for x in range(1, columns)
+        ]
     if isinstance(source, TagSource) and source.corners and source.size is not None:
         half = source.size / 2
         return [(-half, -half, 0.0), (half, -half, 0.0), (half, half, 0.0), (-half, half, 0.0)]
@@ -239,19 +294,33 @@ def _build_source(kind: type[Source], value: Mapping[str, Any], where: str, labe
 def _require_consistent(source: Source, key: str) -> Source:
     if isinstance(source, TagSource) and source.tag >= DICTIONARIES[source.dictionary]:
         most = DICTIONARIES[source.dictionary] - 1
-        raise ConfigError(f"{key}.tag is {source.tag}; {source.dictionary} has tags from 0 to {most}")
+        raise ConfigError(
+            f"{key}.tag is {source.tag}; {source.dictionary} has tags from 0 to {most}"
+        )
     if isinstance(source, CharucoSource) and source.marker >= source.square:
-        raise ConfigError(f"{key}.marker is {source.marker:g} m; it must be less than square = {source.square:g} m")
+        raise ConfigError(
+            f"{key}.marker is {source.marker:g} m; it must be less than square = "
+            f"{source.square:g} m"
+        )
     if isinstance(source, CharucoSource):
         columns, rows = source.shape
         if (markers := columns * rows // 2) > (most := DICTIONARIES[source.dictionary]):
-            raise ConfigError(f"{key}.charuco needs {markers} markers; {source.dictionary} has {most}")
+            raise ConfigError(
+                f"{key}.charuco needs {markers} markers; {source.dictionary} has {most}"
+            )
     return source
 
 
 def _is_hsv_bound(values: Any) -> bool:
-    whole = isinstance(values, list | tuple) and all(isinstance(v, int) and not isinstance(v, bool) for v in values)
-    return whole and len(values) == 3 and 0 <= values[0] <= 180 and all(0 <= v <= 255 for v in values[1:])
+    whole = isinstance(values, list | tuple) and all(
+        isinstance(v, int) and not isinstance(v, bool) for v in values
+    )
+    return (
+        whole
+        and len(values) == 3
+        and 0 <= values[0] <= 180
+        and all(0 <= v <= 255 for v in values[1:])
+    )
 
 
 def _canonical_dictionary(value: Any) -> Any:
@@ -266,5 +335,7 @@ def _canonical_board(value: Any) -> Any:
     """Columns and rows of a board without leading zeros."""
     lower = value.lower() if isinstance(value, str) else value
     return (
-        "x".join(str(int(side)) for side in lower.split("x")) if isinstance(lower, str) and _is_board(lower) else lower
+        "x".join(str(int(side)) for side in lower.split("x"))
+        if isinstance(lower, str) and _is_board(lower)
+        else lower
     )

@@ -1,4 +1,6 @@
-"""Learn a body by the robot's own surface: cameras on a URDF, encoder noise and motion, no track."""
+"""Learn a body by the robot's own surface: cameras
+on a URDF, encoder noise and motion, no track.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -27,8 +29,8 @@ def learn_surface_body(
 ) -> "LearnedBody":
     """Learn a body whose only sense beside the encoders is the robot's surface.
 
-    EvidenceError where no camera shows the arm, or one shows another motion; ModelError where the URDF has no joint of
-    a log.
+    EvidenceError where no camera shows the arm, or one shows another motion; ModelError where the
+    URDF has no joint of a log.
     """
     from .body.learning import LearnedBody
     from .body.surface import joint_noise
@@ -44,41 +46,67 @@ def learn_surface_body(
     features = [Features(read.joints, {}, None, (), (), {}) for _, read in logs]
     names = tuple(found[0].joint_of)
     first, read = logs[0]
-    about = {"cameras": [topic for topic in (_find_image_topic(read, one.camera) for one in found) if topic], **provenance}
+    about = {
+        "cameras": [
+            topic for topic in (_find_image_topic(read, one.camera) for one in found) if topic
+        ],
+        **provenance,
+    }
     model = BodyModel(
-        names, {}, joint_noise(features, names), TouchConstants(1.0, 0.005), about,
+        names,
+        {},
+        joint_noise(features, names),
+        TouchConstants(1.0, 0.005),
+        about,
         surface=_build_surface(first, read, found, settings),
-    )  # fmt: skip
+    )
     scores = tuple(score for one in found for score in _calibration_scores(one))
     findings = tuple(Finding("info", finding.text) for one in found for finding in findings_of(one))
     return LearnedBody(model, scores, findings)
 
 
-def _build_surface(log: Path, read: Recording, found: Sequence[SurfaceCalibration], settings: Settings) -> Surface:
+def _build_surface(
+    log: Path, read: Recording, found: Sequence[SurfaceCalibration], settings: Settings
+) -> Surface:
     from math import radians
 
     from .kinematics.urdf import kinematic_text
     from .robot_model import named_urdf
 
-    cameras = tuple(_build_surface_camera(one, _find_image_topic(read, one.camera)) for one in found)
+    cameras = tuple(
+        _build_surface_camera(one, _find_image_topic(read, one.camera)) for one in found
+    )
     first = found[0]
     zero_std = radians(settings.kinematics.offset_prior)
-    return Surface(kinematic_text(named_urdf(log, settings)), first.joint_of, first.still, zero_std, cameras)
+    return Surface(
+        kinematic_text(named_urdf(log, settings)), first.joint_of, first.still, zero_std, cameras
+    )
 
 
 def _build_surface_camera(one: SurfaceCalibration, topic: str) -> SurfaceCamera:
     import numpy as np
 
-    model, phi = one.fit.model, one.fit.phi
+    model = one.fit.model
+    phi = one.fit.phi
     placed = model.rig.cameras[0]
     delays = np.arange(model.of_delays.start, model.of_delays.stop)
     shared = np.setdiff1d(np.arange(len(phi)), delays)
     assert one.picture is not None
     return SurfaceCamera(
-        one.camera or "camera", topic, placed.link, one.size, placed.anchor, placed.lens, placed.doubt, phi[shared],
-        one.covariance[np.ix_(shared, shared)], one.delays, one.delay_std, one.picture.astype(np.float64),
+        one.camera or "camera",
+        topic,
+        placed.link,
+        one.size,
+        placed.anchor,
+        placed.lens,
+        placed.doubt,
+        phi[shared],
+        one.covariance[np.ix_(shared, shared)],
+        one.delays,
+        one.delay_std,
+        one.picture.astype(np.float64),
         one.landmarks,
-    )  # fmt: skip
+    )
 
 
 def _find_image_topic(read: Recording, camera: str) -> str:

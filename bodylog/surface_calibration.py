@@ -36,19 +36,23 @@ _LEAST_SHARE = 0.25
 _LEAST_SHARE_OF_ONE = 0.15
 """Share of the moving pieces of one log of several that the robot must explain."""
 _CONTROL_RATIO = 0.6
-"""Most pieces that the joints of another time may explain, as a share of those that the joints explain."""
+"""Most pieces that the joints of another time may
+explain, as a share of those that the joints explain.
+"""
 _CONTROL_PIECES = 120
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceCalibration:
-    """A camera's calibration by the surface: the fit, the covariance (P,P) of its unknowns φ, and what it is based on.
+    """A camera's calibration by the surface: the fit, the
+    covariance (P,P) of its unknowns φ, and what it is based on.
 
-    camera: its name, "" the first · logs: that show it, in the order of the fit's delays · moving: pieces that moved,
-    and the share of them that the tracks' fit uses · size (width, height) px · picture (h,w): median of the first log's
-    images, shrunken and grey · joint_of {name in the logs: joint in the URDF} · still: angles, rad or m, of the joints
-    at rest · delays (L,) s ± delay_std (L,), by tracks, which follow every image · landmarks: the map that the fit is
-    of; None where it is of tracks, as too few landmarks are found again.
+    camera: its name, "" the first · logs: that show it, in the order of the fit's delays · moving:
+    pieces that moved, and the share of them that the tracks' fit uses · size (width, height) px ·
+    picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in the logs:
+    joint in the URDF} · still: angles, rad or m, of the joints at rest · delays (L,) s ± delay_std
+    (L,), by tracks, which follow every image · landmarks: the map that the fit is of; None where it
+    is of tracks, as too few landmarks are found again.
     """
 
     camera: str
@@ -68,7 +72,9 @@ class SurfaceCalibration:
 
 @dataclass(frozen=True, eq=False)
 class _CameraTracks:
-    """What one log shows through one camera: its number among the logs, its tracks, its median picture, its frames."""
+    """What one log shows through one camera: its number among
+    the logs, its tracks, its median picture, its frames.
+    """
 
     log: Path
     number: int
@@ -82,8 +88,8 @@ def calibrate_cameras(
 ) -> Iterator[SurfaceCalibration | EvidenceError]:
     """Yield each camera's calibration from all logs of one robot together, or why there is none.
 
-    The logs have one camera, lens, row time and zeros; each has a delay. ModelError where no joint of the URDF is in a
-    log, EvidenceError where no joint moves.
+    The logs have one camera, lens, row time and zeros; each has a delay. ModelError where no joint
+    of the URDF is in a log, EvidenceError where no joint moves.
     """
     import numpy as np
 
@@ -96,7 +102,9 @@ def calibrate_cameras(
     for name in dict.fromkeys(name for _, one in logs for name in _frames_by_camera(one)):
         try:
             films = list(_track_each_log(logs, name))
-            fit, seen, moving = _calibrate_camera(name, films, robot, motions, joint_of, still, hints.get(name), settings)
+            fit, seen, moving = _calibrate_camera(
+                name, films, robot, motions, joint_of, still, hints.get(name), settings
+            )
             mapped = build_map(fit, seen, [(one.frames, one.tracks.t) for one in films])
         except EvidenceError as problem:
             yield problem
@@ -105,16 +113,28 @@ def calibrate_cameras(
 
         rest = {joint: still[joint] for joint in robot.by_name if joint in still}
         seen_by = tuple(film.log for film in films)
-        size, picture = films[0].tracks.size, films[0].picture
+        size = films[0].tracks.size
+        picture = films[0].picture
         delays = fit.phi[fit.model.of_delays]
         delay_std = np.sqrt(np.diag(unknowns_covariance(fit)))[fit.model.of_delays]
         used_share = len(fit.used) / moving
         fit, landmarks = (fit, None) if mapped is None else mapped
         covariance = unknowns_covariance(fit)
         yield SurfaceCalibration(
-            name, seen_by, fit, covariance, moving, used_share, size, picture, joint_of, rest, delays, delay_std,
+            name,
+            seen_by,
+            fit,
+            covariance,
+            moving,
+            used_share,
+            size,
+            picture,
+            joint_of,
+            rest,
+            delays,
+            delay_std,
             landmarks,
-        )  # fmt: skip
+        )
 
 
 def _frames_by_camera(read: Recording) -> dict[str, Callable[[], Iterator[LazyImage]]]:
@@ -123,16 +143,26 @@ def _frames_by_camera(read: Recording) -> dict[str, Callable[[], Iterator[LazyIm
     return {name: film for name, film in films.items() if film is not None}
 
 
-def camera_hints(log: Path, robot: "Robot", read: Recording, settings: "Settings") -> "dict[str, CameraHint]":
-    """What a log says of its cameras' links, poses and lenses, by name, "" the first, of which [camera] tells too."""
+def camera_hints(
+    log: Path, robot: "Robot", read: Recording, settings: "Settings"
+) -> "dict[str, CameraHint]":
+    """What a log says of its cameras' links, poses and lenses,
+    by name, "" the first, of which [camera] tells too.
+    """
     from .kinematics.links import CameraHint
     from .known_camera import with_known
     from .recording.robot_description import read_robot_description
     from .robot_model import describe_logged_camera
 
     description = read_robot_description(log, settings.input)
-    topics = {role.partition("/")[2]: path for role, path in read.roles.items() if role.partition("/")[0] == "camera"}
-    camera_hints = {name: describe_logged_camera(topic, description, robot) for name, topic in topics.items()}
+    topics = {
+        role.partition("/")[2]: path
+        for role, path in read.roles.items()
+        if role.partition("/")[0] == "camera"
+    }
+    camera_hints = {
+        name: describe_logged_camera(topic, description, robot) for name, topic in topics.items()
+    }
     hints = {name: hint for name, hint in camera_hints.items() if hint is not None}
     return {**hints, "": with_known(hints.get("", CameraHint()), settings.camera, robot)}
 
@@ -140,29 +170,42 @@ def camera_hints(log: Path, robot: "Robot", read: Recording, settings: "Settings
 def find_moving_urdf_joints(
     logs: Sequence[tuple[Path, Recording]], robot: "Robot"
 ) -> "tuple[dict[str, str], list[JointCurve], dict[str, float]]":
-    """The joints that move in any log, with their names in the URDF, as curves of each log; the angles of the others.
+    """The joints that move in any log, with their names in
+    the URDF, as curves of each log; the angles of the others.
 
-    ModelError where the URDF has none of a log's joints, or logs have different ones; EvidenceError where none moves.
+    ModelError where the URDF has none of a log's joints, or
+    logs have different ones; EvidenceError where none moves.
     """
     import numpy as np
 
-    joint_of, columns = dict[str, str](), dict[str, Array]()
+    joint_of = dict[str, str]()
+    columns = dict[str, Array]()
     for number, (log, read) in enumerate(logs):
         matched = _match_urdf_joints(log, read, robot)
         if number and matched != joint_of:
             differing = sorted({*matched.items()} ^ {*joint_of.items()})[0][0]
-            raise ModelError(f"{log}: {logs[0][0]} has other joints: {differing!r} is in one of them alone")
+            raise ModelError(
+                f"{log}: {logs[0][0]} has other joints: {differing!r} is in one of them alone"
+            )
         joint_of = matched
         assert read.joints is not None
         for name in joint_of:
             values = read.joints.values[:, list(read.joints.names).index(name)]
             columns[name] = np.concatenate([columns.get(name, np.zeros(0)), values])
     ranges = {name: _robust_range(column) for name, column in columns.items()}
-    still = {joint_of[name]: float(np.nanmedian(columns[name])) for name in joint_of if ranges[name] < _LEAST_RANGE}
+    still = {
+        joint_of[name]: float(np.nanmedian(columns[name]))
+        for name in joint_of
+        if ranges[name] < _LEAST_RANGE
+    }
     moving = {name: joint for name, joint in joint_of.items() if ranges[name] >= _LEAST_RANGE}
     if not moving:
-        raise EvidenceError(f"{logs[0][0]}: none of its joints moves; the surface of a robot tells nothing then")
-    motions = [smoothed_motion(read.joints, tuple(moving)) for _, read in logs if read.joints is not None]
+        raise EvidenceError(
+            f"{logs[0][0]}: none of its joints moves; the surface of a robot tells nothing then"
+        )
+    motions = [
+        smoothed_motion(read.joints, tuple(moving)) for _, read in logs if read.joints is not None
+    ]
     return moving, motions, still
 
 
@@ -176,8 +219,11 @@ def _match_urdf_joints(log: Path, read: Recording, robot: "Robot") -> dict[str, 
     known = [joint.name for joint in robot.joints if joint.kind in MOVING and joint.mimic is None]
     joint_of = match_joints(read.joints.names, known)
     if not joint_of:
-        names, have = ", ".join(read.joints.names[:12]), ", ".join(known[:12])
-        raise ModelError(f"{robot.source}: none of the joints of {log} ({names}) is in it; it has {have}")
+        names = ", ".join(read.joints.names[:12])
+        have = ", ".join(known[:12])
+        raise ModelError(
+            f"{robot.source}: none of the joints of {log} ({names}) is in it; it has {have}"
+        )
     return joint_of
 
 
@@ -209,7 +255,9 @@ def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointCurve":
 
 
 def _track_each_log(logs: Sequence[tuple[Path, Recording]], camera: str) -> Iterator[_CameraTracks]:
-    """Yield what each log shows through a camera; EvidenceError where too little moves or images differ in size."""
+    """Yield what each log shows through a camera; EvidenceError
+    where too little moves or images differ in size.
+    """
     size: tuple[int, int] | None = None
     for number, (log, read) in enumerate(logs):
         film = _frames_by_camera(read).get(camera)
@@ -220,7 +268,9 @@ def _track_each_log(logs: Sequence[tuple[Path, Recording]], camera: str) -> Iter
         if tracks.size != size:
             found, first = ("x".join(map(str, one)) for one in (tracks.size, size))
             where = f"{log}: {camera or 'camera'}"
-            raise EvidenceError(f"{where}: images of {found} px, of {first} px in the first log; fit them apart")
+            raise EvidenceError(
+                f"{where}: images of {found} px, of {first} px in the first log; fit them apart"
+            )
         yield _CameraTracks(log, number, tracks, picture, film)
 
 
@@ -233,29 +283,42 @@ def camera_film(log: Path, read: Recording, camera: str) -> Callable[[], Iterato
 
 
 def track_camera(log: Path, read: Recording, camera: str) -> "tuple[CornerTracks, Array | None]":
-    """The corners that move before a camera, "camera" the first, and its median picture, grey and shrunken.
+    """The corners that move before a camera, "camera"
+    the first, and its median picture, grey and shrunken.
 
     EvidenceError without the camera, or where too little moves.
     """
     return _moving_tracks(f"{log}: {camera}", camera_film(log, read, camera))
 
 
-def _moving_tracks(where: str, film: Callable[[], Iterator[LazyImage]]) -> "tuple[CornerTracks, Array | None]":
+def _moving_tracks(
+    where: str, film: Callable[[], Iterator[LazyImage]]
+) -> "tuple[CornerTracks, Array | None]":
     from .kinematics.landmark_fit import LEAST_PIECES
     from .perception.surface.corner_tracks import moving_pieces, track_corners
 
     tracks, survey = track_corners(film)
     moving = moving_pieces(tracks)
     if len(moving) < LEAST_PIECES:
-        raise EvidenceError(f"{where}: {len(moving)} corners move in its images; the surface needs {LEAST_PIECES}")
+        raise EvidenceError(
+            f"{where}: {len(moving)} corners move in its images; the surface needs {LEAST_PIECES}"
+        )
     return tracks.take(moving), survey.median
 
 
 def _calibrate_camera(
-    name: str, films: Sequence[_CameraTracks], robot: "Robot", motions: "Sequence[JointCurve]", joint_of: Mapping[str, str],
-    still: Mapping[str, float], hint: "CameraHint | None", settings: "Settings",
-) -> "tuple[LandmarkFit, LandmarkSightings, int]":  # fmt: skip
-    """The fit of one camera, all moving pieces, and how many it was tried on; EvidenceError where no arm is seen."""
+    name: str,
+    films: Sequence[_CameraTracks],
+    robot: "Robot",
+    motions: "Sequence[JointCurve]",
+    joint_of: Mapping[str, str],
+    still: Mapping[str, float],
+    hint: "CameraHint | None",
+    settings: "Settings",
+) -> "tuple[LandmarkFit, LandmarkSightings, int]":
+    """The fit of one camera, all moving pieces, and how many
+    it was tried on; EvidenceError where no arm is seen.
+    """
     from math import radians
 
     from .kinematics.landmark_fit import build_model, choose_pieces
@@ -266,7 +329,10 @@ def _calibrate_camera(
     space = Space(robot, tuple(joint_of.values()), dict(still), zero_std)
     size = films[0].tracks.size
     hint = replace(hint or CameraHint(), size=size)
-    seen = join_landmark_tracks([(one.tracks.piece, one.tracks.t[one.tracks.frame], one.tracks.uv) for one in films], size[1])
+    seen = join_landmark_tracks(
+        [(one.tracks.piece, one.tracks.t[one.tracks.frame], one.tracks.uv) for one in films],
+        size[1],
+    )
     part = seen.take(choose_pieces(seen, _most_pieces(len(films)))).thinned(ROW_STRIDE)
     few = seen.take(choose_pieces(seen, -(-_SEARCH_PIECES // len(films)))).thinned(_SEARCH_STRIDE)
     own_motions = [motions[one.number] for one in films]
@@ -281,7 +347,9 @@ def _calibrate_camera(
     where = f"{films[0].log}: {name or 'camera'}"
     if best is None or len(best.used) < _LEAST_SHARE * part.count:
         count = 0 if best is None else len(best.used)
-        raise EvidenceError(f"{where}: the joints explain {count} of {part.count} moving corners; no arm is seen")
+        raise EvidenceError(
+            f"{where}: the joints explain {count} of {part.count} moving corners; no arm is seen"
+        )
     _require_belonging(name, films, best, part)
     return best, seen, part.count
 
@@ -292,14 +360,20 @@ def explains_enough_pieces(fit: "LandmarkFit", part: "LandmarkSightings") -> boo
 
 
 def _most_pieces(logs: int) -> int:
-    """Pieces of each log that are used: of many logs fewer each, since together they tell enough."""
+    """Pieces of each log that are used: of many logs
+    fewer each, since together they tell enough.
+    """
     from .kinematics.landmark_fit import MOST_PIECES
 
     return MOST_PIECES if logs == 1 else MOST_PIECES // 2
 
 
-def _require_belonging(name: str, films: Sequence[_CameraTracks], best: "LandmarkFit", part: "LandmarkSightings") -> None:
-    """EvidenceError where the joints of another time explain a log's corners as well, or they explain few of them."""
+def _require_belonging(
+    name: str, films: Sequence[_CameraTracks], best: "LandmarkFit", part: "LandmarkSightings"
+) -> None:
+    """EvidenceError where the joints of another time explain
+    a log's corners as well, or they explain few of them.
+    """
     import numpy as np
 
     used = np.bincount(part.log[part.begins][best.used], minlength=len(films))
@@ -308,8 +382,13 @@ def _require_belonging(name: str, films: Sequence[_CameraTracks], best: "Landmar
     for number, film in enumerate(films):
         where = f"{film.log}: {name or 'camera'}"
         if used[number] < _LEAST_SHARE_OF_ONE * count[number]:
-            text = f"the joints explain {used[number]} of {count[number]} moving corners; no arm is seen"
-            raise EvidenceError(f"{where}: {text}, though other logs show one" if len(films) > 1 else text)
+            text = (
+                f"the joints explain {used[number]} of {count[number]} moving corners; no arm is "
+                "seen"
+            )
+            raise EvidenceError(
+                f"{where}: {text}, though other logs show one" if len(films) > 1 else text
+            )
         if control[number] > _CONTROL_RATIO * used[number]:
             shares = f"{control[number]} against {used[number]}"
             text = f"the joints of another time explain the corners as well ({shares})"
@@ -319,10 +398,17 @@ def _require_belonging(name: str, films: Sequence[_CameraTracks], best: "Landmar
 def _start_cameras(
     name: str, robot: "Robot", space: object, hint: "CameraHint"
 ) -> "Iterator[list[RigCamera]]":
-    """Yield sets of cameras to start from, all on one link: as the log places it, on named links, around the arm."""
+    """Yield sets of cameras to start from, all on one link:
+    as the log places it, on named links, around the arm.
+    """
     import numpy as np
 
-    from .kinematics.landmark_starts import around_the_arm, camera_links, free_camera, nominal_camera
+    from .kinematics.landmark_starts import (
+        around_the_arm,
+        camera_links,
+        free_camera,
+        nominal_camera,
+    )
     from .kinematics.links import hinted_camera
 
     if hint.link is not None:
@@ -333,7 +419,10 @@ def _start_cameras(
 
 
 def _iterate_fits(
-    model: "LandmarkModel", cameras: "Sequence[RigCamera]", few: "LandmarkSightings", part: "LandmarkSightings"
+    model: "LandmarkModel",
+    cameras: "Sequence[RigCamera]",
+    few: "LandmarkSightings",
+    part: "LandmarkSightings",
 ) -> "Iterator[LandmarkFit]":
     from .kinematics.landmark_fit import staged_fit
     from .kinematics.landmark_starts import best_starts
@@ -345,7 +434,9 @@ def _iterate_fits(
 
 
 def control_counts(best: "LandmarkFit", part: "LandmarkSightings") -> Array:
-    """Pieces of each log that the joints of another time explain: those of half the log later, in a circle."""
+    """Pieces of each log that the joints of another time
+    explain: those of half the log later, in a circle.
+    """
     import numpy as np
 
     from .kinematics.landmark_fit import choose_pieces, staged_fit

@@ -1,4 +1,6 @@
-"""The estimate of a log by a body of the robot's surface: its encoders, less the offsets that the surface shows."""
+"""The estimate of a log by a body of the robot's surface:
+its encoders, less the offsets that the surface shows.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -56,10 +58,11 @@ _BLUR_PX = 1.0
 
 @dataclass(frozen=True, eq=False)
 class CameraJudgement:
-    """What one camera tells of a log: delay (s) ± std, every hypothesis, and sentences; None without images of an arm.
+    """What one camera tells of a log: delay (s) ± std, every hypothesis, and sentences; None
+    without images of an arm.
 
-    identifiable: joints of the body whose offset the log shows · shift: of the still scene, px, None where scenes
-    differ.
+    identifiable: joints of the body whose offset the log shows · shift: of the still scene, px,
+    None where scenes differ.
     """
 
     camera: str
@@ -69,11 +72,14 @@ class CameraJudgement:
     shift: float | None
 
 
-def estimate_by_surface(log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings) -> Estimate:
-    """Where the body was by its encoders, less an offset that the surface shows, with its doubt in the covariance.
+def estimate_by_surface(
+    log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings
+) -> Estimate:
+    """Where the body was by its encoders, less an offset
+    that the surface shows, with its doubt in the covariance.
 
-    Where the surface says nothing, the encoders' estimate with a remark why. ModelError where images have another
-    size than those that the body was learned from, or a joint is missing.
+    Where the surface says nothing, the encoders' estimate with a remark why. ModelError where
+    images have another size than those that the body was learned from, or a joint is missing.
     """
     assert learned.surface is not None
     found = infer_from_encoders(features, learned, settings)
@@ -82,9 +88,12 @@ def estimate_by_surface(log: Path, read: Recording, features: Features, learned:
     assert joints is not None
     missing = [name for name in learned.joints if name not in joints.names]
     if missing:
-        raise ModelError(f"{log}: joint {missing[0]!r} of the body is missing; it has {', '.join(joints.names)}")
+        raise ModelError(
+            f"{log}: joint {missing[0]!r} of the body is missing; it has {', '.join(joints.names)}"
+        )
     motion = smoothed_motion(joints, learned.joints)
-    judged, findings = list[CameraJudgement](), list[Finding]()
+    judged = list[CameraJudgement]()
+    findings = list[Finding]()
     for camera in learned.surface.cameras:
         try:
             judged.append(judge_by_camera(log, part, learned.surface, camera, motion))
@@ -98,7 +107,9 @@ def estimate_by_surface(log: Path, read: Recording, features: Features, learned:
 def judge_by_camera(
     log: Path, read: Recording, surface: Surface, camera: SurfaceCamera, motion: "JointCurve"
 ) -> CameraJudgement:
-    """Judge a log by one camera of a body. EvidenceError where no arm is seen or images show another motion."""
+    """Judge a log by one camera of a body. EvidenceError
+    where no arm is seen or images show another motion.
+    """
     import numpy as np
 
     from .body.surface import landmark_model
@@ -111,7 +122,9 @@ def judge_by_camera(
     tracks, picture = track_camera(log, read, camera.name)
     if tracks.size != camera.size:
         found, known = ("x".join(map(str, size)) for size in (tracks.size, camera.size))
-        raise ModelError(f"{log}: {camera.name}: images of {found} px, of {known} px where the body was learned")
+        raise ModelError(
+            f"{log}: {camera.name}: images of {found} px, of {known} px where the body was learned"
+        )
     model = landmark_model(surface, camera, [motion])
     belief = _landmark_belief(model, camera)
     free = hypotheses.widen_zero_belief(model, belief)
@@ -124,7 +137,10 @@ def judge_by_camera(
         why = f"the body explains {count} of {part.count} moving corners"
         raise EvidenceError(f"{log}: {camera.name}: {why}; the surface says nothing")
     if (control := int(control_counts(fit, part)[0])) > 0.6 * len(fit.used):
-        why = f"the joints of another time explain the corners as well ({control} against {len(fit.used)})"
+        why = (
+            f"the joints of another time explain the corners as well ({control} against "
+            f"{len(fit.used)})"
+        )
         raise EvidenceError(f"{log}: {camera.name}: {why}; the surface says nothing")
     shift = picture_shift(camera.picture, picture, camera.size[0])
     may_move = shift is None or shift > _SAME_PICTURE_PX
@@ -140,11 +156,15 @@ def judge_by_camera(
             fit, belief = by_landmarks
             changes = _weighed_changes(fit, belief, may_move)
     names = {joint: name for name, joint in surface.joint_of.items()}
-    sure = tuple(names[one.name] for one in changes if one.beforehand and one.std <= LEAST * one.beforehand)
+    sure = tuple(
+        names[one.name] for one in changes if one.beforehand and one.std <= LEAST * one.beforehand
+    )
     return CameraJudgement(camera.name, late, changes, sure, shift)
 
 
-def _weighed_changes(fit: "LandmarkFit", belief: "LandmarkBelief", camera_may_move: bool) -> "list[ChangeHypothesis]":
+def _weighed_changes(
+    fit: "LandmarkFit", belief: "LandmarkBelief", camera_may_move: bool
+) -> "list[ChangeHypothesis]":
     from .kinematics.landmark_errors import unknowns_covariance
     from .kinematics.landmark_hypotheses import information_of_log, weigh_hypotheses
 
@@ -153,13 +173,18 @@ def _weighed_changes(fit: "LandmarkFit", belief: "LandmarkBelief", camera_may_mo
 
 
 def _by_landmarks(
-    camera: SurfaceCamera, fit: "LandmarkFit", belief: "LandmarkBelief", changes: "Sequence[ChangeHypothesis]", keys: KeyFrames,
+    camera: SurfaceCamera,
+    fit: "LandmarkFit",
+    belief: "LandmarkBelief",
+    changes: "Sequence[ChangeHypothesis]",
+    keys: KeyFrames,
     camera_may_move: bool,
-) -> "tuple[LandmarkFit, LandmarkBelief] | None":  # fmt: skip
-    """Adjust from the body's landmarks alone, found again in some images, and what is believed of these unknowns.
+) -> "tuple[LandmarkFit, LandmarkBelief] | None":
+    """Adjust from the body's landmarks alone, found again
+    in some images, and what is believed of these unknowns.
 
-    fit, belief and changes are by tracks: each change foretells where the landmarks are, and the one under which most
-    are found is the start. None where too few are.
+    fit, belief and changes are by tracks: each change foretells where the landmarks are, and the
+    one under which most are found is the start. None where too few are.
     """
     import numpy as np
 
@@ -189,7 +214,9 @@ def _by_landmarks(
 
 
 def _belief_of_changes(model: "LandmarkModel", belief: "LandmarkBelief") -> "LandmarkBelief":
-    """A belief of φ with the changes since the map, which are none but what sound logs differ by."""
+    """A belief of φ with the changes since the map,
+    which are none but what sound logs differ by.
+    """
     import numpy as np
 
     from .kinematics.landmarks import LandmarkBelief
@@ -198,14 +225,18 @@ def _belief_of_changes(model: "LandmarkModel", belief: "LandmarkBelief") -> "Lan
     std = np.full(count + 6 + len(model.rig.joints), _SWAY)
     for joint, index in enumerate(range(model.of_changes.start, model.of_changes.stop)):
         std[index] = _SOUND_CHANGE * (0.1 if model.rig.slides(joint) else 1.0)
-    mean, covariance = np.zeros(len(std)), np.diag(std**2)
+    mean = np.zeros(len(std))
+    covariance = np.diag(std**2)
     mean[:count] = belief.mean
     covariance[:count, :count] = belief.covariance
     return LandmarkBelief(mean, covariance)
 
 
 def _starts(
-    model: "LandmarkModel", fit: "LandmarkFit", belief: "LandmarkBelief", changes: "Sequence[ChangeHypothesis]"
+    model: "LandmarkModel",
+    fit: "LandmarkFit",
+    belief: "LandmarkBelief",
+    changes: "Sequence[ChangeHypothesis]",
 ) -> "Iterator[Array]":
     """Yield unknowns φ with each change that tracks show, and with all of them at once."""
     rig = model.rig
@@ -230,7 +261,8 @@ def _landmark_belief(model: "LandmarkModel", camera: SurfaceCamera) -> "Landmark
 
     delay = model.of_delays.start
     rest = np.delete(np.arange(len(camera.unknowns) + 1), delay)
-    mean, covariance = np.zeros(len(rest) + 1), np.zeros((len(rest) + 1, len(rest) + 1))
+    mean = np.zeros(len(rest) + 1)
+    covariance = np.zeros((len(rest) + 1, len(rest) + 1))
     mean[rest], mean[delay] = camera.unknowns, float(camera.delays.mean())
     covariance[np.ix_(rest, rest)] = camera.covariance
     covariance[delay, delay] = DELAY_STD_S**2
@@ -238,21 +270,29 @@ def _landmark_belief(model: "LandmarkModel", camera: SurfaceCamera) -> "Landmark
 
 
 def picture_shift(before: Array, after: Array | None, width: int) -> float | None:
-    """How far (px of images `width` px wide) the still scene moved between two pictures; None for different scenes."""
+    """How far (px of images `width` px wide) the still scene
+    moved between two pictures; None for different scenes.
+    """
     import cv2
     import numpy as np
 
     if after is None or before.shape != after.shape:
         return None
-    first, second = (cv2.GaussianBlur(one.astype(np.float32), (0, 0), _BLUR_PX) for one in (before, after))
+    first, second = (
+        cv2.GaussianBlur(one.astype(np.float32), (0, 0), _BLUR_PX) for one in (before, after)
+    )
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
     try:
         indistinct_names, warp = cv2.findTransformECC(
             first, second, np.eye(2, 3, dtype=np.float32), cv2.MOTION_TRANSLATION, criteria
-        )  # fmt: skip
+        )
     except cv2.error:  # it does not converge: no picture of one scene
         return None
-    return float(np.hypot(*warp[:, 2])) * width / before.shape[1] if indistinct_names > _LEAST_ALIKE else None
+    return (
+        float(np.hypot(*warp[:, 2])) * width / before.shape[1]
+        if indistinct_names > _LEAST_ALIKE
+        else None
+    )
 
 
 def _with_judgement(found: Estimate, one: CameraJudgement, learned: BodyModel) -> Estimate:
@@ -267,15 +307,25 @@ def _with_judgement(found: Estimate, one: CameraJudgement, learned: BodyModel) -
     settings[MEASURED_DELAYS] = {**settings.get(MEASURED_DELAYS, {}), one.camera: measured}
     if evident:
         applied = settings.get("delay", {})
-        settings["delay"] = {**(applied if isinstance(applied, Mapping) else {}), one.camera: seconds}
+        settings["delay"] = {
+            **(applied if isinstance(applied, Mapping) else {}),
+            one.camera: seconds,
+        }
     names = {joint: name for name, joint in learned.surface.joint_of.items()}
     blind = [name for name in learned.joints if name not in one.identifiable]
     findings = list(found.findings)
     if blind:
-        findings.append(Finding("info", f"{one.camera}: offsets not identifiable: {', '.join(blind)}"))
-    settings[LEAST_OFFSETS] = _smallest_shown_offsets(one, learned, names, settings.get(LEAST_OFFSETS, {}))
+        findings.append(
+            Finding("info", f"{one.camera}: offsets not identifiable: {', '.join(blind)}")
+        )
+    settings[LEAST_OFFSETS] = _smallest_shown_offsets(
+        one, learned, names, settings.get(LEAST_OFFSETS, {})
+    )
     if one.shift is not None and one.shift > _SAME_PICTURE_PX:
-        text = f"its still scene lies {one.shift:.1f} px beside that of the body: scene or camera moved"
+        text = (
+            f"its still scene lies {one.shift:.1f} px beside that of the body: scene or camera "
+            "moved"
+        )
         findings.append(Finding("info", f"{one.camera}: {text}"))
     fault, change = _winning_fault(one, found, learned)
     result = replace(found, settings=settings, findings=tuple(findings))
@@ -288,7 +338,9 @@ def _with_judgement(found: Estimate, one: CameraJudgement, learned: BodyModel) -
 def _smallest_shown_offsets(
     one: CameraJudgement, learned: BodyModel, names: Mapping[str, str], by_others: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The smallest offset of each joint that any camera would show: {"value", "unit"}; None where none would."""
+    """The smallest offset of each joint that any camera
+    would show: {"value", "unit"}; None where none would.
+    """
     shown = {
         names[change.name]: {
             "value": _least_offset(change),
@@ -310,7 +362,9 @@ def _least_offset(change: "ChangeHypothesis") -> float:
     return max(LEAST_SIGMA * change.std, LEAST_OFFSET * (0.1 if slides else 1.0))
 
 
-def _winning_fault(one: CameraJudgement, found: Estimate, learned: BodyModel) -> "tuple[Fault | None, ChangeHypothesis | None]":
+def _winning_fault(
+    one: CameraJudgement, found: Estimate, learned: BodyModel
+) -> "tuple[Fault | None, ChangeHypothesis | None]":
     """The fault that wins, if one does, and the change where its size is known."""
     from .kinematics.landmark_hypotheses import CAMERA, SOUND
 
@@ -321,10 +375,21 @@ def _winning_fault(one: CameraJudgement, found: Estimate, learned: BodyModel) ->
         return None, None
     names = {joint: name for name, joint in learned.surface.joint_of.items()}
     since = float(found.joints.t[0])
-    indistinct_changes = [change for change in one.changes if change.name != SOUND and best.nats - change.nats < MARGIN_NATS]
+    indistinct_changes = [
+        change
+        for change in one.changes
+        if change.name != SOUND and best.nats - change.nats < MARGIN_NATS
+    ]
     if len(indistinct_changes) > 1:
         indistinct_names = [names.get(change.name, one.camera) for change in indistinct_changes]
-        return Fault("encoders", ALTERNATIVE_SEPARATOR.join(indistinct_names), "offset", since, float("nan"), "rad"), None
+        return Fault(
+            "encoders",
+            ALTERNATIVE_SEPARATOR.join(indistinct_names),
+            "offset",
+            since,
+            float("nan"),
+            "rad",
+        ), None
     if best.name == CAMERA:
         return Fault("vision", one.camera, "moved", since, float("nan"), "m"), None
     if abs(best.value) < _least_offset(best) or names[best.name] not in one.identifiable:
@@ -338,7 +403,8 @@ def _subtract_joint_offset(found: Estimate, fault: Fault) -> Estimate:
     """The estimate with a joint's offset subtracted, and its variance added."""
     assert fault.std is not None
     joint = found.joints.names.index(fault.name)
-    values, cov = found.joints.values.copy(), found.cov.copy()
+    values = found.joints.values.copy()
+    cov = found.cov.copy()
     values[:, joint] -= fault.size
     cov[:, joint, joint] += fault.std**2
     return replace(found, joints=replace(found.joints, values=values), cov=cov)

@@ -1,4 +1,6 @@
-"""Judge a log by the robot's own surface, for `doctor LOG --urdf ROBOT.urdf`: delay, lens, row time, joint zeros."""
+"""Judge a log by the robot's own surface, for `doctor LOG
+--urdf ROBOT.urdf`: delay, lens, row time, joint zeros.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -26,14 +28,18 @@ def examine_delays(log: Path, body: BodyModel | None, settings: Settings) -> Exa
 
 
 def examine_by_surface(log: Path, settings: Settings) -> ExaminedDelays:
-    """Calibrate each camera of a log by the surface and judge the log with that; a finding where that cannot be.
+    """Calibrate each camera of a log by the surface and
+    judge the log with that; a finding where that cannot be.
 
     ModelError where the URDF has no joint of the log.
     """
     from .recording import recording
 
-    read = middle_of_recording(recording.read_recording(log, settings, settings.input.strict), LONGEST_S, MOST_IMAGES)
-    scores, findings = list[Score](), list[Finding]()
+    read = middle_of_recording(
+        recording.read_recording(log, settings, settings.input.strict), LONGEST_S, MOST_IMAGES
+    )
+    scores = list[Score]()
+    findings = list[Finding]()
     try:
         for one in calibrate_cameras([(log, read)], settings):
             if isinstance(one, EvidenceError):
@@ -47,7 +53,9 @@ def examine_by_surface(log: Path, settings: Settings) -> ExaminedDelays:
 
 
 def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedDelays:
-    """Judge a log by a body of the robot's surface: delays, and what differs from the logs it was learned from."""
+    """Judge a log by a body of the robot's surface: delays,
+    and what differs from the logs it was learned from.
+    """
     from .fault_findings import fault_warnings
     from .joints_only import read_joints_alone
     from .surface_estimate import estimate_by_surface
@@ -57,18 +65,24 @@ def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedD
     from .evaluation.figures import list_delays
 
     all_findings = (*found.findings, *fault_warnings(found.faults))
-    return ExaminedDelays(tuple(list_delays(found)), tuple(Finding(one.severity, f"{log}: {one.text}") for one in all_findings))
+    return ExaminedDelays(
+        tuple(list_delays(found)),
+        tuple(Finding(one.severity, f"{log}: {one.text}") for one in all_findings),
+    )
 
 
 def scores_of(one: SurfaceCalibration) -> Iterator[Score]:
-    """Delay, row time, focal length and zeros with their deviations; the delay is the first log's."""
+    """Delay, row time, focal length and zeros with
+    their deviations; the delay is the first log's.
+    """
     import numpy as np
 
     from .body.kinematic.scores import zero_scores
     from .kinematics.identifiability import joint_zeros
 
     name = one.camera or "camera"
-    fit, std = one.fit, np.sqrt(np.diag(one.covariance))
+    fit = one.fit
+    std = np.sqrt(np.diag(one.covariance))
     model = fit.model
     row = model.of_row_time
     focal = float(np.exp(fit.phi[6]))
@@ -84,30 +98,40 @@ def scores_of(one: SurfaceCalibration) -> Iterator[Score]:
 
 
 def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
-    """What a calibration tells in sentences: delay, row time, lens, zeros, and what it does not tell."""
+    """What a calibration tells in sentences: delay,
+    row time, lens, zeros, and what it does not tell.
+    """
     import numpy as np
 
     from .estimation.timing.correction import describe_delay
-    from .kinematics.identifiability import joint_zeros, describe_unidentified
+    from .kinematics.identifiability import describe_unidentified, joint_zeros
 
     name = one.camera or "camera"
-    fit, std = one.fit, np.sqrt(np.diag(one.covariance))
+    fit = one.fit
+    std = np.sqrt(np.diag(one.covariance))
     model = fit.model
-    links = len({int(body) for body in fit.landmarks.body if len(model.bodies[int(body)].chain.column)})
+    links = len(
+        {int(body) for body in fit.landmarks.body if len(model.bodies[int(body)].chain.column)}
+    )
     used = f"{len(fit.used)} of {one.moving} moving corners lie on"
     if one.landmarks is not None:
         used = f"{one.landmarks.count} landmarks are found again and again on"
     text = f"{used} {links} links, {fit.error_px:.2f} px off per axis"
     yield Finding("info", f"{name}: {text}")
-    delay, error = float(one.delays[0]), float(one.delay_std[0])
+    delay = float(one.delays[0])
+    error = float(one.delay_std[0])
     words = f"{name}: {describe_delay(delay, error)}, by the robot's surface"
     if abs(delay) > max(SIGNIFICANT_SIGMA * error, LATE_S):
         yield Finding("warning", f"{words}; fit and estimate measure and correct it")
     else:
         yield Finding("info", f"{words}; not significant")
-    row, row_error = float(fit.phi[model.of_row_time]), float(std[model.of_row_time])
+    row = float(fit.phi[model.of_row_time])
+    row_error = float(std[model.of_row_time])
     if abs(row) > SIGNIFICANT_SIGMA * row_error:
-        yield Finding("info", f"{name}: a rolling shutter takes {1e3 * row:.0f} ± {1e3 * row_error:.0f} ms an image")
+        yield Finding(
+            "info",
+            f"{name}: a rolling shutter takes {1e3 * row:.0f} ± {1e3 * row_error:.0f} ms an image",
+        )
     focal = float(np.exp(fit.phi[6]))
     yield Finding("info", f"{name}: focal length {focal:.0f} ± {focal * float(std[6]):.0f} px")
     found = joint_zeros(model.rig, fit.phi, one.covariance)

@@ -1,4 +1,6 @@
-"""The map of a robot's surface: landmarks that are found again in images by how they look, where they are foretold."""
+"""The map of a robot's surface: landmarks that are found
+again in images by how they look, where they are foretold.
+"""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -14,13 +16,17 @@ if TYPE_CHECKING:
     from .kinematics.landmarks import LandmarkModel, LandmarkSightings
 
 MOST_KEY_FRAMES = 80
-"""Images of a log in which landmarks are looked for, evenly spread: memory does not grow with the film."""
+"""Images of a log in which landmarks are looked for,
+evenly spread: memory does not grow with the film.
+"""
 MOST_KEPT_FRAMES = 240
 """Images of all logs together."""
 MOST_LANDMARKS = 200
 _MOST_VIEWS = 3
 _PASSES = ((10, 3), (6, 1), (5, 1))
-"""Reach in px and stride over the images of each look: ever nearer to where a better model foretells."""
+"""Reach in px and stride over the images of each
+look: ever nearer to where a better model foretells.
+"""
 _LEAST_FOUND = 5
 """Sightings of a landmark that is kept."""
 _LEAST_SHARE = 0.35
@@ -43,7 +49,8 @@ class KeyFrames:
 
 @dataclass(frozen=True, eq=False)
 class FoundAgain:
-    """Sightings of a map's landmarks, as rows by landmark, log and time, and how often each could have been found (K,).
+    """Sightings of a map's landmarks, as rows by landmark, log
+    and time, and how often each could have been found (K,).
 
     numbers (k,): the landmarks that were found, in the order of the rows' pieces.
     """
@@ -53,7 +60,9 @@ class FoundAgain:
     possible: Array
 
 
-def key_frames(film: Callable[[], Iterable[LazyImage]], t: Array, most: int = MOST_KEY_FRAMES) -> KeyFrames:
+def key_frames(
+    film: Callable[[], Iterable[LazyImage]], t: Array, most: int = MOST_KEY_FRAMES
+) -> KeyFrames:
     """At most `most` of the images at t (N,) s."""
     import numpy as np
 
@@ -80,7 +89,9 @@ def find_again(
     reach_px: int,
     every: int = 1,
 ) -> FoundAgain | None:
-    """Look for landmarks within reach_px of where φ foretells them, in every n-th image; None where none is found."""
+    """Look for landmarks within reach_px of where φ foretells
+    them, in every n-th image; None where none is found.
+    """
     import numpy as np
 
     from .kinematics.landmark_map import LEAST_FACING, foretell, nearest_views, view_maps
@@ -88,7 +99,8 @@ def find_again(
     from .perception.surface.patches import match_templates, warp_patches
 
     height = next(image.shape[0] for key in keys for image in key.images)
-    rows, possible = list[Array](), np.zeros(known.count, int)
+    rows = list[Array]()
+    possible = np.zeros(known.count, int)
     for log, key in enumerate(keys):
         there = foretell(model, phi, landmarks, key.t, log, height)
         for number in range(0, len(key.t), every):
@@ -96,37 +108,57 @@ def find_again(
             some = np.flatnonzero((facing >= LEAST_FACING) & there.front[:, number])
             maps = view_maps(there.by_place[some, number], known.view_slopes[views[some]])
             templates, fit = warp_patches(known.patches[views[some]], maps)
-            some, templates = some[fit], templates[fit]
-            found = match_templates(key.images[number], templates, there.image[some, number], reach_px)
+            some = some[fit]
+            templates = templates[fit]
+            found = match_templates(
+                key.images[number], templates, there.image[some, number], reach_px
+            )
             possible[some[found.score > -1.0]] += 1
             sure = np.flatnonzero(found.sure)
-            rows.append(np.column_stack([some[sure], np.full((len(sure), 2), [log, key.t[number]]), found.uv[sure]]))
+            rows.append(
+                np.column_stack(
+                    [some[sure], np.full((len(sure), 2), [log, key.t[number]]), found.uv[sure]]
+                )
+            )
     table = np.concatenate(rows)
     if not len(table):
         return None
     table = table[np.lexsort((table[:, 2], table[:, 1], table[:, 0]))]
     numbers, piece = np.unique(table[:, 0].astype(int), return_inverse=True)
-    seen = LandmarkSightings(piece.reshape(-1), table[:, 1].astype(int), table[:, 2], table[:, 3:5], height)
+    seen = LandmarkSightings(
+        piece.reshape(-1), table[:, 1].astype(int), table[:, 2], table[:, 3:5], height
+    )
     return FoundAgain(seen, numbers, possible)
 
 
 def refine(
-    model: "LandmarkModel", phi: Array, free: Array, known: "LandmarkMap", landmarks: "Landmarks",
-    keys: Sequence[KeyFrames], passes: Sequence[tuple[int, int]] = _PASSES,
-) -> "tuple[LandmarkFit, Array] | None":  # fmt: skip
-    """Adjust from landmarks found again alone: the fit, and which landmarks (k,) it uses; None without enough."""
+    model: "LandmarkModel",
+    phi: Array,
+    free: Array,
+    known: "LandmarkMap",
+    landmarks: "Landmarks",
+    keys: Sequence[KeyFrames],
+    passes: Sequence[tuple[int, int]] = _PASSES,
+) -> "tuple[LandmarkFit, Array] | None":
+    """Adjust from landmarks found again alone: the fit,
+    and which landmarks (k,) it uses; None without enough.
+    """
     import numpy as np
 
     from .kinematics.landmark_adjustment import adjust_landmarks
     from .kinematics.landmark_fit import LEAST_PIECES, LandmarkFit
 
-    kept, result = np.arange(known.count), None
+    kept = np.arange(known.count)
+    result = None
     for reach, every in passes:
         found = find_again(model, phi, known.take(kept), landmarks, keys, reach, every)
         if found is None:
             return None
-        often = found.seen.lengths >= np.maximum(_LEAST_FOUND, _LEAST_SHARE * found.possible[found.numbers])
-        seen, numbers = found.seen.take(np.flatnonzero(often)), found.numbers[often]
+        often = found.seen.lengths >= np.maximum(
+            _LEAST_FOUND, _LEAST_SHARE * found.possible[found.numbers]
+        )
+        seen = found.seen.take(np.flatnonzero(often))
+        numbers = found.numbers[often]
         for _ in range(_ROUNDS):
             if len(numbers) < LEAST_PIECES:
                 return None
@@ -136,8 +168,10 @@ def refine(
             landmarks = _with_places(landmarks, numbers, placed.places)
             if len(good) == len(numbers):
                 break
-            seen, numbers = seen.take(good), numbers[good]
-        kept, landmarks = kept[numbers], landmarks.take(numbers)
+            seen = seen.take(good)
+            numbers = numbers[good]
+        kept = kept[numbers]
+        landmarks = landmarks.take(numbers)
     return result
 
 
@@ -155,19 +189,22 @@ def _with_places(landmarks: "Landmarks", numbers: Array, places: Array) -> "Land
 
 
 def build_map(
-    fit: "LandmarkFit", seen: "LandmarkSightings", films: Sequence[tuple[Callable[[], Iterable[LazyImage]], Array]]
+    fit: "LandmarkFit",
+    seen: "LandmarkSightings",
+    films: Sequence[tuple[Callable[[], Iterable[LazyImage]], Array]],
 ) -> "tuple[LandmarkFit, LandmarkMap] | None":
     """Find the landmarks of a fit again in its logs' films, and adjust from these sightings alone.
 
-    seen: all moving pieces · films: of each log the frames, and the times (N,) s of its tracked images. None where too
-    few landmarks are found again.
+    seen: all moving pieces · films: of each log the frames, and the times (N,) s of its tracked
+    images. None where too few landmarks are found again.
     """
     import numpy as np
 
     from .kinematics.landmark_adjustment import Landmarks, assign_pieces
     from .kinematics.landmark_fit import explained_pieces
 
-    model, phi = fit.model, fit.phi
+    model = fit.model
+    phi = fit.phi
     most = min(MOST_KEY_FRAMES, max(MOST_KEPT_FRAMES // len(films), 20))
     keys = [key_frames(film, t, most) for film, t in films]
     chosen = assign_pieces(model, phi, seen.thinned(2))
@@ -185,7 +222,9 @@ def build_map(
         return None
     found, _ = refined
     apart = distinct_landmarks(found)
-    second = _with_views(model, found.phi, found.seen.take(apart), found.landmarks.take(apart), keys)
+    second = _with_views(
+        model, found.phi, found.seen.take(apart), found.landmarks.take(apart), keys
+    )
     if second is None:
         return None
     known, landmarks = second
@@ -200,18 +239,24 @@ def _map_of(fit: "LandmarkFit", known: "LandmarkMap") -> "LandmarkMap":
     """The map with places, and what they depend on, from a fit."""
     import numpy as np
 
-    reduced, model = fit.reduced, fit.model
+    reduced = fit.reduced
+    model = fit.model
     delays = np.arange(model.of_delays.start, model.of_delays.stop)
     shared = np.setdiff1d(np.arange(len(fit.phi)), delays)
     slopes = -np.linalg.solve(reduced.place_matrix, reduced.cross[..., shared] * fit.free[shared])
-    return replace(known, places=fit.landmarks.places, precision=reduced.place_matrix, slopes=slopes)
+    return replace(
+        known, places=fit.landmarks.places, precision=reduced.place_matrix, slopes=slopes
+    )
 
 
 def distinct_landmarks(fit: "LandmarkFit") -> Array:
-    """Numbers of the landmarks that lie apart from every other one of their link that is seen more often."""
+    """Numbers of the landmarks that lie apart from every
+    other one of their link that is seen more often.
+    """
     import numpy as np
 
-    seen, landmarks = fit.seen, fit.landmarks
+    seen = fit.seen
+    landmarks = fit.landmarks
     predicted = fit.model.predict(fit.phi, seen, landmarks.body, landmarks.places)
     depth = seen.sums(predicted.depth) / seen.lengths
     apart = _APART_PX * depth / float(np.exp(fit.phi[6]))
@@ -227,9 +272,15 @@ def distinct_landmarks(fit: "LandmarkFit") -> Array:
 
 
 def _with_views(
-    model: "LandmarkModel", phi: Array, seen: "LandmarkSightings", landmarks: "Landmarks", keys: Sequence[KeyFrames]
+    model: "LandmarkModel",
+    phi: Array,
+    seen: "LandmarkSightings",
+    landmarks: "Landmarks",
+    keys: Sequence[KeyFrames],
 ) -> "tuple[LandmarkMap, Landmarks] | None":
-    """A map of the landmarks with views from where they were seen, as differently as can be; None without any."""
+    """A map of the landmarks with views from where they
+    were seen, as differently as can be; None without any.
+    """
     import numpy as np
 
     from .body_model import LandmarkMap
@@ -239,9 +290,15 @@ def _with_views(
     predicted = model.predict(phi, seen, landmarks.body, landmarks.places)
     directions = looking(predicted.by_place)
     image_of = [dict(zip(key.t.tolist(), key.images, strict=True)) for key in keys]
-    view_of, patches, slopes = list[int](), list[Array](), list[Array]()
-    for number, (begin, length) in enumerate(zip(seen.begins.tolist(), seen.lengths.tolist(), strict=True)):
-        rows = [row for row in range(begin, begin + length) if seen.t[row] in image_of[seen.log[row]]]
+    view_of = list[int]()
+    patches = list[Array]()
+    slopes = list[Array]()
+    for number, (begin, length) in enumerate(
+        zip(seen.begins.tolist(), seen.lengths.tolist(), strict=True)
+    ):
+        rows = [
+            row for row in range(begin, begin + length) if seen.t[row] in image_of[seen.log[row]]
+        ]
         for row in _spread_rows(rows, directions):
             patch = cut_patch(image_of[seen.log[row]][seen.t[row]], seen.uv[row])
             if patch is not None:
@@ -251,16 +308,24 @@ def _with_views(
     if not view_of:
         return None
     numbers, place = np.unique(view_of, return_inverse=True)
-    count, unknowns = len(numbers), len(phi)
+    count = len(numbers)
+    unknowns = len(phi)
     known = LandmarkMap(
-        landmarks.body[numbers], landmarks.places[numbers], np.zeros((count, 3, 3)), np.zeros((count, 3, unknowns)),
-        place.reshape(-1), np.array(patches), np.array(slopes),
-    )  # fmt: skip
+        landmarks.body[numbers],
+        landmarks.places[numbers],
+        np.zeros((count, 3, 3)),
+        np.zeros((count, 3, unknowns)),
+        place.reshape(-1),
+        np.array(patches),
+        np.array(slopes),
+    )
     return known, landmarks.take(numbers)
 
 
 def _spread_rows(rows: Sequence[int], directions: Array) -> list[int]:
-    """At most _MOST_VIEWS of the rows, the middle one and those that look from farthest away of the ones before."""
+    """At most _MOST_VIEWS of the rows, the middle one and
+    those that look from farthest away of the ones before.
+    """
     import numpy as np
 
     if not rows:

@@ -1,8 +1,8 @@
 """The records that flow between stages: frozen dataclasses of arrays, nothing else.
 
-Times `t` are float64 seconds since the recording's `start_ns`. A NaN row means: looked, saw nothing.
-`source_ns` is the int64 log time (ns) of the message that brought a row, so that what is derived
-from it can be written back beside it.
+Times `t` are float64 seconds since the recording's `start_ns`. A NaN row means: looked, saw
+nothing. `source_ns` is the int64 log time (ns) of the message that brought a row, so that what is
+derived from it can be written back beside it.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -24,7 +24,9 @@ Board = tuple[tuple[str, ...], Array]
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """One signal: t (N,) s · values (N,D) in `unit` · names (D,) · source_ns (N,) · std (N,D) in `unit`, or None."""
+    """One signal: t (N,) s · values (N,D) in `unit` · names
+    (D,) · source_ns (N,) · std (N,D) in `unit`, or None.
+    """
 
     t: Array
     values: Array
@@ -36,9 +38,11 @@ class Series:
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """A frame's poses in another: t (N,) s · place (N,3) m · turn (N,4) quaternion x, y, z, w · source_ns (N,).
+    """A frame's poses in another: t (N,) s · place (N,3)
+    m · turn (N,4) quaternion x, y, z, w · source_ns (N,).
 
-    cov (N,6,6) of place, m, and of a small turn about the other frame's axes, rad; None where it is not known.
+    cov (N,6,6) of place, m, and of a small turn about the
+    other frame's axes, rad; None where it is not known.
     """
 
     t: Array
@@ -51,7 +55,9 @@ class Poses:
 
 @dataclass(frozen=True)
 class Health:
-    """What became of one topic's messages: counts, the reasons for rejection, the largest gap in s."""
+    """What became of one topic's messages: counts,
+    the reasons for rejection, the largest gap in s.
+    """
 
     seen: int
     used: int
@@ -69,14 +75,19 @@ class FrameConsumer(Protocol):
         """Return the consumer."""
 
     def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """End after the last image."""
 
 
 @dataclass(frozen=True, eq=False)
 class ConsumedFrames:
-    """Frames that a consumer got during reading: t (n,) s · source_ns (n,) · number (n,) of each in file order."""
+    """Frames that a consumer got during reading: t (n,) s
+    · source_ns (n,) · number (n,) of each in file order.
+    """
 
     t: Array
     source_ns: Array
@@ -86,7 +97,9 @@ class ConsumedFrames:
 
 @dataclass(frozen=True)
 class Touch:
-    """One touch on the skin: onset, offset (s) · cell indices · peak in 0..1 · strongest cell · log time of onset."""
+    """One touch on the skin: onset, offset (s) · cell indices
+    · peak in 0..1 · strongest cell · log time of onset.
+    """
 
     onset: float
     offset: float
@@ -98,7 +111,9 @@ class Touch:
 
 @dataclass(frozen=True)
 class Stroke:
-    """One contact stroke of the other's hand: start, end (s) and where it began and ended (u, v px)."""
+    """One contact stroke of the other's hand: start,
+    end (s) and where it began and ended (u, v px).
+    """
 
     start: float
     end: float
@@ -108,9 +123,11 @@ class Stroke:
 
 @dataclass(frozen=True)
 class Synchrony:
-    """How well a touch agrees with a stroke: delay = seen − felt (s), weight 0..1; unpaired: None, NaN, 0.
+    """How well a touch agrees with a stroke: delay =
+    seen − felt (s), weight 0..1; unpaired: None, NaN, 0.
 
-    common_cause: probability that both are one event at one place; 1 where that is taken for granted.
+    common_cause: probability that both are one event
+    at one place; 1 where that is taken for granted.
     """
 
     touch: int
@@ -127,13 +144,15 @@ class Synchrony:
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What perception found: tracks (name -> Series of u, v in px with std), touches, strokes, synchrony.
+    """What perception found: tracks (name -> Series of
+    u, v in px with std), touches, strokes, synchrony.
 
-    `touches` is None when there was no skin to look at. `effector` and `hand` are the tracks of those names.
-    `picture_size` is (width, height) in px where it is known; `reference` the true angles where a log to learn from
-    has them; `cameras` {camera: topic} whose pictures the tracks are of, "" the first one; `boards` {feature: (track
-    names (K,), (K,3) m)} the tracks that lie on one rigid thing, and where on it. `poses`: rows are still poses that
-    say nothing of each other: no motion joins them. `beside`: joints of further topics that nobody named.
+    `touches` is None when there was no skin to look at. `effector` and `hand` are the tracks of
+    those names. `picture_size` is (width, height) in px where it is known; `reference` the true
+    angles where a log to learn from has them; `cameras` {camera: topic} whose pictures the tracks
+    are of, "" the first one; `boards` {feature: (track names (K,), (K,3) m)} the tracks that lie on
+    one rigid thing, and where on it. `poses`: rows are still poses that say nothing of each other:
+    no motion joins them. `beside`: joints of further topics that nobody named.
     """
 
     joints: Series | None
@@ -163,14 +182,17 @@ class Features:
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One log: signals, and frames() as a lazy iterator in time order; `features` if the log already carries them.
+    """One log: signals, and frames() as a lazy iterator in
+    time order; `features` if the log already carries them.
 
-    `views` {name: frames} are the cameras beside the first; what they show is named name/feature. `reference` is
-    what robot.toml names as the true angles to learn from; `truth` is for scores alone. `settings` are those it was
-    read with. `consumed` are the first camera's frames, if a consumer got them during reading. `poses`: the
-    joints are still poses, one independent of the other. `beside`: joints of further topics that nobody named.
-    `truth_pose`: the effector's true poses, for scores alone.
-    `tracks` and `track_health` {feature: …} are those of [features] that topics or tables have.
+    `views` {name: frames} are the cameras beside the first; what they show is named
+    name/feature. `reference` is what robot.toml names as the true angles to learn from;
+    `truth` is for scores alone. `settings` are those it was read with. `consumed` are
+    the first camera's frames, if a consumer got them during reading. `poses`: the
+    joints are still poses, one independent of the other. `beside`: joints of further
+    topics that nobody named. `truth_pose`: the effector's true poses, for scores alone.
+    `tracks` and `track_health` {feature: …} are those of [features] that topics or
+    tables have.
     """
 
     name: str
@@ -203,10 +225,12 @@ ALTERNATIVE_SEPARATOR = " or "
 
 @dataclass(frozen=True)
 class Fault:
-    """One sensor that lied: which joint or sense, what kind, since when (s), how much ± std (`unit`, None: unknown).
+    """One sensor that lied: which joint or sense, what kind,
+    since when (s), how much ± std (`unit`, None: unknown).
 
-    until: when it ended (s); None where it lasts to the end of the log, or has no end, as a jump.
-    turn ± turn_std: rad by which a board also turned, whose size is the displacement of its centre; None otherwise.
+    until: when it ended (s); None where it lasts to the end of the log,
+    or has no end, as a jump. turn ± turn_std: rad by which a board also
+    turned, whose size is the displacement of its centre; None otherwise.
     """
 
     sense: str
@@ -228,8 +252,8 @@ class Fault:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One explanation that was weighed: its name, what it is about, ln evidence gained over the simpler one (nats),
-    the threshold it had to win (nats), and whether it was chosen."""
+    """One explanation that was weighed: its name, what it is about, ln evidence gained over the
+    simpler one (nats), the threshold it had to win (nats), and whether it was chosen."""
 
     name: str
     about: str
@@ -242,9 +266,10 @@ class Hypothesis:
 class Capabilities:
     """What the method of an estimate can do; the defaults are those of a filter.
 
-    causal: it uses nothing from after the time of an estimate · moves: between measurements the belief moves on with
-    its rate · density: its free energy is the negative logarithm of a normalised density of all measurements ·
-    learns_noise: from the log · repairs: it takes out what faulty encoders measured · from_paper: the paper has it.
+    causal: it uses nothing from after the time of an estimate · moves: between measurements the
+    belief moves on with its rate · density: its free energy is the negative logarithm of a
+    normalised density of all measurements · learns_noise: from the log · repairs: it takes out what
+    faulty encoders measured · from_paper: the paper has it.
     """
 
     causal: bool = True
@@ -256,17 +281,21 @@ class Capabilities:
 
 
 LASTING_ERROR = "lasting_error"
-"""Key of an estimate's settings for errors of encoders that last: std (rad), seconds, nats, nees_if_white."""
+"""Key of an estimate's settings for errors of encoders
+that last: std (rad), seconds, nats, nees_if_white.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """Where the body was: joints (N,M) rad, rate (N,M) rad/s, cov (N,M,M) rad², free energy (N,) nats.
+    """Where the body was: joints (N,M) rad, rate (N,M)
+    rad/s, cov (N,M,M) rad², free energy (N,) nats.
 
     errors {sense: Series in standard deviations at its times} · used {sense: Health} ·
-    predicted {track: Series px with std at the track's times} · predicted_cov {track: (K,2,2) px²} ·
-    bias (N,M) rad or None · faults · settings as resolved · can: what the method can do ·
-    effector: poses in the robot's base, where lengths are known in m · kinematic {track: px by kinematics alone}.
+    predicted {track: Series px with std at the track's times} · predicted_cov {track:
+    (K,2,2) px²} · bias (N,M) rad or None · faults · settings as resolved · can: what
+    the method can do · effector: poses in the robot's base, where lengths are known in
+    m · kinematic {track: px by kinematics alone}.
     """
 
     method: str

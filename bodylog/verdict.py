@@ -5,7 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from .evaluation.figures import OFF_FROM_START_S, LEAST_OFFSETS, MEASURED_DELAYS, MISFIT, doubtful_delays
+from .evaluation.figures import (
+    LEAST_OFFSETS,
+    MEASURED_DELAYS,
+    MISFIT,
+    OFF_FROM_START_S,
+    doubtful_delays,
+)
 from .fault_findings import span_text
 from .score_names import split_score_name
 from .types import ALTERNATIVE_SEPARATOR, LASTING_ERROR, Estimate, Fault, Score
@@ -20,33 +26,58 @@ _SHORTEST_DELAY = 1e-3
 
 
 def verdict_of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, ...]:
-    """Faults, camera delays, senses without a fault, and the error, or the error bars where there is no truth.
+    """Faults, camera delays, senses without a fault, and
+    the error, or the error bars where there is no truth.
 
     Of a log that does not fit the body, that alone.
     """
     if MISFIT in found.settings:
         return (str(found.settings[MISFIT]["text"]),)
     faults = [_fault_sentence(fault) for fault in found.faults]
-    sure = (*_first_lines(faults, "faults"), *_delay_sentences(found), *_lasting_error_sentences(found))
+    sure = (
+        *_first_lines(faults, "faults"),
+        *_delay_sentences(found),
+        *_lasting_error_sentences(found),
+    )
     return (*sure, _agreement_sentence(found), *_error_sentences(found, scores))
 
 
 def verdict_of_body(
-    joints: Sequence[str], scores: Sequence[Score], placements: Sequence[str] = (), others: Sequence[str] = ()
+    joints: Sequence[str],
+    scores: Sequence[Score],
+    placements: Sequence[str] = (),
+    others: Sequence[str] = (),
 ) -> tuple[str, ...]:
-    """Joints and tracks learned, held-out errors, calibration, joint zeros, and errors on test logs.
+    """Joints and tracks learned, held-out errors,
+    calibration, joint zeros, and errors on test logs.
 
     placements: where cameras and markers are, in sentences · others: joints that were not learned.
     """
     values = {score.name: score.value for score in scores}
     left = f"; not over {', '.join(others)}; -v says why" if others else ""
     learned = f"learned over {_counted_noun(len(joints), 'joint')}: {', '.join(joints)}{left}"
-    errors = [_held_out_sentence(track, value, values) for track, value in _values_by_part(values, "rmse/held_out").items()]
-    offsets = [_zero_sentence(score, values) for score in scores if split_score_name(score.name)[0] == "offset"]
-    tests = [_test_log_sentence(track, value, values) for track, value in _values_by_part(values, "rmse/test").items()]
+    errors = [
+        _held_out_sentence(track, value, values)
+        for track, value in _values_by_part(values, "rmse/held_out").items()
+    ]
+    offsets = [
+        _zero_sentence(score, values)
+        for score in scores
+        if split_score_name(score.name)[0] == "offset"
+    ]
+    tests = [
+        _test_log_sentence(track, value, values)
+        for track, value in _values_by_part(values, "rmse/test").items()
+    ]
     wrong = [one for one in offsets if one]
     placed = _first_lines(placements, "cameras and markers")
-    return (learned, *_first_lines(errors, "tracks"), *placed, *_first_lines(wrong, "zeros", "; "), *tests[:1])
+    return (
+        learned,
+        *_first_lines(errors, "tracks"),
+        *placed,
+        *_first_lines(wrong, "zeros", "; "),
+        *tests[:1],
+    )
 
 
 def verdict_of_batch(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
@@ -61,7 +92,10 @@ def verdict_of_batch(rows: Sequence[Mapping[str, Any]]) -> tuple[str, ...]:
     if errors:
         worst = max(errors, key=lambda name: errors[name])
         middle = float(np.median(list(errors.values())))
-        lines.append(f"error (RMSE): median {_angle_text(middle)}, largest {_angle_text(errors[worst])} in {worst}")
+        lines.append(
+            f"error (RMSE): median {_angle_text(middle)}, largest "
+            f"{_angle_text(errors[worst])} in {worst}"
+        )
     return tuple(lines)
 
 
@@ -77,14 +111,24 @@ def _first_lines(lines: Sequence[str], what: str, joined: str | None = None) -> 
 
 def _values_by_part(values: Mapping[str, float], figure: str) -> dict[str, float]:
     """The scores of one figure by part."""
-    return {split_score_name(name)[1]: value for name, value in values.items() if split_score_name(name)[0] == figure}
+    return {
+        split_score_name(name)[1]: value
+        for name, value in values.items()
+        if split_score_name(name)[0] == figure
+    }
 
 
 def _fault_sentence(fault: Fault) -> str:
     known = fault.size == fault.size
     size = quantity_text(fault.size, fault.std, fault.unit)
-    text = _WORDS.get((fault.sense, fault.kind), _other_fault_sentence)(fault, size, span_text(fault), known)
-    return text if known or ALTERNATIVE_SEPARATOR not in fault.name else f"{text} (the log cannot tell which)"
+    text = _WORDS.get((fault.sense, fault.kind), _other_fault_sentence)(
+        fault, size, span_text(fault), known
+    )
+    return (
+        text
+        if known or ALTERNATIVE_SEPARATOR not in fault.name
+        else f"{text} (the log cannot tell which)"
+    )
 
 
 def _drift_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
@@ -107,7 +151,11 @@ def _moved_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
         return f"{fault.name}: moved since the body was learned"
     if fault.unit == "rad":
         return f"{fault.name}: turned since the body was learned, by {size}"
-    turn = "" if fault.turn is None else f" and turned by {quantity_text(fault.turn, fault.turn_std, 'rad')}"
+    turn = (
+        ""
+        if fault.turn is None
+        else f" and turned by {quantity_text(fault.turn, fault.turn_std, 'rad')}"
+    )
     return f"{fault.name}: its centre moved since the body was learned, by {size}{turn}"
 
 
@@ -117,15 +165,19 @@ def _other_fault_sentence(fault: Fault, size: str, since: str, known: bool) -> s
 
 _WORDS: Mapping[tuple[str, str], Callable[[Fault, str, str, bool], str]] = {
     ("encoders", "drifting"): _drift_sentence,
-    ("encoders", "offset"): lambda f, size, since, known: f"{f.name}: encoder is off{f' by {size}' * known} {since}",
+    ("encoders", "offset"): lambda f, size, since, known: (
+        f"{f.name}: encoder is off{f' by {size}' * known} {since}"
+    ),
     ("encoders", "jumping"): _jump_sentence,
     ("encoders", "glitch"): _glitch_sentence,
     ("encoders", "frozen"): lambda f, size, since, known: f"{f.name}: encoder is frozen {since}",
     ("encoders", "dead"): lambda f, size, since, known: f"{f.name}: encoder is silent {since}",
     ("vision", "frozen"): lambda f, size, since, known: f"{f.name}: its images are frozen {since}",
-    ("vision", "displaced"): lambda f, size, since, known: f"{f.name}: camera moved {since}, by {size} in the image",
+    ("vision", "displaced"): lambda f, size, since, known: (
+        f"{f.name}: camera moved {since}, by {size} in the image"
+    ),
     ("vision", "moved"): _moved_sentence,
-}  # fmt: skip
+}
 
 
 def _delay_sentences(found: Estimate) -> Iterator[str]:
@@ -137,7 +189,10 @@ def _delay_sentences(found: Estimate) -> Iterator[str]:
             yield f"{camera}: timestamps are {abs(delay) * 1e3:.0f} ms {way}; corrected"
     for camera, delay, std, doubt in doubtful_delays(found):
         way = "late" if delay > 0 else "early"
-        yield f"{camera}: timestamps seem {abs(delay) * 1e3:.3g} ± {std * 1e3:.1g} ms {way}; not corrected: {doubt}"
+        yield (
+            f"{camera}: timestamps seem {abs(delay) * 1e3:.3g} ± {std * 1e3:.1g} ms {way}; not "
+            f"corrected: {doubt}"
+        )
 
 
 def _lasting_error_sentences(found: Estimate) -> Iterator[str]:
@@ -151,9 +206,17 @@ def _lasting_error_sentences(found: Estimate) -> Iterator[str]:
 
 def _agreement_sentence(found: Estimate) -> str:
     """The senses in which no fault is found, and which faults were not looked for."""
-    faulty = {name for fault in found.faults for name in (*fault.name.split(ALTERNATIVE_SEPARATOR), fault.name)}
+    faulty = {
+        name
+        for fault in found.faults
+        for name in (*fault.name.split(ALTERNATIVE_SEPARATOR), fault.name)
+    }
     tracks = [name for name, health in found.used.items() if health.used and name != "encoders"]
-    sound = [name for name in tracks if name not in faulty and (name.rpartition("/")[0] or "camera") not in faulty]
+    sound = [
+        name
+        for name in tracks
+        if name not in faulty and (name.rpartition("/")[0] or "camera") not in faulty
+    ]
     encoders = [name for name in found.joints.names if name not in faulty]
     if "encoders" in found.used and found.used["encoders"].used and encoders:
         sound.insert(0, _counted_noun(len(encoders), "encoder"))
@@ -163,14 +226,20 @@ def _agreement_sentence(found: Estimate) -> str:
         return f"{text}; {found.method} does not look for encoder offsets"
     if limits := found.settings.get(LEAST_OFFSETS):
         return f"{text}; {_least_offset_sentence(limits)}"
-    judged = isinstance(found.settings.get(MEASURED_DELAYS), Mapping) and found.settings[MEASURED_DELAYS]
-    return text if tracks or judged else f"{text}; without images, an encoder offset cannot be found"
+    judged = (
+        isinstance(found.settings.get(MEASURED_DELAYS), Mapping) and found.settings[MEASURED_DELAYS]
+    )
+    return (
+        text if tracks or judged else f"{text}; without images, an encoder offset cannot be found"
+    )
 
 
 def _least_offset_sentence(limits: Mapping[str, Any]) -> str:
     """Which offsets the robot's surface would not show: no error bar holds them."""
     shown = [
-        f"{joint} {quantity_text(float(one['value']), None, one['unit'])}" for joint, one in limits.items() if one
+        f"{joint} {quantity_text(float(one['value']), None, one['unit'])}"
+        for joint, one in limits.items()
+        if one
     ]
     blind = [joint for joint, one in limits.items() if not one]
     parts = [f"of {', '.join(blind)} none would be found"] if blind else []
@@ -182,7 +251,11 @@ def _least_offset_sentence(limits: Mapping[str, Any]) -> str:
 def _error_sentences(found: Estimate, scores: Sequence[Score]) -> Iterator[str]:
     values = {score.name: score.value for score in scores}
     if "rmse/joint" in values:
-        raw = f", raw encoders {_angle_text(values['rmse/encoders'])}" if "rmse/encoders" in values else ""
+        raw = (
+            f", raw encoders {_angle_text(values['rmse/encoders'])}"
+            if "rmse/encoders" in values
+            else ""
+        )
         covered = f"; 2σ covers {values['coverage_2sigma/joint']:.1f} % of the truth"
         yield f"error (RMSE) {_angle_text(values['rmse/joint'])}{raw}{covered}"
     elif bar := typical_error_bar(found):
@@ -214,7 +287,9 @@ def _held_out_sentence(track: str, value: float, values: Mapping[str, float]) ->
 
 
 def _error_bar_text(nis: float | None) -> str:
-    """How far error bars are from the errors that they are for, by the mean squared error in standard deviations."""
+    """How far error bars are from the errors that they are
+    for, by the mean squared error in standard deviations.
+    """
     if nis is None or not nis > 0.0:
         return ""
     factor = nis**-0.5

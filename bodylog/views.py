@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .body_model import BodyModel
-from .checks import require_distinct_paths, log_context
+from .checks import log_context, require_distinct_paths
 from .default_features import toml_line
 from .errors import EvidenceError, FormatError, LogError
 from .fault_findings import fault_warnings
@@ -20,7 +20,7 @@ from .io.remote import errors_about
 from .io.temporary import create_scratch_folder
 from .logs.protocol import Progress
 from .logs.topic_names import PREFIX
-from .pipeline import Result, diagnose_log, requested_folders, ingest, observe
+from .pipeline import Result, diagnose_log, ingest, observe, requested_folders
 from .result import NO_SCORES, Scores, estimate_result
 from .scoring import score_estimate
 from .settings import Settings, hand_colour, settings_as_values
@@ -30,13 +30,17 @@ from .written_messages import topic_of_role
 if TYPE_CHECKING:
     from .perception import Candidate
     from .perception.tracking.candidates import FeatureSurvey
-    from .report.figures.reprojection import ReprojectionSheet, JointZero
+    from .report.figures.reprojection import JointZero, ReprojectionSheet
     from .report.viewers.image_overlay import OverlayPicture
     from .report.viewers.rerun_recording import RerunCamera
 
 
-def draw_log_or_body(source: Path, out: Path, settings: Settings, progress: Progress | None = None) -> Result:
-    """Draw a body model (.npz), or any log: joints, pixels, skin, events and trajectories over time."""
+def draw_log_or_body(
+    source: Path, out: Path, settings: Settings, progress: Progress | None = None
+) -> Result:
+    """Draw a body model (.npz), or any log: joints,
+    pixels, skin, events and trajectories over time.
+    """
     from .report.figures import figures
 
     require_distinct_paths([source], [Output(out)], settings)
@@ -51,32 +55,45 @@ def draw_log_or_body(source: Path, out: Path, settings: Settings, progress: Prog
     with log_context(source):
         figures.recording_figure(read, features, out)
     health = {**read.health, **features.health}
-    return Result(out, NO_SCORES, health, (*read.findings, *features.findings), settings_as_values(settings))
+    return Result(
+        out, NO_SCORES, health, (*read.findings, *features.findings), settings_as_values(settings)
+    )
 
 
-def _reprojection_sheets(learned: BodyModel) -> "tuple[tuple[ReprojectionSheet, ...], tuple[JointZero, ...]]":
+def _reprojection_sheets(
+    learned: BodyModel,
+) -> "tuple[tuple[ReprojectionSheet, ...], tuple[JointZero, ...]]":
     """Reprojection sheets of a body learned with a URDF, and the joints' zeros."""
     from .body.kinematic.model import KinematicGP
     from .body.kinematic.offsets import learned_zeros as told
     from .body.kinematic.offsets import offsets_as_values as values
     from .report.figures import reprojection
 
-    senses = {name: sense for name, sense in learned.senses.items() if isinstance(sense, KinematicGP)}
+    senses = {
+        name: sense for name, sense in learned.senses.items() if isinstance(sense, KinematicGP)
+    }
     if not senses:
         return (), ()
     drawn = tuple(
-        reprojection.ReprojectionSheet(name, sense.targets, sense.kinematics(sense.samples), sense.means(sense.samples)[0])
+        reprojection.ReprojectionSheet(
+            name, sense.targets, sense.kinematics(sense.samples), sense.means(sense.samples)[0]
+        )
         for name, sense in senses.items()
     )
     return drawn, reprojection.parse_zeros(values(told(learned)))
 
 
 def write_report(
-    log: Path, out: Path, settings: Settings, figures: Path | None = None, progress: Progress | None = None
+    log: Path,
+    out: Path,
+    settings: Settings,
+    figures: Path | None = None,
+    progress: Progress | None = None,
 ) -> Result:
     """Write one HTML page about an annotated log; with `figures`, also image files in that folder.
 
-    `progress` is called after reading, after drawing the images, after the page and after the figures.
+    `progress` is called after reading, after drawing
+    the images, after the page and after the figures.
     """
     from .annotating import read_back
     from .report.page import page
@@ -92,7 +109,9 @@ def write_report(
     findings = (*read.findings, *fault_warnings(found.faults))
     result = estimate_result(out, found, score_estimate(found, read), found.used, findings)
     metadata = read_back.read_metadata(log)
-    page.write_report_page(out, found, features, read, result.scores, shown, metadata, result.verdict, result.headline)
+    page.write_report_page(
+        out, found, features, read, result.scores, shown, metadata, result.verdict, result.headline
+    )
     done(1)
     if figures is not None:
         _write_report_figures(figures, read, features, found, shown)
@@ -109,12 +128,20 @@ def write_viewer_layout(log: Path, out: Path, settings: Settings) -> Result:
     require_distinct_paths([log], [Output(out)], settings)
     read = recording.read_recording(log, settings, settings.input.strict)
     found = read_back.read_estimate(log, read.start_ns)
-    viewer.write_foxglove_layout(out, topic_of_role(read, "camera"), found, {name: _camera_topic(read, name) for name in read.views})
+    viewer.write_foxglove_layout(
+        out,
+        topic_of_role(read, "camera"),
+        found,
+        {name: _camera_topic(read, name) for name in read.views},
+    )
     return Result(out)
 
 
-def show_in_rerun(log: Path, out: Path | None, settings: Settings, progress: Progress | None = None) -> Result:
-    """A log as a Rerun recording with measurements and estimate over its images; without `out`, in a window.
+def show_in_rerun(
+    log: Path, out: Path | None, settings: Settings, progress: Progress | None = None
+) -> Result:
+    """A log as a Rerun recording with measurements and
+    estimate over its images; without `out`, in a window.
 
     `progress` is called when the log is readable for Rerun, converted, drawn over, and merged.
     """
@@ -142,7 +169,9 @@ def _ignore_progress(_: int) -> None:
     """No progress is shown."""
 
 
-def _write_rerun_recording(log: Path, source: Path, out: Path, settings: Settings, done: Progress) -> Result:
+def _write_rerun_recording(
+    log: Path, source: Path, out: Path, settings: Settings, done: Progress
+) -> Result:
     """The Rerun recording of `source`, a readable copy of `log`."""
     from .recording import recording
     from .report.viewers import rerun_process, rerun_recording
@@ -150,16 +179,28 @@ def _write_rerun_recording(log: Path, source: Path, out: Path, settings: Setting
     read = recording.read_recording(source, settings, settings.input.strict)
     found, findings = _read_estimate(log, source, read)
     cameras = _rerun_cameras(source, read)
-    drawn = partial(rerun_recording.write_companion, cameras=cameras, features=read.features, estimate=found, truth=read.truth)
+    drawn = partial(
+        rerun_recording.write_companion,
+        cameras=cameras,
+        features=read.features,
+        estimate=found,
+        truth=read.truth,
+    )
     with errors_about(source, str(log)):
-        unshown = rerun_process.merge_recording(source, out, f"{log.name} {read.start_ns}", drawn, done)
+        unshown = rerun_process.merge_recording(
+            source, out, f"{log.name} {read.start_ns}", drawn, done
+        )
     findings = (*read.findings, *findings, *_unshown_findings(log, unshown, cameras))
     scores = NO_SCORES if found is None else Scores(score_estimate(found, read))
     return Result(out, scores, findings=findings)
 
 
-def _ingest_refused_log(log: Path, out: Path, settings: Settings, refused: LogError) -> tuple[Path, tuple[Finding, ...]]:
-    """`ingest` a log that Rerun `refused`; raise that error where the result is empty, or an estimate is lost."""
+def _ingest_refused_log(
+    log: Path, out: Path, settings: Settings, refused: LogError
+) -> tuple[Path, tuple[Finding, ...]]:
+    """`ingest` a log that Rerun `refused`; raise that error
+    where the result is empty, or an estimate is lost.
+    """
     from .logs.formats import open_log
 
     with open_log(log, settings.input.strict, settings.input) as opened:
@@ -167,25 +208,36 @@ def _ingest_refused_log(log: Path, out: Path, settings: Settings, refused: LogEr
     with suppress(LogError):
         if not ours:
             lost = ingest(log, out, settings).findings
-            text = f"{str(refused).partition('; type: ')[0]}; its joints, skin and images alone are shown"
+            text = (
+                f"{str(refused).partition('; type: ')[0]}; its joints, skin and images alone are "
+                "shown"
+            )
             return out, (*lost, Finding("warning", text))
     raise refused
 
 
-def _unshown_findings(log: Path, unshown: Mapping[str, str], cameras: "Mapping[str, RerunCamera]") -> list[Finding]:
+def _unshown_findings(
+    log: Path, unshown: Mapping[str, str], cameras: "Mapping[str, RerunCamera]"
+) -> list[Finding]:
     """Warnings about entities that Rerun cannot show and that no camera replaces."""
     brought = {camera.entity for camera in cameras.values() if camera.frames is not None}
     left = {entity: why for entity, why in unshown.items() if entity not in brought}
-    return [Finding("warning", f"{log}: {name}: left out, Rerun cannot show it: {why}") for name, why in left.items()]
+    return [
+        Finding("warning", f"{log}: {name}: left out, Rerun cannot show it: {why}")
+        for name, why in left.items()
+    ]
 
 
 def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Finding, ...]]:
-    """A log that Rerun reads whole: the log itself if sound, else `out`: its sound part, or the result of ingest."""
+    """A log that Rerun reads whole: the log itself if sound,
+    else `out`: its sound part, or the result of ingest.
+    """
     from .logs.formats import open_log
     from .logs.mcap.records import is_mcap
 
     with open_log(log, settings.input.strict, settings.input) as opened:
-        kind, findings = opened.format, opened.findings
+        kind = opened.format
+        findings = opened.findings
     if kind != "mcap":
         return out, ingest(log, out, settings).findings
     if is_mcap(log) and all(finding.severity == "info" for finding in findings):
@@ -193,13 +245,19 @@ def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Find
     return out, diagnose_log(log, out).findings
 
 
-def _read_estimate(log: Path, source: Path, read: Recording) -> tuple[Estimate | None, tuple[Finding, ...]]:
+def _read_estimate(
+    log: Path, source: Path, read: Recording
+) -> tuple[Estimate | None, tuple[Finding, ...]]:
     """The estimate in a log, or None and a finding that says how to get one."""
     from .annotating import read_back
 
     if any(topic.name == f"{PREFIX}joint_covariance" for topic in read.topics):
         return read_back.read_estimate(source, read.start_ns), ()
-    return None, (Finding("info", f"no estimate in it; type: bodylog estimate {log} --body body.npz -o out.mcap"),)
+    return None, (
+        Finding(
+            "info", f"no estimate in it; type: bodylog estimate {log} --body body.npz -o out.mcap"
+        ),
+    )
 
 
 def _rerun_cameras(log: Path, read: Recording) -> "dict[str, RerunCamera]":
@@ -208,7 +266,11 @@ def _rerun_cameras(log: Path, read: Recording) -> "dict[str, RerunCamera]":
 
     frames = {"": read.frames, **read.views}
     topics = {name: _camera_topic(read, name) for name in frames}
-    return {name: RerunCamera(topic, _frame_id(log, topic), frames[name]) for name, topic in topics.items() if topic}
+    return {
+        name: RerunCamera(topic, _frame_id(log, topic), frames[name])
+        for name, topic in topics.items()
+        if topic
+    }
 
 
 def _camera_topic(read: Recording, camera: str) -> str:
@@ -217,12 +279,15 @@ def _camera_topic(read: Recording, camera: str) -> str:
 
 
 def _frame_id(log: Path, topic: str) -> str:
-    """The frame_id of a topic's first message, in its header or, as protobuf has it, beside it; "" without one."""
+    """The frame_id of a topic's first message, in its header
+    or, as protobuf has it, beside it; "" without one.
+    """
     from .logs.decode.columns import read_topic_columns
     from .logs.formats import open_log
 
     with open_log(log) as opened:
-        of = next(one for one in opened.topics if one.name == topic)  # two publishers may declare two schemas
+        # two publishers may declare two schemas
+        of = next(one for one in opened.topics if one.name == topic)
         for field in ("header.frame_id", "frame_id"):
             with suppress(FormatError, LogError, IndexError):  # no such field, or no message
                 return str(np.ravel(read_topic_columns(opened, of, (field,)).column(field))[0])
@@ -231,15 +296,21 @@ def _frame_id(log: Path, topic: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class FeatureCandidates:
-    """Candidates for features in a log, the likeliest on the arm first, as plain values; number of images searched."""
+    """Candidates for features in a log, the likeliest on the
+    arm first, as plain values; number of images searched.
+    """
 
     candidates: list[dict[str, Any]]
     images: int
     findings: tuple[Finding, ...]
 
 
-def find_feature_candidates(log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None) -> FeatureCandidates:
-    """Tags and colours in a log, and the share of motion that the joints explain; `out`: a contact sheet (PNG)."""
+def find_feature_candidates(
+    log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None
+) -> FeatureCandidates:
+    """Tags and colours in a log, and the share of motion
+    that the joints explain; `out`: a contact sheet (PNG).
+    """
     from .perception import survey_features
     from .recording import recording
     from .report.figures import contact_sheet
@@ -251,18 +322,27 @@ def find_feature_candidates(log: Path, out: Path | None, settings: Settings, eff
     with log_context(log):
         found = survey_features(read, hand_colour(settings, read.skin is not None), effector)
         if not found.candidates:
-            raise EvidenceError(f"no tag and no colour in {found.count} images; mount a printed tag: docs/recording.md")
+            raise EvidenceError(
+                f"no tag and no colour in {found.count} images; mount a printed tag: "
+                "docs/recording.md"
+            )
     boards, rest = _with_boards(found)
     offered = [*boards, *((_candidate_as_values(one, one is found.arm), one.track) for one in rest)]
     rows = [row for row, _ in offered]
     if out is not None:
-        marks = [contact_sheet.Mark(_candidate_caption(row), row["arm"], track) for row, track in offered]
+        marks = [
+            contact_sheet.Mark(_candidate_caption(row), row["arm"], track) for row, track in offered
+        ]
         image_overlay.write_png(contact_sheet.draw_contact_sheet(found.images, marks), out)
     return FeatureCandidates(rows, found.count, read.findings)
 
 
-def _with_boards(found: "FeatureSurvey") -> "tuple[list[tuple[dict[str, Any], Array]], list[Candidate]]":
-    """Each board as plain values with the track of its marker seen most often, and the candidates on no board."""
+def _with_boards(
+    found: "FeatureSurvey",
+) -> "tuple[list[tuple[dict[str, Any], Array]], list[Candidate]]":
+    """Each board as plain values with the track of its
+    marker seen most often, and the candidates on no board.
+    """
     from .sources import CharucoSource
 
     rest = list(found.candidates)
@@ -274,9 +354,14 @@ def _with_boards(found: "FeatureSurvey") -> "tuple[list[tuple[dict[str, Any], Ar
         counts = f"{board.shape.columns}x{board.shape.rows}"
         row = _candidate_as_values(best, best is found.arm)
         if not row["arm"] and best.why.startswith("seen in"):
-            row["why_not"] = f"seen in {best.seen * found.count:.0f} of {found.count} images, 4 are enough with a URDF"
+            row["why_not"] = (
+                f"seen in {best.seen * found.count:.0f} of {found.count} images, 4 are "
+                "enough with a URDF"
+            )
         source = CharucoSource(counts, 0.0, 0.0, board.dictionary)
-        measure = f"measure square and marker, in m; a marker is {board.shape.marker:.2f} of a square"
+        measure = (
+            f"measure square and marker, in m; a marker is {board.shape.marker:.2f} of a square"
+        )
         row["name"] = f"board {counts} ({board.dictionary})"
         row["kind"] = "board"
         row["line"] = f"{toml_line('board', source)}  # {measure}"
@@ -288,7 +373,14 @@ def _candidate_as_values(one: "Candidate", arm: bool) -> dict[str, Any]:
     """A candidate as plain values."""
     line = toml_line("effector", one.source)
     share = {"seen": one.seen, "strays_px": one.strays, "explained": one.explained}
-    return {"name": one.name, "kind": one.kind, **share, "arm": arm, "why_not": one.why or None, "line": line}
+    return {
+        "name": one.name,
+        "kind": one.kind,
+        **share,
+        "arm": arm,
+        "why_not": one.why or None,
+        "line": line,
+    }
 
 
 def _candidate_caption(row: Mapping[str, Any]) -> str:
@@ -298,7 +390,13 @@ def _candidate_caption(row: Mapping[str, Any]) -> str:
     return f"{text}; the arm's: {row['line']}" if row["arm"] else f"{text}; {also}"
 
 
-def _write_report_figures(folder: Path, read: Recording, features: Features, found: Estimate, shown: "Sequence[OverlayPicture]") -> None:
+def _write_report_figures(
+    folder: Path,
+    read: Recording,
+    features: Features,
+    found: Estimate,
+    shown: "Sequence[OverlayPicture]",
+) -> None:
     from .report.figures import figures, reprojection
     from .report.viewers import image_overlay
 
@@ -306,7 +404,8 @@ def _write_report_figures(folder: Path, read: Recording, features: Features, fou
     for suffix in (".png", ".svg"):
         figures.recording_figure(read, features, folder / f"recording{suffix}")
         figures.estimate_figure(found, read.truth, read.joints, folder / f"estimate{suffix}")
-    drawn, zeros = reprojection.build_sheets(features, found), reprojection.parse_zeros(found.settings.get("offsets"))
+    drawn = reprojection.build_sheets(features, found)
+    zeros = reprojection.parse_zeros(found.settings.get("offsets"))
     if drawn:
         for suffix in (".png", ".svg"):
             figures.reprojection_figure(drawn, zeros, folder / f"reprojection{suffix}")

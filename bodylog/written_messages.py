@@ -21,19 +21,32 @@ def estimate_messages(read: Recording, features: Features, found: Estimate) -> l
     """An estimate and its features, as messages."""
     from .annotating import messages
 
-    return [*feature_messages(read, features), *messages.from_estimate(found, features, read.start_ns)]
+    return [
+        *feature_messages(read, features),
+        *messages.from_estimate(found, features, read.start_ns),
+    ]
 
 
 def topic_of_role(read: Recording, role: str) -> str | None:
-    """The topic of a role's message path: the longest of the log's topics that the path begins with."""
+    """The topic of a role's message path: the longest
+    of the log's topics that the path begins with.
+    """
     path = read.roles.get(role, "")
-    return max((t.name for t in read.topics if path == t.name or path.startswith(t.name + ".")), key=len, default=None)
+    return max(
+        (t.name for t in read.topics if path == t.name or path.startswith(t.name + ".")),
+        key=len,
+        default=None,
+    )
 
 
 def provenance_of_logs(logs: Sequence[tuple[Path, str]], settings: Settings) -> dict[str, str]:
     """Version, settings, and name and digest of every input log, as metadata."""
     inputs = [[log.name, digest] for log, digest in logs]
-    return {"version": __version__, "settings": _sorted_json(settings_as_values(settings)), "inputs": _sorted_json(inputs)}
+    return {
+        "version": __version__,
+        "settings": _sorted_json(settings_as_values(settings)),
+        "inputs": _sorted_json(inputs),
+    }
 
 
 def _sorted_json(value: Any) -> str:

@@ -7,18 +7,25 @@ import sys
 from collections.abc import Sequence
 from contextlib import suppress
 
-# Small matrices are faster on one BLAS thread, and one thread gives the same bytes on every machine size.
+# Small matrices are faster on one BLAS thread, and one
+# thread gives the same bytes on every machine size.
 for _variable in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
-os.environ.setdefault("SVT_LOG", "1")  # the AV1 encoder writes to standard error itself: its errors alone
+# the AV1 encoder writes to standard error itself: its errors alone
+os.environ.setdefault("SVT_LOG", "1")
 
 _RARELY = 100_000
-"""New objects after which they are looked through for cycles: what is imported has none to be freed."""
+"""New objects after which they are looked through
+for cycles: what is imported has none to be freed.
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line and exit with the contract's code: 0, 1, 2, 3, 4, 65, 73 or 74; 128 + n for signal n."""
-    code, signalled = 0, None
+    """Run the command line and exit with the contract's
+    code: 0, 1, 2, 3, 4, 65, 73 or 74; 128 + n for signal n.
+    """
+    code = 0
+    signalled = None
     try:
         from bodylog.runtime import signals
 
@@ -29,7 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         malloc.tune_malloc()
         sigbus.install_sigbus_handler()
         if hasattr(sys.stdout, "reconfigure"):
-            sys.stdout.reconfigure(errors="backslashreplace")  # a log may name what this terminal cannot write
+            # a log may name what this terminal cannot write
+            sys.stdout.reconfigure(errors="backslashreplace")
         gc.set_threshold(_RARELY)
         code = run_command(arguments)
         if sigbus.zeroed_pages() and code in (0, 3, 4):
@@ -57,7 +65,9 @@ def _raise_on_signals() -> None:
     plain = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
     if hasattr(signal, "SIGHUP"):  # not on Windows
         plain[signal.SIGHUP] = signal.SIG_DFL
-    signals.raise_on_signal(*(number for number, default in plain.items() if signal.getsignal(number) is default))
+    signals.raise_on_signal(
+        *(number for number, default in plain.items() if signal.getsignal(number) is default)
+    )
 
 
 def _report_unreadable_result() -> int:
@@ -66,7 +76,11 @@ def _report_unreadable_result() -> int:
 
     from .output import print_error
 
-    print_error(LogError("part of a file could not be read, so the output is wrong; check the disk it is on"))
+    print_error(
+        LogError(
+            "part of a file could not be read, so the output is wrong; check the disk it is on"
+        )
+    )
     return LogError.exit_code
 
 
@@ -78,7 +92,7 @@ def run_command(arguments: Sequence[str] | None = None) -> int:
     from bodylog.io.atomic_files import FULL
 
     from .commands import NoReader, bodylog
-    from .output import print_line, print_error
+    from .output import print_error, print_line
 
     try:
         code = bodylog.main(arguments, prog_name="bodylog", standalone_mode=False)
@@ -89,13 +103,18 @@ def run_command(arguments: Sequence[str] | None = None) -> int:
     except click.ClickException as err:
         context = getattr(err, "ctx", None)
         path = context.command_path if context else "bodylog"
-        print_line(f"bodylog: {' '.join(err.format_message().split()).rstrip('.')}; type: {path} --help", err=True)
+        print_line(
+            f"bodylog: {' '.join(err.format_message().split()).rstrip('.')}; type: {path} --help",
+            err=True,
+        )
         return err.exit_code
     except (click.Abort, KeyboardInterrupt):
         print_line("bodylog: interrupted; nothing half-written was left", err=True)
         return 130
     except MemoryError as err:
-        print_error(MemoryError(f"there is not enough memory ({err}); give a lower --rate or a shorter log"))
+        print_error(
+            MemoryError(f"there is not enough memory ({err}); give a lower --rate or a shorter log")
+        )
         return 65
     except NoReader:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -14,16 +14,44 @@ if TYPE_CHECKING:
     from bodylog.settings import Settings
 
 
-@click.command(epilog="Example: bodylog batch logs/ -o out --train explore.bag --jobs 2 --fail-if 'rmse/joint>0.02'")
+@click.command(
+    epilog="Example: bodylog batch logs/ -o out --train explore.bag --jobs 2 --fail-if "
+    "'rmse/joint>0.02'"
+)
 @click.argument("logs", metavar="LOG|GLOB|DIR...", type=options.SEARCHED, nargs=-1, required=True)
-@click.option("-o", "--output", "out", type=options.FOLDER, required=True, help="The folder for everything.")
+@click.option(
+    "-o", "--output", "out", type=options.FOLDER, required=True, help="The folder for everything."
+)
 @click.option("--body", type=options.PATH, help="The body model that fit wrote.")
-@click.option("--train", type=options.PATH, multiple=True, metavar="LOG", help="Learn the body from this log first.")
-@click.option("--jobs", "workers", type=click.IntRange(min=1), default=1, show_default=True, help="Logs at a time.")
+@click.option(
+    "--train",
+    type=options.PATH,
+    multiple=True,
+    metavar="LOG",
+    help="Learn the body from this log first.",
+)
+@click.option(
+    "--jobs",
+    "workers",
+    type=click.IntRange(min=1),
+    default=1,
+    show_default=True,
+    help="Logs at a time.",
+)
 @click.option("--memory", metavar="SIZE", help="Memory for all of them together, e.g. 4G.")
 @click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, tcp://HOST:PORT, or local.")
-@click.option("--shard", metavar="I/N", default="1/1", show_default=True, help="Every N-th log, from the I-th.")
-@click.option("--resume", is_flag=True, help="Skip what an earlier run did with the same input, settings and version.")
+@click.option(
+    "--shard",
+    metavar="I/N",
+    default="1/1",
+    show_default=True,
+    help="Every N-th log, from the I-th.",
+)
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Skip what an earlier run did with the same input, settings and version.",
+)
 @click.option("--keep-going", is_flag=True, help="Go on to further logs even after a bug of ours.")
 @options.episode_option("logs")
 @options.fail_option
@@ -32,13 +60,19 @@ if TYPE_CHECKING:
 @delay_option
 @options.common_options
 def batch(
-    logs: tuple[str, ...], memory: str | None, shard: str, common: options.Common, as_json: bool, **typed: Any
+    logs: tuple[str, ...],
+    memory: str | None,
+    shard: str,
+    common: options.Common,
+    as_json: bool,
+    **typed: Any,
 ) -> int:
     """Estimate, score and report on many logs.
 
     Each log gets a row in results.jsonl, junit.xml and summary.html.
 
-    A single batch.toml instead of logs names groups of them, each with its own body, methods and bounds.
+    A single batch.toml instead of logs names groups of
+    them, each with its own body, methods and bounds.
     """
     from bodylog.batch import BatchPlan, exit_code
     from bodylog.batch import run_batch as run
@@ -48,8 +82,14 @@ def batch(
     how = {key: typed.pop(key) for key in ("out", "workers", "scheduler", "resume", "keep_going")}
     what = {key: typed.pop(key) for key in ("body", "train", "bounds")}
     groups = _groups_to_run(logs, common.settings(estimate=estimation_as_typed(typed)), what)
-    read = tuple(path for path in (*map(Path, logs), common.config_file) if path is not None and path.is_file())
-    plan = BatchPlan(groups=groups, shard=parse_shard(shard), memory=_parse_bytes(memory), inputs=read, **how)
+    read = tuple(
+        path
+        for path in (*map(Path, logs), common.config_file)
+        if path is not None and path.is_file()
+    )
+    plan = BatchPlan(
+        groups=groups, shard=parse_shard(shard), memory=_parse_bytes(memory), inputs=read, **how
+    )
     rows = run(plan, print_row)
     if as_json:
         print_json([_batch_entry(row, plan.out) for row in rows])
@@ -58,13 +98,17 @@ def batch(
     return exit_code(rows)
 
 
-def _groups_to_run(logs: tuple[str, ...], settings: "Settings", what: dict[str, Any]) -> "tuple[Group, ...]":
+def _groups_to_run(
+    logs: tuple[str, ...], settings: "Settings", what: dict[str, Any]
+) -> "tuple[Group, ...]":
     from bodylog.batch import Group, manifest
 
     if not any(log.endswith(".toml") for log in logs):
         return (Group("", logs, settings, **what),)
     if len(logs) > 1 or any(what.values()):
-        raise click.UsageError("a batch.toml stands alone: it names the logs, bodies and bounds itself")
+        raise click.UsageError(
+            "a batch.toml stands alone: it names the logs, bodies and bounds itself"
+        )
     return manifest.load_manifest(Path(logs[0]), settings)
 
 
@@ -73,7 +117,9 @@ def print_row(row: dict[str, Any], done: int, total: int) -> None:
     from .output import print_line, read_verbosity
 
     if read_verbosity() >= 0:
-        print_line(f"[{done}/{total}] {row['name']}: {row['status']}{_row_error_text(row)}", err=True)
+        print_line(
+            f"[{done}/{total}] {row['name']}: {row['status']}{_row_error_text(row)}", err=True
+        )
 
 
 def _row_error_text(row: dict[str, Any]) -> str:
@@ -91,12 +137,17 @@ def _print_summary(rows: list[dict[str, Any]], out: Path) -> None:
     for row in rows:
         found = row["scores"].get("rmse/joint")
         error = "-" if found is None else f"{found:.4g} rad"
-        print_line(f"{row['exit_code']:>3}  {error:>12}  {row['name']}  {row['status']}{_row_error_text(row)}")
+        print_line(
+            f"{row['exit_code']:>3}  {error:>12}  {row['name']}  "
+            f"{row['status']}{_row_error_text(row)}"
+        )
     print_line(f"wrote {out / 'summary.html'}", err=True)
 
 
 def _batch_entry(row: dict[str, Any], out: Path) -> dict[str, Any]:
-    """A row as one of the envelope's results; its name, status, exit code and error stand beside."""
+    """A row as one of the envelope's results; its
+    name, status, exit code and error stand beside.
+    """
     from bodylog.score_names import score_unit
 
     log = out / row["name"] / "annotated.mcap"
@@ -104,7 +155,10 @@ def _batch_entry(row: dict[str, Any], out: Path) -> dict[str, Any]:
         "input": row["log"],
         "output": str(log) if log.name in row["outputs"] else None,
         "verdict": row["verdict"],
-        "scores": {name: {"value": value, "unit": score_unit(name)} for name, value in row["scores"].items()},
+        "scores": {
+            name: {"value": value, "unit": score_unit(name)}
+            for name, value in row["scores"].items()
+        },
         "health": row["health"],
         "findings": [{"severity": severity, "text": text} for severity, text in row["findings"]],
         "faults": row["faults"],

@@ -8,27 +8,49 @@ from .output import print_line
 
 
 def show_body(found: dict[str, Any]) -> None:
-    """Print a body model: samples and length scales, noise with standard errors, touch, provenance."""
+    """Print a body model: samples and length scales,
+    noise with standard errors, touch, provenance.
+    """
     print_line(f"{found['path']}: body model of {', '.join(found['joints'])}")
     for name, sense in found["senses"].items():
         print_line(f"  {name} ({', '.join(sense['outputs'])}): {_sense_text(sense)}")
-    for text in (*_zero_lines(found), *_noise_lines(found), *_touch_lines(found), *_provenance_lines(found["provenance"])):
+    for text in (
+        *_zero_lines(found),
+        *_noise_lines(found),
+        *_touch_lines(found),
+        *_provenance_lines(found["provenance"]),
+    ):
         print_line(f"  {text}")
 
 
 def _sense_text(sense: dict[str, Any]) -> str:
     if "coefficients" in sense:
-        return "; ".join(" + ".join(f"{c:.4g} x^{k}" for k, c in enumerate(row)) for row in sense["coefficients"])
-    kernels = (", ".join(f"{joint} {value:.4g}" for joint, value in one.items()) for one in sense["length_scales"])
+        return "; ".join(
+            " + ".join(f"{c:.4g} x^{k}" for k, c in enumerate(row)) for row in sense["coefficients"]
+        )
+    kernels = (
+        ", ".join(f"{joint} {value:.4g}" for joint, value in one.items())
+        for one in sense["length_scales"]
+    )
     links = sense.get("kinematics")
-    on = "" if links is None else f"camera on {links['camera_link']}, marker on {links['marker_link']}; "
+    on = (
+        ""
+        if links is None
+        else f"camera on {links['camera_link']}, marker on {links['marker_link']}; "
+    )
     return f"{on}{sense['samples']} samples, length scales {'; '.join(kernels)} rad"
 
 
 def _zero_lines(found: dict[str, Any]) -> Iterator[str]:
-    """The joints' zeros in degrees and rad, their scales in percent, or the joints they are confused with."""
-    offsets, scales = found.get("offsets", {}), found.get("scales", {})
-    named = [*((f"offset {k}", one) for k, one in offsets.items()), *((f"scale {k}", s) for k, s in scales.items())]
+    """The joints' zeros in degrees and rad, their scales
+    in percent, or the joints they are confused with.
+    """
+    offsets = found.get("offsets", {})
+    scales = found.get("scales", {})
+    named = [
+        *((f"offset {k}", one) for k, one in offsets.items()),
+        *((f"scale {k}", s) for k, s in scales.items()),
+    ]
     for name, one in named:
         if one["value"] is None:
             yield f"{name}: not identifiable: {' and '.join(one['confused_with']) or 'not seen'}"
@@ -43,14 +65,23 @@ def _zero_lines(found: dict[str, Any]) -> Iterator[str]:
 
 
 def _noise_lines(found: dict[str, Any]) -> Iterator[str]:
-    """Standard deviations of measurements and densities of process noise, each with its standard error."""
-    noise, errors = found["noise"], found["noise"]["std_error"]
-    for joint, value, off in _names_with_errors(found["joints"], noise["encoder"], errors.get("encoder")):
+    """Standard deviations of measurements and densities
+    of process noise, each with its standard error.
+    """
+    noise = found["noise"]
+    errors = found["noise"]["std_error"]
+    for joint, value, off in _names_with_errors(
+        found["joints"], noise["encoder"], errors.get("encoder")
+    ):
         yield f"noise encoders {joint}: {_std_text(value, off)} rad"
     for name, sense in found["senses"].items():
-        for output, value, off in _names_with_errors(sense["outputs"], noise["senses"].get(name, ()), errors.get(name)):
+        for output, value, off in _names_with_errors(
+            sense["outputs"], noise["senses"].get(name, ()), errors.get(name)
+        ):
             yield f"noise {name} {output}: {_std_text(value, off)} {sense['unit']}"
-    for joint, value, off in _names_with_errors(found["joints"], noise["process"], errors.get("process")):
+    for joint, value, off in _names_with_errors(
+        found["joints"], noise["process"], errors.get("process")
+    ):
         yield f"process {joint}: {value:.4g}{_relative_error_text(off)} rad²/s³"
 
 
@@ -73,7 +104,9 @@ def _relative_error_text(error: float | None) -> str:
 
 def _touch_lines(found: dict[str, Any]) -> Iterator[str]:
     units = {"b1": " /px²", "b2": " /s²"}
-    yield "touch: " + ", ".join(f"{name} = {value:.4g}{units.get(name, '')}" for name, value in found["touch"].items())
+    yield "touch: " + ", ".join(
+        f"{name} = {value:.4g}{units.get(name, '')}" for name, value in found["touch"].items()
+    )
     for cell, (u, v, spread) in found["cells"].items():
         yield f"cell {cell}: seen {u:+.1f}, {v:+.1f} px from the effector, spread {spread:.1f} px"
 

@@ -18,7 +18,12 @@ GROUPS: Mapping[str, Mapping[str, str]] = {
         **{"info": "info", "doctor": "doctor", "features": "features", "colours": "features"},
         **{"plot": "plot", "view": "view"},
     },
-    "Learn": {"extract": "extract", "fit": "fit", "calibration": "calibration", "offsets": "calibration"},
+    "Learn": {
+        "extract": "extract",
+        "fit": "fit",
+        "calibration": "calibration",
+        "offsets": "calibration",
+    },
     "Estimate": {"estimate": "estimate", "config": "config"},
     "Judge": {"evaluate": "evaluate", "compare": "compare", "report": "report", "layout": "layout"},
     "Many logs": {"batch": "batch", "fix": "fix", "reproduce": "reproduce"},
@@ -62,9 +67,11 @@ class NoReader(Exception):
 
 
 class Commands(click.Group):
-    """A group that raises NoReader when the reader of standard output leaves; click itself would end with 1.
+    """A group that raises NoReader when the reader of
+    standard output leaves; click itself would end with 1.
 
-    Without a command it prints its help on standard error and ends with 2: click before 8.2 ends with 0.
+    Without a command it prints its help on standard
+    error and ends with 2: click before 8.2 ends with 0.
     """
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
@@ -78,7 +85,9 @@ class Commands(click.Group):
         """List the commands in the order of work, each with its whole summary."""
         for title, commands in GROUPS.items():
             with formatter.section(title):
-                formatter.write_dl([(name, self.commands[name].get_short_help_str(limit=200)) for name in commands])
+                formatter.write_dl(
+                    [(name, self.commands[name].get_short_help_str(limit=200)) for name in commands]
+                )
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command that was typed."""
@@ -102,8 +111,11 @@ def _verbosity_option(short: str, long: str, level: int, help_: str) -> click.Op
     cls=Commands,
     commands=ByName(),
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-    epilog="Example: bodylog fit explore.bag -o body.npz && bodylog estimate run.bag --body body.npz -o run.mcap",
+    epilog="Example: bodylog fit explore.bag -o body.npz && bodylog estimate run.bag --body "
+    "body.npz -o run.mcap",
 )
 @click.version_option(__version__, prog_name="bodylog")
 def bodylog() -> None:
-    """Where a robot's body was, how sure that is, and which sensor is faulty: from any log (.bag, rosbag2, .mcap)."""
+    """Where a robot's body was, how sure that is, and which
+    sensor is faulty: from any log (.bag, rosbag2, .mcap).
+    """

@@ -13,7 +13,13 @@ if TYPE_CHECKING:
 
     from bodylog.compare import ComparisonRow
 
-COLUMNS = ("rmse/joint", "nees/joint", "coverage_2sigma/joint", "log_evidence", "log_density/held_out")
+COLUMNS = (
+    "rmse/joint",
+    "nees/joint",
+    "coverage_2sigma/joint",
+    "log_evidence",
+    "log_density/held_out",
+)
 WIDTH = max(map(len, COLUMNS))
 
 
@@ -22,26 +28,45 @@ WIDTH = max(map(len, COLUMNS))
 @click.option("--body", type=options.PATH, required=True, help="The body model that fit wrote.")
 @clock_option
 @delay_option
-@click.option("--all", "full", is_flag=True, help="Run senses without the encoders too; takes several times longer.")
+@click.option(
+    "--all",
+    "full",
+    is_flag=True,
+    help="Run senses without the encoders too; takes several times longer.",
+)
 @options.common_options
 def compare(log: Path, body: Path, full: bool, common: options.Common, as_json: bool) -> int:
     """Compare every method and set of senses on a log.
 
-    The sets are the encoders with each set of the other senses; --all adds those without the encoders.
-    log_density/held_out needs no truth: the mean log density (nats) of images withheld from the method, one in five.
-    Compare log_evidence between rows of the same senses. seconds are processor time of the estimate.
+    The sets are the encoders with each set of the other senses; --all adds those without the
+    encoders. log_density/held_out needs no truth: the mean log density (nats) of images withheld
+    from the method, one in five. Compare log_evidence between rows of the same senses. seconds are
+    processor time of the estimate.
     """
     from bodylog import compare as comparison
     from bodylog.pipeline import Result
 
-    from .output import result_entry, exit_code_of_findings, print_json, show_progress, print_findings
+    from .output import (
+        exit_code_of_findings,
+        print_findings,
+        print_json,
+        result_entry,
+        show_progress,
+    )
 
     chosen = common.settings()
     with show_progress("compare", [log], chosen) as tick:
-        rows, findings = comparison.compare_methods(log, body, chosen, tick, None if as_json else _row_printer(), full)
+        rows, findings = comparison.compare_methods(
+            log, body, chosen, tick, None if as_json else _row_printer(), full
+        )
     print_findings(findings)
     if as_json:
-        print_json([result_entry(Result(None, findings=findings), log) | {"rows": [_comparison_as_json(row) for row in rows]}])
+        print_json(
+            [
+                result_entry(Result(None, findings=findings), log)
+                | {"rows": [_comparison_as_json(row) for row in rows]}
+            ]
+        )
     return exit_code_of_findings(findings)
 
 
@@ -60,7 +85,10 @@ def _row_printer() -> "Callable[[ComparisonRow], None]":
 
     def line(row: "ComparisonRow") -> None:
         scores = {score.name: score.value for score in row.scores}
-        cells = " ".join(f"{scores[name]:>{WIDTH}.5g}" if name in scores else f"{'-':>{WIDTH}}" for name in COLUMNS)
+        cells = " ".join(
+            f"{scores[name]:>{WIDTH}.5g}" if name in scores else f"{'-':>{WIDTH}}"
+            for name in COLUMNS
+        )
         while heads:
             method, senses, *names, seconds = heads.pop()
             named = " ".join(f"{name:>{WIDTH}}" for name in names)

@@ -16,7 +16,7 @@ def config(config_file: Path | None, as_json: bool) -> None:
     from bodylog.pipeline import Result
     from bodylog.settings import settings_as_values
 
-    from .output import result_entry, print_json
+    from .output import print_json, result_entry
 
     chosen = load_settings(config_file)
     if as_json:

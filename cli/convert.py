@@ -7,19 +7,53 @@ import click
 
 from bodylog import choices
 
-from .options import Common, OutputLog, common_options, require_finite_option, logs_argument
+from .options import Common, OutputLog, common_options, logs_argument, require_finite_option
 from .setting_options import NearestChoice, split_list
 
 
-@click.command(epilog="Example: bodylog convert run.bag -o dataset --to lerobot --task 'fold the cloth'")
+@click.command(
+    epilog="Example: bodylog convert run.bag -o dataset --to lerobot --task 'fold the cloth'"
+)
 @logs_argument
-@click.option("-o", "--output", "out", type=OutputLog(), required=True, help="The MCAP, or the dataset's new folder.")
-@click.option("--to", "form", type=NearestChoice(choices.FORMATS), default="mcap", show_default=True, help="Format.")
-@click.option("--codec", "how", type=NearestChoice(choices.VIDEO_CODECS), default="lossless", show_default=True)
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=OutputLog(),
+    required=True,
+    help="The MCAP, or the dataset's new folder.",
+)
+@click.option(
+    "--to",
+    "form",
+    type=NearestChoice(choices.FORMATS),
+    default="mcap",
+    show_default=True,
+    help="Format.",
+)
+@click.option(
+    "--codec",
+    "how",
+    type=NearestChoice(choices.VIDEO_CODECS),
+    default="lossless",
+    show_default=True,
+)
 @click.option("--task", metavar="TEXT", help="What the robot does, for a dataset.")
 @click.option("--topics", metavar="TOPICS", help="Only these, with commas between; for an MCAP.")
-@click.option("--start", type=float, callback=require_finite_option, metavar="S", help="Leave out what came before (s since start).")
-@click.option("--end", type=float, callback=require_finite_option, metavar="S", help="Leave out what came after.")
+@click.option(
+    "--start",
+    type=float,
+    callback=require_finite_option,
+    metavar="S",
+    help="Leave out what came before (s since start).",
+)
+@click.option(
+    "--end",
+    type=float,
+    callback=require_finite_option,
+    metavar="S",
+    help="Leave out what came after.",
+)
 @common_options
 def convert(
     logs: tuple[Path, ...],
@@ -39,12 +73,15 @@ def convert(
     """
     from bodylog import info, pipeline
 
-    from .output import show_progress, print_result
+    from .output import print_result, show_progress
 
-    settings, window = common.settings(), {"start": start, "end": end}
+    settings = common.settings()
+    window = {"start": start, "end": end}
     whole = start is None and end is None
     images = partial(info.dataset_images, settings=settings) if whole else lambda _: 0
     unit, count = ("messages", None) if form == "mcap" else ("images", images)
     with show_progress("convert", logs, settings, unit, count) as tick:
-        result = pipeline.convert(logs, out, settings, form, how, split_list(topics), task, tick, **window)
+        result = pipeline.convert(
+            logs, out, settings, form, how, split_list(topics), task, tick, **window
+        )
     return print_result(result, logs, as_json)

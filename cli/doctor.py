@@ -50,7 +50,10 @@ def _parse_episode_range(
     help="Of a dataset: a row per episode, .csv or .parquet.",
 )
 @click.option(
-    "--episodes", callback=_parse_episode_range, metavar="A:B", help="Of a dataset: from A to before B."
+    "--episodes",
+    callback=_parse_episode_range,
+    metavar="A:B",
+    help="Of a dataset: from A to before B.",
 )
 @click.option(
     "--jobs",
@@ -77,12 +80,18 @@ def _parse_episode_range(
 @delay_option
 @common_options
 def doctor(
-    logs: tuple[Path, ...], repair: Path | None, body: Path | None, urdf: str | None,
-    common: Common, as_json: bool, **typed: Any,
-) -> int:  # fmt: skip
+    logs: tuple[Path, ...],
+    repair: Path | None,
+    body: Path | None,
+    urdf: str | None,
+    common: Common,
+    as_json: bool,
+    **typed: Any,
+) -> int:
     """Examine a log or a dataset, and repair a log.
 
-    It measures the delay of images relative to the joints in the middle minute of the log; --delay off skips this.
+    It measures the delay of images relative to the joints
+    in the middle minute of the log; --delay off skips this.
 
     LOG may be a dataset, or a folder of logs: then each episode is examined and compared with the
     others.
@@ -116,12 +125,21 @@ def _examine_logs(
 ) -> int:
     from bodylog import pipeline
 
-    from .output import collect_results, result_entry, print_line, exit_code_of_findings, print_json, show_progress
+    from .output import (
+        collect_results,
+        exit_code_of_findings,
+        print_json,
+        print_line,
+        result_entry,
+        show_progress,
+    )
 
     if repair is not None and len(logs) != 1:
         raise click.UsageError("--repair takes exactly one LOG")
     with show_progress("doctor", logs, settings, "messages") as tick:
-        results, code = collect_results(logs, lambda log: pipeline.diagnose_log(log, repair, settings, tick, body))
+        results, code = collect_results(
+            logs, lambda log: pipeline.diagnose_log(log, repair, settings, tick, body)
+        )
     if as_json:
         print_json([result_entry(result, path) for path, result in results.items()])
     else:
@@ -137,10 +155,10 @@ def _examine_logs(
 def _examine_dataset(
     logs: tuple[Path, ...], settings: Any, common: Common, as_json: bool, typed: dict[str, Any]
 ) -> int:
-    from bodylog.batch import Group, BatchPlan, dataset
+    from bodylog.batch import BatchPlan, Group, dataset
     from bodylog.batch.jobs import EXAMINE
 
-    from .batch import print_row, parse_shard
+    from .batch import parse_shard, print_row
     from .output import print_json, read_verbosity
 
     out: Path | None = typed["out"]
@@ -166,7 +184,9 @@ def _examine_dataset(
     run = dataset.examine_dataset if folder else dataset.examine_without_folder
     found = run(plan, print_row, None if folder else out, typed["table"])
     if as_json:
-        print_json([*map(_doctor_entry, found.rows), _doctor_entry(found.whole, " ".join(map(str, logs)))])
+        print_json(
+            [*map(_doctor_entry, found.rows), _doctor_entry(found.whole, " ".join(map(str, logs)))]
+        )
     elif read_verbosity() >= 0:
         _print_verdict(found)
     return found.code

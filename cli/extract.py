@@ -12,19 +12,24 @@ from .setting_options import clock_option, fast_option
 @log_argument
 @out_option("The features MCAP to write.")
 @click.option(
-    "--csv", type=FOLDER, metavar="DIR", help="Also write tracks, touches, strokes and synchrony there as CSV."
+    "--csv",
+    type=FOLDER,
+    metavar="DIR",
+    help="Also write tracks, touches, strokes and synchrony there as CSV.",
 )
 @fast_option
 @clock_option
 @common_options
-def extract(log: Path, out: Path, csv: Path | None, fast: bool | None, common: Common, as_json: bool) -> int:
+def extract(
+    log: Path, out: Path, csv: Path | None, fast: bool | None, common: Common, as_json: bool
+) -> int:
     """Write tracks and touches without the images.
 
     Tracks of features, touches, strokes and their synchrony stand beside the signals.
     """
     from bodylog import pipeline
 
-    from .output import show_progress, print_result
+    from .output import print_result, show_progress
 
     chosen = common.settings(colours={"fast": fast})
     with show_progress("extract", [log], chosen) as tick:

@@ -13,18 +13,29 @@ if TYPE_CHECKING:
 
 @click.command(epilog="Example: bodylog features run.bag -o sheet.png")
 @log_argument
-@click.option("-o", "--output", "out", type=OUT, help="A contact sheet (.png): images with every candidate outlined.")
-@click.option("--effector", metavar="U,V", help="Where the effector is in the first picture, in px.")
+@click.option(
+    "-o",
+    "--output",
+    "out",
+    type=OUT,
+    help="A contact sheet (.png): images with every candidate outlined.",
+)
+@click.option(
+    "--effector", metavar="U,V", help="Where the effector is in the first picture, in px."
+)
 @common_options
-def features(log: Path, out: Path | None, effector: str | None, common: Common, as_json: bool) -> int:
+def features(
+    log: Path, out: Path | None, effector: str | None, common: Common, as_json: bool
+) -> int:
     """Find tags and colours that move with the joints.
 
-    For each: how often it is seen, how much of its motion the joints explain, and the line for robot.toml.
+    For each: how often it is seen, how much of its motion
+    the joints explain, and the line for robot.toml.
     """
     from bodylog import views
     from bodylog.pipeline import Result
 
-    from .output import result_entry, exit_code_of_findings, print_json, print_findings
+    from .output import exit_code_of_findings, print_findings, print_json, result_entry
 
     found = views.find_feature_candidates(log, out, common.settings(), _parse_place(effector))
     print_findings(found.findings)
@@ -49,11 +60,19 @@ colours = click.Command(
 def _print_candidates(found: "FeatureCandidates") -> None:
     from .output import print_line
 
-    rows = [("", "seen", "moves by", "joints explain", ""), *(_candidate_row(one) for one in found.candidates)]
+    rows = [
+        ("", "seen", "moves by", "joints explain", ""),
+        *(_candidate_row(one) for one in found.candidates),
+    ]
     widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    print_line(f"# {found.images} images looked at; moves by: standard deviation of its place; -: not computed")
+    print_line(
+        f"# {found.images} images looked at; moves by: standard deviation of its place; -: "
+        "not computed"
+    )
     for name, *figures, verdict in rows:
-        cells = "  ".join(f"{text:>{width}}" for text, width in zip(figures, widths[1:], strict=True))
+        cells = "  ".join(
+            f"{text:>{width}}" for text, width in zip(figures, widths[1:], strict=True)
+        )
         print_line(f"{name:<{widths[0]}}  {cells}  {verdict}".rstrip())
     print_line("# paste one of these lines under [features] in robot.toml")
     for one in found.candidates:
@@ -74,5 +93,7 @@ def _parse_place(text: str | None) -> tuple[float, float] | None:
     try:
         u, v = (float(part) for part in text.split(","))
     except ValueError:
-        raise click.BadParameter(f"{text!r}; it must be U,V in px, e.g. 160,120", param_hint="--effector") from None
+        raise click.BadParameter(
+            f"{text!r}; it must be U,V in px, e.g. 160,120", param_hint="--effector"
+        ) from None
     return u, v

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from .options import PATH, Common, all_option, common_options, logs_argument, out_option
-from .setting_options import clock_option, delay_option, split_list, setting_option
+from .setting_options import clock_option, delay_option, setting_option, split_list
 
 
 @click.command(epilog="Example: bodylog fit explore.bag -o body.npz")
@@ -16,7 +16,13 @@ from .setting_options import clock_option, delay_option, split_list, setting_opt
 @setting_option("fit", "every")
 @setting_option("fit", "without", metavar="TRACKS")
 @click.option("--update", type=PATH, metavar="BODY.npz", help="Learn on from this body model.")
-@click.option("--test", type=PATH, multiple=True, metavar="LOG", help="Score the body on this log; may be repeated.")
+@click.option(
+    "--test",
+    type=PATH,
+    multiple=True,
+    metavar="LOG",
+    help="Score the body on this log; may be repeated.",
+)
 @setting_option("kinematics", "urdf", metavar="ROBOT.urdf|log")
 @click.option("--no-urdf", is_flag=True, default=None, help="Learn without a URDF.")
 @setting_option("kinematics", "offset_prior", metavar="DEG")
@@ -44,9 +50,13 @@ def fit(
     from bodylog import info, pipeline
 
     from .body_text import show_body
-    from .output import show_progress, print_result, read_verbosity
+    from .output import print_result, read_verbosity, show_progress
 
-    kinematics = {"urdf": urdf, "use": None if no_urdf is None else not no_urdf, "offset_prior": offset_prior}
+    kinematics = {
+        "urdf": urdf,
+        "use": None if no_urdf is None else not no_urdf,
+        "offset_prior": offset_prior,
+    }
     chosen = common.settings(
         fit={"preset": preset, "every": every, "without": split_list(without)},
         body={"joints": split_list(joints)},

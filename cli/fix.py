@@ -22,10 +22,18 @@ _URDF = "Measure delays by the robot's own surface."
     "-o", "--output", "out", type=OutputLog(), required=True, help="The dataset's new folder."
 )
 @click.option(
-    "--repeats", type=NearestChoice(choices.REPEATS), default="mark", show_default=True, help=_REPEATS
+    "--repeats",
+    type=NearestChoice(choices.REPEATS),
+    default="mark",
+    show_default=True,
+    help=_REPEATS,
 )
 @click.option(
-    "--exclude", type=NearestChoice(choices.EXCLUDED), default="accused", show_default=True, help=_EXCLUDE
+    "--exclude",
+    type=NearestChoice(choices.EXCLUDED),
+    default="accused",
+    show_default=True,
+    help=_EXCLUDE,
 )
 @click.option(
     "--checked", type=options.PATH, metavar="DIR", help="Rows of doctor -o DIR are used again."
@@ -41,9 +49,17 @@ _URDF = "Measure delays by the robot's own surface."
 @setting_option("kinematics", "urdf", metavar="ROBOT.urdf|log", help=_URDF)
 @common_options
 def fix(
-    dataset: Path, out: Path, repeats: str, exclude: str, checked: Path | None, workers: int,
-    urdf: str | None, common: Common, as_json: bool, **_typed: Any,
-) -> int:  # fmt: skip
+    dataset: Path,
+    out: Path,
+    repeats: str,
+    exclude: str,
+    checked: Path | None,
+    workers: int,
+    urdf: str | None,
+    common: Common,
+    as_json: bool,
+    **_typed: Any,
+) -> int:
     """Write a corrected copy of a LeRobot dataset.
 
     Images are paired with the rows that they show, by whole frames of the measured delays; episodes
@@ -53,7 +69,7 @@ def fix(
     from bodylog.batch import dataset as examined
 
     from .batch import print_row
-    from .output import print_line, print_json, read_verbosity
+    from .output import print_json, print_line, read_verbosity
 
     settings = common.settings(kinematics={"urdf": urdf})
     texts = examined.fix_dataset(

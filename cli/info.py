@@ -28,7 +28,9 @@ def info(logs: "tuple[Path | str, ...]", common: Common, as_json: bool) -> int:
     else:
         for one in found.values():
             _print_description(one)
-    return code or (3 if any(f["severity"] == "lost" for one in found.values() for f in one["findings"]) else 0)
+    return code or (
+        3 if any(f["severity"] == "lost" for one in found.values() for f in one["findings"]) else 0
+    )
 
 
 def _info_entry(path: str, one: dict[str, Any]) -> dict[str, Any]:
@@ -49,11 +51,15 @@ def _print_description(one: dict[str, Any]) -> None:
 
         show_body(one)
         return
-    print_line(f"{one['path']}: {one['format']}, {one['duration_s']:.3f} s from {one['start_ns']} ns")
+    print_line(
+        f"{one['path']}: {one['format']}, {one['duration_s']:.3f} s from {one['start_ns']} ns"
+    )
     width = max((len(topic["topic"]) for topic in one["topics"]), default=0)
     for topic in one["topics"]:
         rate = "" if topic["rate_hz"] is None else f"{topic['rate_hz']:.2f} Hz"
-        print_line(f"  {topic['topic']:<{width}}  {topic['messages']:>8}  {rate:>12}  {topic['type']}")
+        print_line(
+            f"  {topic['topic']:<{width}}  {topic['messages']:>8}  {rate:>12}  {topic['type']}"
+        )
     for role, topic in one["roles"].items():
         print_line(f"  {role}: {topic}")
     if one["joints"]:

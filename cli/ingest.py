@@ -4,15 +4,29 @@ from pathlib import Path
 
 import click
 
-from .options import FOLDER, Common, common_options, require_finite_option, log_argument, out_option
+from .options import FOLDER, Common, common_options, log_argument, out_option, require_finite_option
 
 
 @click.command(epilog="Example: bodylog ingest run.bag -o tidy.mcap --start 2 --end 30")
 @log_argument
 @out_option("The tidy MCAP to write.")
-@click.option("--start", type=float, callback=require_finite_option, metavar="S", help="Leave out what came before (s since start).")
-@click.option("--end", type=float, callback=require_finite_option, metavar="S", help="Leave out what came after.")
-@click.option("--csv", type=FOLDER, metavar="DIR", help="Also write the signals there, a CSV file per role.")
+@click.option(
+    "--start",
+    type=float,
+    callback=require_finite_option,
+    metavar="S",
+    help="Leave out what came before (s since start).",
+)
+@click.option(
+    "--end",
+    type=float,
+    callback=require_finite_option,
+    metavar="S",
+    help="Leave out what came after.",
+)
+@click.option(
+    "--csv", type=FOLDER, metavar="DIR", help="Also write the signals there, a CSV file per role."
+)
 @click.option("--parquet", type=FOLDER, metavar="DIR", help="Also write them as Parquet.")
 @common_options
 def ingest(
@@ -28,11 +42,13 @@ def ingest(
     """Write a log as one tidy MCAP with named roles."""
     from bodylog import pipeline
 
-    from .output import show_progress, print_result
+    from .output import print_result, show_progress
 
     if start is not None and end is not None and start >= end:
         raise click.BadParameter(f"{start:g} s is not before --end {end:g}", param_hint="--start")
-    tables = {form: folder for form, folder in (("csv", csv), ("parquet", parquet)) if folder is not None}
+    tables = {
+        form: folder for form, folder in (("csv", csv), ("parquet", parquet)) if folder is not None
+    }
     settings = common.settings()
     with show_progress("ingest", [log], settings) as tick:
         result = pipeline.ingest(log, out, settings, tables, tick, start=start, end=end)

@@ -14,7 +14,8 @@ from .options import Common, common_options, log_argument, out_option
 def layout(log: Path, out: Path, common: Common, as_json: bool) -> int:
     """Write a Foxglove layout for an annotated log.
 
-    It shows the image with its overlay, the estimate, errors and free energy; Lichtblick reads it too.
+    It shows the image with its overlay, the estimate,
+    errors and free energy; Lichtblick reads it too.
     """
     from bodylog import views
 

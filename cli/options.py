@@ -19,7 +19,9 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class NamedPath(click.Path):
-    """A path that is not empty: "", as from an unset shell variable, would be the current folder."""
+    """A path that is not empty: "", as from an unset
+    shell variable, would be the current folder.
+    """
 
     def __init__(self) -> None:
         """Accept paths that do not exist."""
@@ -33,11 +35,15 @@ class NamedPath(click.Path):
 
 
 class FetchedUrl(str):
-    """A URL whose file is fetched for the duration of the command, after the check that no output is an input."""
+    """A URL whose file is fetched for the duration of the
+    command, after the check that no output is an input.
+    """
 
 
 class LogPath(NamedPath):
-    """A log: a path or a URL. Its file is fetched before the command starts, or by the command if `late`."""
+    """A log: a path or a URL. Its file is fetched before
+    the command starts, or by the command if `late`.
+    """
 
     def __init__(self, late: bool = False) -> None:
         """Leave URLs to the command if `late`."""
@@ -117,7 +123,9 @@ ANYWHERE = LogPath(late=True)
 SEARCHED = Searched()
 
 
-def require_finite_option(_context: click.Context, _option: click.Parameter, value: float | None) -> float | None:
+def require_finite_option(
+    _context: click.Context, _option: click.Parameter, value: float | None
+) -> float | None:
     """The number of an option, if it is finite."""
     if value is not None and not math.isfinite(value):
         raise click.BadParameter(f"{value} is not a finite number")
@@ -133,19 +141,25 @@ def episode_option(parameter: str) -> Callable[[Command], Command]:
             return function(**{**rest, parameter: _with_episodes(rest[parameter], episode)})
 
         help_ = "Read this episode of a dataset; LOG#N means the same."
-        return click.option("--episode", metavar="N", callback=_check_episode_option, help=help_)(wrapped)  # type: ignore[return-value]
+        return click.option("--episode", metavar="N", callback=_check_episode_option, help=help_)(
+            wrapped
+        )  # type: ignore[return-value]
 
     return decorated
 
 
-def _check_episode_option(_context: click.Context, _option: click.Parameter, text: str | None) -> str | None:
+def _check_episode_option(
+    _context: click.Context, _option: click.Parameter, text: str | None
+) -> str | None:
     if text is not None and re.fullmatch(r"\d{1,9}(-\d{1,9})?", text) is None:
         raise click.BadParameter(f"{text!r}; possible: a number or a range, e.g. 3 or 0-9")
     return text
 
 
 def _with_episodes(given: Any, text: str | None) -> Any:
-    """The given log or logs with the episode; where several logs are possible, a range becomes one log per episode."""
+    """The given log or logs with the episode; where several
+    logs are possible, a range becomes one log per episode.
+    """
     from bodylog.io import episodes
 
     if isinstance(given, tuple):
@@ -174,7 +188,9 @@ def log_argument(function: Command) -> Command:
 
 def logs_argument(function: Command) -> Command:
     """LOG...: one or many logs."""
-    return click.argument("logs", metavar="LOG...", type=LOG, nargs=-1, required=True)(episode_option("logs")(function))
+    return click.argument("logs", metavar="LOG...", type=LOG, nargs=-1, required=True)(
+        episode_option("logs")(function)
+    )
 
 
 def out_option(what: str) -> Callable[[Command], Command]:
@@ -198,15 +214,22 @@ class Common(NamedTuple):
         given: dict[str, dict[str, Any]] = {"input": {"strict": self.strict or None}, **sections}
         given["synchrony"] = {"clock_offset": offset}
         given["time"] = {"delay": _parse_delays(self.delay)}
-        typed = {name: {k: v for k, v in values.items() if v is not None} for name, values in given.items()}
-        return load_settings(self.config_file, {name: values for name, values in typed.items() if values})
+        typed = {
+            name: {k: v for k, v in values.items() if v is not None}
+            for name, values in given.items()
+        }
+        return load_settings(
+            self.config_file, {name: values for name, values in typed.items() if values}
+        )
 
 
 def _parse_seconds(text: str | None) -> float | str | None:
     try:
         return text if text in (None, "auto") else float(text)
     except ValueError:
-        raise click.BadParameter(f"{text!r}; possible: auto, or seconds", param_hint="--clock-offset") from None
+        raise click.BadParameter(
+            f"{text!r}; possible: auto, or seconds", param_hint="--clock-offset"
+        ) from None
 
 
 def _parse_delays(text: str | None) -> dict[str, float] | str | None:
@@ -229,9 +252,13 @@ def common_options(function: Callable[..., Any]) -> Callable[..., Any]:
         return function(common=Common(config_file, strict, *clocks), **rest)
 
     for option in (
-        click.option("--json", "as_json", is_flag=True, help="Print the result as JSON on standard output."),
+        click.option(
+            "--json", "as_json", is_flag=True, help="Print the result as JSON on standard output."
+        ),
         setting_option("input", "strict", default=False),
-        click.option("--config", "config_file", type=PATH, help="Settings for this robot: a robot.toml."),
+        click.option(
+            "--config", "config_file", type=PATH, help="Settings for this robot: a robot.toml."
+        ),
     ):
         wrapped = option(wrapped)
     return wrapped
@@ -239,10 +266,15 @@ def common_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def fail_option(function: Command) -> Command:
     """--fail-if: bounds on scores, faults, delays and used readings."""
-    help_ = "E.g. 'rmse/joint>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/camera>0.05'; broken: exit 4."
+    help_ = (
+        "E.g. 'rmse/joint>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/camera>0.05'; "
+        "broken: exit 4."
+    )
     return click.option("--fail-if", "bounds", multiple=True, metavar="BOUND", help=help_)(function)
 
 
 def all_option(function: Command) -> Command:
     """--all: every score, below the verdict."""
-    return click.option("--all", "full", is_flag=True, help="Print every score with its unit too.")(function)
+    return click.option("--all", "full", is_flag=True, help="Print every score with its unit too.")(
+        function
+    )

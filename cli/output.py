@@ -1,4 +1,6 @@
-"""How results are shown: verdicts and tables on standard output, warnings and progress on standard error; --json."""
+"""How results are shown: verdicts and tables on standard
+output, warnings and progress on standard error; --json.
+"""
 
 import json
 import os
@@ -24,10 +26,13 @@ COPIES = "bodylog.copies"
 """Key in a command's meta: the URLs of fetched logs by the paths of their copies."""
 
 
-def print_result(result: "Result", source: Any, as_json: bool, full: bool = False, **further: Any) -> int:
+def print_result(
+    result: "Result", source: Any, as_json: bool, full: bool = False, **further: Any
+) -> int:
     """Print a result and return the exit code: 3 when part of the input was lost, else 0.
 
-    `source` is what the command read · `full`: print the scores too · `further`: keys for --json alone.
+    `source` is what the command read · `full`: print
+    the scores too · `further`: keys for --json alone.
     """
     if as_json:
         print_json([result_entry(result, source) | further])
@@ -48,7 +53,9 @@ def print_verdict(result: "Result") -> None:
     for text in result.verdict if read_verbosity() >= 0 else ():
         print_line(text)
     held = fault_warnings(result.faults) if result.verdict else ()
-    print_findings([one for one in result.findings if one not in held and one.text not in result.verdict])
+    print_findings(
+        [one for one in result.findings if one not in held and one.text not in result.verdict]
+    )
 
 
 def read_verbosity() -> int:
@@ -58,10 +65,13 @@ def read_verbosity() -> int:
 
 
 def collect_results(logs: Sequence[T], look: Callable[[T], R]) -> tuple[dict[str, R], int]:
-    """Results by path, and an exit code: among several logs one that cannot be used is an error line, not the end."""
+    """Results by path, and an exit code: among several logs
+    one that cannot be used is an error line, not the end.
+    """
     from bodylog.errors import InputError
 
-    found, code = {}, 0
+    found = {}
+    code = 0
     for log in logs:
         try:
             found[str(log)] = look(log)
@@ -83,13 +93,17 @@ def print_error(problem: Exception) -> None:
 
 def print_line(text: str, err: bool = False) -> None:
     """Print one line; control characters, which names in a log may hold, as their codes."""
-    plain = (c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode() for c in as_typed(text))
+    plain = (
+        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode()
+        for c in as_typed(text)
+    )
     try:
         click.echo("".join(plain), err=err)
     except OSError:
         if not err:
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())  # nobody reads it: the work goes on
+        # nobody reads it: the work goes on
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
 def as_typed(text: str) -> str:
@@ -103,13 +117,17 @@ def as_typed(text: str) -> str:
 def result_entry(result: "Result", source: Any) -> dict[str, Any]:
     """A result as one of --json's `results`; `source` is its input, or a list of them."""
     return {
-        "input": [str(one) for one in source] if isinstance(source, list | tuple) else source and str(source),
+        "input": [str(one) for one in source]
+        if isinstance(source, list | tuple)
+        else source and str(source),
         "output": None if result.output is None else str(result.output),
         "verdict": list(result.verdict),
         "scores": scores_by_name(result.scores),
         "health": {topic: asdict(health) for topic, health in result.health.items()},
         "findings": [asdict(finding) for finding in dict.fromkeys(result.findings)],
-        "faults": [{**asdict(fault), "alternatives": list(fault.alternatives)} for fault in result.faults],
+        "faults": [
+            {**asdict(fault), "alternatives": list(fault.alternatives)} for fault in result.faults
+        ],
         "settings": result.settings,
     }
 
@@ -117,7 +135,8 @@ def result_entry(result: "Result", source: Any) -> dict[str, Any]:
 def scores_by_name(scores: "Sequence[Score]") -> dict[str, dict[str, Any]]:
     """{name: {"value", "unit"}}, and "std" where it is known."""
     return {
-        score.name: {"value": score.value, "unit": score.unit} | ({} if score.std is None else {"std": score.std})
+        score.name: {"value": score.value, "unit": score.unit}
+        | ({} if score.std is None else {"std": score.std})
         for score in scores
     }
 
@@ -127,7 +146,11 @@ def print_json(results: Sequence[Mapping[str, Any]]) -> None:
     from bodylog.version import __version__
 
     context = click.get_current_context(silent=True)
-    whole = {"bodylog": __version__, "command": context and context.command.name, "results": results}
+    whole = {
+        "bodylog": __version__,
+        "command": context and context.command.name,
+        "results": results,
+    }
     click.echo(json.dumps(_replace_nan(whole), indent=2, default=str))
 
 
@@ -140,11 +163,17 @@ def _replace_nan(value: Any) -> Any:
         return _replace_nan(value.tolist())
     if isinstance(value, str | os.PathLike):
         return as_typed(os.fspath(value))
-    return None if isinstance(value, float) and (value != value or abs(value) == float("inf")) else value
+    return (
+        None
+        if isinstance(value, float) and (value != value or abs(value) == float("inf"))
+        else value
+    )
 
 
 def print_findings(findings: "Sequence[Finding]", about: str = "") -> None:
-    """Print each finding once on standard error: losses, unless -q warnings, with -v information too."""
+    """Print each finding once on standard error:
+    losses, unless -q warnings, with -v information too.
+    """
     shown = (("lost",), ("lost", "warning"), ("lost", "warning", "info"))[read_verbosity() + 1]
     for finding in dict.fromkeys(findings):
         if finding.severity in shown:
@@ -157,11 +186,16 @@ def exit_code_of_findings(findings: "Sequence[Finding]") -> int:
 
 
 def print_score_table(results: "Mapping[str, Sequence[Score]]") -> None:
-    """Print scores by name with their units: one column per result, named where there are several."""
+    """Print scores by name with their units: one
+    column per result, named where there are several.
+    """
     values = {path: {score.name: score for score in scores} for path, scores in results.items()}
     units = {score.name: score.unit for scores in results.values() for score in scores}
     head = [("score", "unit", *values)] if len(values) > 1 else []
-    rows = [(name, unit, *(_score_cell(of.get(name)) for of in values.values())) for name, unit in units.items()]
+    rows = [
+        (name, unit, *(_score_cell(of.get(name)) for of in values.values()))
+        for name, unit in units.items()
+    ]
     print_columns([*head, *rows], left=2)
 
 
@@ -173,35 +207,61 @@ def print_columns(rows: Sequence[Sequence[str]], left: int) -> None:
     """Print rows in aligned columns, the first `left` of them to the left."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
-        cells = [f"{c:<{w}}" if k < left else f"{c:>{w}}" for k, (c, w) in enumerate(zip(row, widths, strict=True))]
+        cells = [
+            f"{c:<{w}}" if k < left else f"{c:>{w}}"
+            for k, (c, w) in enumerate(zip(row, widths, strict=True))
+        ]
         print_line("  ".join(cells).rstrip())
 
 
 @contextmanager
 def show_progress(
-    what: str, logs: Sequence[Any] = (), settings: "Settings | None" = None, unit: str = "images",
+    what: str,
+    logs: Sequence[Any] = (),
+    settings: "Settings | None" = None,
+    unit: str = "images",
     count: "Callable[[Any], int] | None" = None,
-) -> "Iterator[Progress | None]":  # fmt: skip
-    """A bar of images, messages or steps on a terminal, nothing otherwise; call what it yields with how many are done.
+) -> "Iterator[Progress | None]":
+    """A bar of images, messages or steps on a terminal, nothing
+    otherwise; call what it yields with how many are done.
 
-    The total is what `count` gives for each of `logs`, else all messages, or the cameras' images, in them; where it is
-    not known, the bar counts.
+    The total is what `count` gives for each of `logs`, else all messages, or the cameras' images,
+    in them; where it is not known, the bar counts.
     """
     if not sys.stderr.isatty() or read_verbosity() < 0:
         yield None
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, SpinnerColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+    )
     from rich.progress import Progress as Bar
 
-    columns = (SpinnerColumn(), TextColumn(what), BarColumn(), MofNCompleteColumn(), TextColumn(unit))
+    columns = (
+        SpinnerColumn(),
+        TextColumn(what),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn(unit),
+    )
     with Bar(*columns, TimeElapsedColumn(), console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(what, total=_count_total(logs, settings, unit, count) or None)
         yield lambda frames: bar.advance(task, frames)
 
 
-def _count_total(logs: Sequence[Any], settings: "Settings | None", unit: str, count: "Callable[[Any], int] | None") -> int:
-    """What `count` gives, or messages of all topics, or images of the cameras; 0 where a log cannot be read."""
+def _count_total(
+    logs: Sequence[Any],
+    settings: "Settings | None",
+    unit: str,
+    count: "Callable[[Any], int] | None",
+) -> int:
+    """What `count` gives, or messages of all topics, or
+    images of the cameras; 0 where a log cannot be read.
+    """
     from bodylog.errors import BodylogError
     from bodylog.info import describe_file
 
@@ -210,9 +270,16 @@ def _count_total(logs: Sequence[Any], settings: "Settings | None", unit: str, co
         if count is not None:
             return sum(map(count, logs))
         for found in (describe_file(log, settings) for log in logs if settings is not None):
-            cameras = {topic for role, topic in found.get("roles", {}).items() if role.partition("/")[0] == "camera"}
-            total += sum(topic["messages"] for topic in found.get("topics", ())
-                         if unit == "messages" or topic["topic"] in cameras)  # fmt: skip
+            cameras = {
+                topic
+                for role, topic in found.get("roles", {}).items()
+                if role.partition("/")[0] == "camera"
+            }
+            total += sum(
+                topic["messages"]
+                for topic in found.get("topics", ())
+                if unit == "messages" or topic["topic"] in cameras
+            )
     except (BodylogError, OSError):
         return 0
     return total

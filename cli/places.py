@@ -1,4 +1,6 @@
-"""Inputs and outputs of a command, by its options: no output may be an input; URLs are fetched after that check."""
+"""Inputs and outputs of a command, by its options: no
+output may be an input; URLs are fetched after that check.
+"""
 
 import functools
 from collections.abc import Callable, Iterator
@@ -8,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import Folder, NamedPath, OutputFile, OutputLog, FetchedUrl
+from .options import FetchedUrl, Folder, NamedPath, OutputFile, OutputLog
 from .output import COPIES
 
 if TYPE_CHECKING:
@@ -16,7 +18,9 @@ if TYPE_CHECKING:
 
 
 def guard_command(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Reject the command before it reads anything where an output is an input or cannot be written."""
+    """Reject the command before it reads anything
+    where an output is an input or cannot be written.
+    """
 
     @functools.wraps(command)
     def checked(**given: Any) -> Any:
@@ -29,10 +33,13 @@ def guard_command(command: Callable[..., Any]) -> Callable[..., Any]:
             guard_outputs(_iterate_inputs(ctx.command.params, given), outputs)
             for output in outputs:
                 require_writable(output.path, output.folder)
-        # A context of click 8.1 does not tell what it holds how the command ended; messages then name the copies.
+        # A context of click 8.1 does not tell what it holds
+        # how the command ended; messages then name the copies.
         with ExitStack() as fetched:
             patience = _read_max_wait_s(given)
-            return command(**{name: _fetch_logs(value, fetched, patience) for name, value in given.items()})
+            return command(
+                **{name: _fetch_logs(value, fetched, patience) for name, value in given.items()}
+            )
 
     return checked
 
@@ -43,21 +50,28 @@ def _iterate_outputs(params: list[click.Parameter], given: dict[str, Any]) -> "I
             from bodylog.io.outputs import Output
 
             for path in _iterate_values(given[param.name or ""]):
-                folder = isinstance(param.type, Folder) or (isinstance(param.type, OutputLog) and path.is_dir())
+                folder = isinstance(param.type, Folder) or (
+                    isinstance(param.type, OutputLog) and path.is_dir()
+                )
                 yield Output(path, param.opts[0], folder)
 
 
 def _iterate_inputs(params: list[click.Parameter], given: dict[str, Any]) -> Iterator[Path]:
     """Every path that an option names apart from outputs; of file:// URLs the file.
 
-    The folders that a batch searches are no inputs; the logs found in them are, which it says itself.
+    The folders that a batch searches are no inputs;
+    the logs found in them are, which it says itself.
     """
     from bodylog.io import remote
 
     for param in params:
         if isinstance(param.type, NamedPath) and not isinstance(param.type, OutputFile | Folder):
             for value in _iterate_values(given[param.name or ""]):
-                path = remote.file_behind(value) if isinstance(value, str) and remote.is_url(value) else Path(value)
+                path = (
+                    remote.file_behind(value)
+                    if isinstance(value, str) and remote.is_url(value)
+                    else Path(value)
+                )
                 if path is not None and not (isinstance(value, str) and path.is_dir()):
                     yield path
 
@@ -69,8 +83,12 @@ def _iterate_values(value: Any) -> Iterator[Any]:
 
 
 def _read_max_wait_s(given: dict[str, Any]) -> float:
-    """How long to wait for a server, s: what the settings say, which are read only where a URL is named."""
-    if not any(isinstance(one, FetchedUrl) for value in given.values() for one in _iterate_values(value)):
+    """How long to wait for a server, s: what the settings
+    say, which are read only where a URL is named.
+    """
+    if not any(
+        isinstance(one, FetchedUrl) for value in given.values() for one in _iterate_values(value)
+    ):
         return 0.0
     from bodylog.config import load_settings
 

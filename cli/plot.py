@@ -11,7 +11,9 @@ from .setting_options import clock_option
 @click.command(epilog="Example: bodylog plot run.bag -o run.png")
 @click.argument("source", metavar="LOG|BODY.npz", type=PATH)
 @episode_option("source")
-@click.option("-o", "--output", "out", type=OUT, required=True, help="The picture to write (.png or .svg).")
+@click.option(
+    "-o", "--output", "out", type=OUT, required=True, help="The picture to write (.png or .svg)."
+)
 @clock_option
 @common_options
 def plot(source: Path, out: Path, common: Common, as_json: bool) -> int:
@@ -21,7 +23,7 @@ def plot(source: Path, out: Path, common: Common, as_json: bool) -> int:
     """
     from bodylog import views
 
-    from .output import show_progress, print_result
+    from .output import print_result, show_progress
 
     chosen = common.settings()
     with show_progress("plot", [source], chosen) as tick:

@@ -1,4 +1,6 @@
-"""Options of settings: their choices, bounds, meanings and defaults are those that bodylog/settings.py declares."""
+"""Options of settings: their choices, bounds, meanings and defaults are those that
+bodylog/settings.py declares.
+"""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -26,16 +28,24 @@ class NearestChoice(ChoiceType):
         """The text, if it is one of them."""
         if value not in self.choices:
             near = find_nearest_name(str(value), self.choices)
-            self.fail(f"{value!r}; did you mean {near}? possible: {', '.join(self.choices)}", param, ctx)
+            self.fail(
+                f"{value!r}; did you mean {near}? possible: {', '.join(self.choices)}", param, ctx
+            )
         return str(value)
 
 
-def setting_option(section: str, key: str, *names: str, **more: Any) -> Callable[[Command], Command]:
-    """The option of a setting; `names` and keywords of `click.option` replace those of its declaration."""
+def setting_option(
+    section: str, key: str, *names: str, **more: Any
+) -> Callable[[Command], Command]:
+    """The option of a setting; `names` and keywords of
+    `click.option` replace those of its declaration.
+    """
     found = find_declaration(section, key)
     default = "" if found.hint is bool else f" Default: {default_text(found).strip(chr(34))}."
     names = names or (f"--{key.replace('_', '-')}",)
-    return click.option(*names, **{"help": found.key.meaning + default, **_option_kind(found), **more})
+    return click.option(
+        *names, **{"help": found.key.meaning + default, **_option_kind(found), **more}
+    )
 
 
 def _option_kind(found: "DeclaredKey") -> dict[str, Any]:

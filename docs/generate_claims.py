@@ -1,4 +1,5 @@
-"""Write the tables of the pages on the paper from what reproduce left in a folder (the argument), and the readings.
+"""Write the tables of the pages on the paper from what
+reproduce left in a folder (the argument), and the readings.
 
 Rows of experiments that were not run there stay as they are.
 """
@@ -23,7 +24,8 @@ READINGS = ("<!-- readings -->\n", "<!-- end of readings -->\n")
 ERRATA = ("<!-- errata -->\n", "<!-- end of errata -->\n")
 DRIFT = ("<!-- drift -->\n", "<!-- end of drift -->\n")
 BASELINES = ("<!-- baselines -->\n", "<!-- end of baselines -->\n")
-OWN_COLUMNS, OTHER_COLUMNS = 5, 7
+OWN_COLUMNS = 5
+OTHER_COLUMNS = 7
 """Columns of the tables of our own claims and of comparisons."""
 SEEDS = "Seeds by experiment: "
 PIXELAI_SEEDS = 10
@@ -34,7 +36,14 @@ Row = Mapping[str, Any]
 def readings() -> str:
     """What the paper leaves open."""
     rows = [
-        (constant.symbol, f"`{name}`", constant.printed, constant.place, _values(constant.values), constant.why)
+        (
+            constant.symbol,
+            f"`{name}`",
+            constant.printed,
+            constant.place,
+            _values(constant.values),
+            constant.why,
+        )
         for name, constant in CONSTANTS.items()
     ]
     return table(("", "name", "printed", "where", "readings", "why the first is the centre"), rows)
@@ -45,17 +54,43 @@ def _values(values: Mapping[str, str]) -> str:
 
 
 def claims(found: Sequence[Row], page: str) -> str:
-    """Three tables: the paper's claims, our own, and comparisons; rows of other experiments as on the `page`."""
+    """Three tables: the paper's claims, our own, and
+    comparisons; rows of other experiments as on the `page`.
+    """
     run = {claim["id"].partition(".")[0] for claim in found}
-    old = [line for line in page.splitlines(keepends=True) if (name := _experiment(line)) and name not in run]
+    old = [
+        line
+        for line in page.splitlines(keepends=True)
+        if (name := _experiment(line)) and name not in run
+    ]
     own_rows, other_rows = (
-        "".join(line for line in old if (line.count(" | ") == columns - 1)) for columns in (OWN_COLUMNS, OTHER_COLUMNS)
+        "".join(line for line in old if (line.count(" | ") == columns - 1))
+        for columns in (OWN_COLUMNS, OTHER_COLUMNS)
     )
-    kinds = {kind: [claim for claim in found if claim["kind"] == kind] for kind in ("paper", "own", "comparison")}
-    head = ("", "claim", "must be", "at the centre", "kept", "refuted", "not tested", "verdict", "turns")
-    parts = ["**The paper's claims**\n\n" + table(head, [_paper(claim) for claim in kinds["paper"]])]
-    parts.append("**Readings that do not keep a claim**\n\n" + table(("", "why"), _reasons(kinds["paper"])))
-    own = [(c["id"], _wording(c), c["bound"], _first(c), f"**{c['verdict']}**") for c in kinds["own"]]
+    kinds = {
+        kind: [claim for claim in found if claim["kind"] == kind]
+        for kind in ("paper", "own", "comparison")
+    }
+    head = (
+        "",
+        "claim",
+        "must be",
+        "at the centre",
+        "kept",
+        "refuted",
+        "not tested",
+        "verdict",
+        "turns",
+    )
+    parts = [
+        "**The paper's claims**\n\n" + table(head, [_paper(claim) for claim in kinds["paper"]])
+    ]
+    parts.append(
+        "**Readings that do not keep a claim**\n\n" + table(("", "why"), _reasons(kinds["paper"]))
+    )
+    own = [
+        (c["id"], _wording(c), c["bound"], _first(c), f"**{c['verdict']}**") for c in kinds["own"]
+    ]
     owned = table(("", "claim", "must be", "found", "verdict"), own) + own_rows
     parts.append("**Our own claims**, of our default\n\n" + owned)
     head = ("", "claim", "must be", "figures", "same", "different", "verdict")
@@ -70,9 +105,14 @@ def _experiment(line: str) -> str:
 
 
 def seeds(found: Sequence[Row], page: str) -> str:
-    """How many seeds each experiment's figures are of; PixelAI's, one per joint, are means over ten seeds."""
-    counts = {name: int(count) for count, names in re.findall(r"(\d+) \(([\w, ]+)\)[;.]? ", page.split(SEEDS)[-1])
-              for name in names.split(", ")}  # fmt: skip
+    """How many seeds each experiment's figures are of;
+    PixelAI's, one per joint, are means over ten seeds.
+    """
+    counts = {
+        name: int(count)
+        for count, names in re.findall(r"(\d+) \(([\w, ]+)\)[;.]? ", page.split(SEEDS)[-1])
+        for name in names.split(", ")
+    }
     for claim in found:
         for one in claim["outcomes"].values():
             name = claim["id"].partition(".")[0]
@@ -81,8 +121,13 @@ def seeds(found: Sequence[Row], page: str) -> str:
     for name, count in counts.items():
         if name not in ("E6", "PixelAI"):
             by.setdefault(count, []).append(name)
-    listed = "; ".join(f"{count} ({', '.join(names)})" for count, names in sorted(by.items(), reverse=True))
-    return f"{SEEDS}{listed}; PixelAI's figures are one per joint, means over {PIXELAI_SEEDS} seeds and all starts.\n"
+    listed = "; ".join(
+        f"{count} ({', '.join(names)})" for count, names in sorted(by.items(), reverse=True)
+    )
+    return (
+        f"{SEEDS}{listed}; PixelAI's figures are one per joint, means over {PIXELAI_SEEDS} seeds "
+        "and all starts.\n"
+    )
 
 
 def errata(found: Sequence[Row]) -> str:
@@ -94,22 +139,40 @@ def errata(found: Sequence[Row]) -> str:
 def _erratum(claim: Row) -> tuple[str, ...]:
     unit = "" if claim["unit"] == "1" else f" {claim['unit']}"
     printed, run = (
-        (f"{who}: " if "as " not in who else "") + _figure(one) + unit for who, one in claim["outcomes"].items()
+        (f"{who}: " if "as " not in who else "") + _figure(one) + unit
+        for who, one in claim["outcomes"].items()
     )
     return claim["text"], claim["explanation"], f"{claim['measured']}: {printed}", run
 
 
 def _paper(claim: Row) -> tuple[str, ...]:
-    outcomes, counts = claim["outcomes"], claim["counts"]
-    numbers = tuple(str(counts[state]) if outcomes else "" for state in ("kept", "refuted", "untested"))
+    outcomes = claim["outcomes"]
+    counts = claim["counts"]
+    numbers = tuple(
+        str(counts[state]) if outcomes else "" for state in ("kept", "refuted", "untested")
+    )
     control = f" (control: {'; '.join(claim['controls'])})" if claim["controls"] else ""
-    text = claim["text"] + (f": {claim['explanation']}" if not outcomes else f": {_measured(claim)}{control}")
-    return claim["id"], text, claim["bound"], _first(claim), *numbers, f"**{claim['verdict']}**", claim["turns"]
+    text = claim["text"] + (
+        f": {claim['explanation']}" if not outcomes else f": {_measured(claim)}{control}"
+    )
+    return (
+        claim["id"],
+        text,
+        claim["bound"],
+        _first(claim),
+        *numbers,
+        f"**{claim['verdict']}**",
+        claim["turns"],
+    )
 
 
 def _reasons(found: Sequence[Row]) -> list[tuple[str, str]]:
     """A row for each claim that some reading refutes or does not test."""
-    return [(claim["id"], "; ".join(claim["reasons"])) for claim in found if claim["outcomes"] and claim["reasons"]]
+    return [
+        (claim["id"], "; ".join(claim["reasons"]))
+        for claim in found
+        if claim["outcomes"] and claim["reasons"]
+    ]
 
 
 def _comparison(claim: Row) -> tuple[str, ...]:
@@ -164,25 +227,49 @@ def drift(found: Mapping[str, Sequence[float]]) -> str:
         "displacement": "aside by, in 16 cm",
         "noise": "noise on the encoders, rad",
     }
-    parts = [f"Medians over {count} seeds, a hand on the right; in brackets the interval of the median.\n"]
+    parts = [
+        f"Medians over {count} seeds, a hand on the right; in brackets the interval of the "
+        "median.\n"
+    ]
     for what, unit in units.items():
         names = sorted(
-            (n for n in found if n.startswith(f"{what} ") and n.endswith(" right")), key=lambda n: float(n.split()[-2])
+            (n for n in found if n.startswith(f"{what} ") and n.endswith(" right")),
+            key=lambda n: float(n.split()[-2]),
         )
-        rows = [(n.split()[-2], *(_spread(found[f"{n}{kind}"]) for kind in ("", " px", " cm", " rad"))) for n in names]
-        parts.append(table((unit, "share of the displacement", "px", "cm", "largest move of a joint, rad"), rows))
+        rows = [
+            (n.split()[-2], *(_spread(found[f"{n}{kind}"]) for kind in ("", " px", " cm", " rad")))
+            for n in names
+        ]
+        parts.append(
+            table(
+                (unit, "share of the displacement", "px", "cm", "largest move of a joint, rad"),
+                rows,
+            )
+        )
     parts.append(both_curves(found))
     return "\n".join(parts)
 
 
 def both_curves(found: Mapping[str, Sequence[float]]) -> str:
     """Drift over displacement, cm: a common cause taken for granted, and inferred."""
-    names = sorted((n for n in found if re.fullmatch(r"displacement \S+ right", n)), key=lambda n: float(n.split()[1]))
+    names = sorted(
+        (n for n in found if re.fullmatch(r"displacement \S+ right", n)),
+        key=lambda n: float(n.split()[1]),
+    )
     rows = []
     for name in names:
         aside = median(found[f"{name} cm"]) / median(found[name])
-        rows.append((f"{aside:.3g}", *(_spread(found[f"{kind}{name} cm"]) for kind in ("", "inferred "))))
-    return table(("aside by, cm", "drift, cm: common cause taken for granted", "drift, cm: inferred, prior 0.5"), rows)
+        rows.append(
+            (f"{aside:.3g}", *(_spread(found[f"{kind}{name} cm"]) for kind in ("", "inferred ")))
+        )
+    return table(
+        (
+            "aside by, cm",
+            "drift, cm: common cause taken for granted",
+            "drift, cm: inferred, prior 0.5",
+        ),
+        rows,
+    )
 
 
 def baselines(found: Mapping[str, Sequence[float]]) -> str:
@@ -190,7 +277,11 @@ def baselines(found: Mapping[str, Sequence[float]]) -> str:
     rows = [(name, _spread(found[name])) for name in ROWS]
     count = len(found["filter"])
     return table(
-        (f"error over three joints, {count} reaches of 20 s", "rad: median (95 % interval of the median)"), rows
+        (
+            f"error over three joints, {count} reaches of 20 s",
+            "rad: median (95 % interval of the median)",
+        ),
+        rows,
     )
 
 

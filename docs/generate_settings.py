@@ -1,4 +1,6 @@
-"""Write docs/settings.md from the declarations of settings, sources of tracks and batch.toml; a test compares them."""
+"""Write docs/settings.md from the declarations of settings,
+sources of tracks and batch.toml; a test compares them.
+"""
 
 import inspect
 from collections.abc import Iterable
@@ -73,7 +75,9 @@ def page() -> str:
     for section in fields(Settings):
         table = type(getattr(Settings(), section.name))
         parts.append(
-            _features() if section.name == "features" else f"## [{section.name}]\n\n{_about(table)}\n\n{_rows(table)}"
+            _features()
+            if section.name == "features"
+            else f"## [{section.name}]\n\n{_about(table)}\n\n{_rows(table)}"
         )
     return "\n".join([*parts, BATCH + _rows(GroupTable)])
 
@@ -86,13 +90,17 @@ def _about(table: type) -> str:
 
 def _rows(table: type) -> str:
     lines = [
-        _row(f"`{name}`", one.key.meaning, describe_possible_values(one), default_text(one)) for name, one in declared_keys(table).items()
+        _row(f"`{name}`", one.key.meaning, describe_possible_values(one), default_text(one))
+        for name, one in declared_keys(table).items()
     ]
     return _table(("key", "meaning", "values", "default"), lines)
 
 
 def _features() -> str:
-    parts = [f"### {name}\n\n{inspect.getdoc(source)}\n\n{_rows(source)}" for name, source in SOURCES.items()]
+    parts = [
+        f"### {name}\n\n{inspect.getdoc(source)}\n\n{_rows(source)}"
+        for name, source in SOURCES.items()
+    ]
     return "\n".join([FEATURES, *parts])
 
 

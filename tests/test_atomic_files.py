@@ -10,8 +10,15 @@ from pathlib import Path
 import pytest
 
 from bodylog.errors import OutputError, WriteError
-from bodylog.io.atomic_files import ensure_dir, replace_atomically, hash_files, read_limited_text
-from bodylog.io.temporary import FOREIGN_S, PART, machine_id, remove_stale, create_scratch_folder, try_lock
+from bodylog.io.atomic_files import ensure_dir, hash_files, read_limited_text, replace_atomically
+from bodylog.io.temporary import (
+    FOREIGN_S,
+    PART,
+    create_scratch_folder,
+    machine_id,
+    remove_stale,
+    try_lock,
+)
 
 WRITER = """
 import sys

@@ -7,8 +7,8 @@ from bodylog.body.kinematic.placements import Lens
 from bodylog.calibration import camera_info_yaml
 from bodylog.errors import ConfigError
 from bodylog.kinematics import urdf
-from bodylog.kinematics.links import INFO_LENS, CameraHint, Space, MarkerTrack
-from bodylog.kinematics.rotations import rotation_from_rpy, invert_transform
+from bodylog.kinematics.links import INFO_LENS, CameraHint, MarkerTrack, Space
+from bodylog.kinematics.rotations import invert_transform, rotation_from_rpy
 from bodylog.known_camera import load_lens, with_known
 from bodylog.settings import CameraSettings
 from tests.kinematics import robots

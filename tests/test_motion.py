@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 
 from bodylog.linear_algebra import selected_inverse
-from bodylog.motion import band_storage, motion_covariance, motion_log_determinant, motion_precision, solve_banded_system, motion_transition
+from bodylog.motion import (
+    band_storage,
+    motion_covariance,
+    motion_log_determinant,
+    motion_precision,
+    motion_transition,
+    solve_banded_system,
+)
 from bodylog.types import Array
 
 

@@ -22,9 +22,19 @@ from bodylog.settings import Settings
 ROOT = Path(__file__).parents[1]
 PAGES = {
     str(path.relative_to(ROOT)): path.read_text()
-    for path in sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *ROOT.glob("docs/*.md"), *ROOT.glob(".github/*.md")])
+    for path in sorted(
+        [
+            ROOT / "README.md",
+            ROOT / "CHANGELOG.md",
+            *ROOT.glob("docs/*.md"),
+            *ROOT.glob(".github/*.md"),
+        ]
+    )
 }
-RUN_ELSEWHERE = {"docs/tutorial.md": "tests/test_docs.py", "docs/logs.md": "tests/logs/test_library.py"}
+RUN_ELSEWHERE = {
+    "docs/tutorial.md": "tests/test_docs.py",
+    "docs/logs.md": "tests/logs/test_library.py",
+}
 """Pages whose blocks another test runs word for word."""
 
 NOT_RUN = {
@@ -51,14 +61,20 @@ def _blocks(page: str, *languages: str) -> list[str]:
 
 def _typed(page: str) -> list[str]:
     """Every command of a page's blocks, and each example of the command line's page, without comments."""
-    indented = [block.replace("\n    ", "\n") for block in INDENTED.findall(FENCE.sub("", PAGES[page]))]
+    indented = [
+        block.replace("\n    ", "\n") for block in INDENTED.findall(FENCE.sub("", PAGES[page]))
+    ]
     found = []
     for block in [*_blocks(page, "text", "bash", "yaml"), *indented]:
         for line in re.sub(r"\\\n\s*|(?<=-o)\n\s+", " ", block).splitlines():
             line = line.replace("${{ matrix.shard }}", "1")
             line = re.sub(r"^\s*(- run: |Example: |\$ )?|(?<=\s)#.*$|\s+>\s.*$", "", line)
             found += [part.strip() for part in line.split("&&")]
-    return [line for line in found if re.match(r"(bodylog [a-z]|make |python -m |pip install |mkdocs )", line)]
+    return [
+        line
+        for line in found
+        if re.match(r"(bodylog [a-z]|make |python -m |pip install |mkdocs )", line)
+    ]
 
 
 def _slug(heading: str) -> str:
@@ -96,7 +112,9 @@ def test_settings_on_a_page_are_accepted(page, tmp_path):
     for block in _blocks(page, "toml"):
         assert tomllib.loads(block)
         (tmp_path / "robot.toml").write_text(block)
-        manifest.load_manifest(tmp_path / "robot.toml", Settings()) if "[[group]]" in block else load_settings(tmp_path / "robot.toml")
+        manifest.load_manifest(
+            tmp_path / "robot.toml", Settings()
+        ) if "[[group]]" in block else load_settings(tmp_path / "robot.toml")
 
 
 @pytest.mark.parametrize("page", PAGES)
@@ -104,9 +122,14 @@ def test_options_and_settings_in_the_text_exist(page):
     text = FENCE.sub("", PAGES[page])
     for command, rest in re.findall(r"`bodylog (\w+)([^`]*)`", text):
         options = commands.commands[command].params
-        known = {"--help", *(name for option in options for name in (*option.opts, *option.secondary_opts))}
+        known = {
+            "--help",
+            *(name for option in options for name in (*option.opts, *option.secondary_opts)),
+        }
         assert set(re.findall(r"(?<!\S)--?[a-z][\w-]*", rest)) <= known, command
-    sections = dict(re.findall(r"^## \[(\w+)\]\n(.*?)(?=^## |\Z)", PAGES["docs/settings.md"], re.M | re.S))
+    sections = dict(
+        re.findall(r"^## \[(\w+)\]\n(.*?)(?=^## |\Z)", PAGES["docs/settings.md"], re.M | re.S)
+    )
     for section, key in re.findall(r"`\[(\w+)\] (\w+)", text):
         assert f"| `{key}` |" in sections[section], f"[{section}] {key}"
 
@@ -161,7 +184,9 @@ def _tables(folder: Path) -> None:
     np.savetxt(folder / "tracker.csv", rows, delimiter=",", header=names, comments="")
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if _typed(page) and page not in RUN_ELSEWHERE])
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if _typed(page) and page not in RUN_ELSEWHERE]
+)
 def test_page_commands_run(page, scene, run_cli, tmp_path, monkeypatch):
     here = tmp_path / "scene"
     shutil.copytree(scene, here)
@@ -188,7 +213,9 @@ def _try(line: str, run_cli) -> None:
 
 def _extras(line: str) -> None:
     known = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    assert {name for words in re.findall(r"\[([\w,]+)\]", line) for name in words.split(",")} <= set(known)
+    assert {
+        name for words in re.findall(r"\[([\w,]+)\]", line) for name in words.split(",")
+    } <= set(known)
 
 
 def test_figures_of_the_readme_are_those_of_its_command(run_cli, tmp_path, capsys):
@@ -197,10 +224,21 @@ def test_figures_of_the_readme_are_those_of_its_command(run_cli, tmp_path, capsy
     capsys.readouterr()
     assert run_cli("compare", arm / "reach.mcap", "--body", body, "--json") == 0
     rows = json.loads(capsys.readouterr().out)["results"][0]["rows"]
-    values = {(row["method"], *row["senses"]): {k: one["value"] for k, one in row["scores"].items()} for row in rows}
-    filtered, smoothed = (values[method, "encoders", "vision"] for method in ("laplace", "smoother"))
+    values = {
+        (row["method"], *row["senses"]): {k: one["value"] for k, one in row["scores"].items()}
+        for row in rows
+    }
+    filtered, smoothed = (
+        values[method, "encoders", "vision"] for method in ("laplace", "smoother")
+    )
     errors = [filtered["rmse/encoders"], filtered["rmse/joint"], smoothed["rmse/joint"]]
     covered = [filtered["coverage_2sigma/joint"], smoothed["coverage_2sigma/joint"]]
-    (sentence,) = re.findall(r"^Raw encoders err by .*?2σ\.$", PAGES["README.md"], re.MULTILINE | re.DOTALL)
-    assert [float(number) for number in re.findall(r"([\d.]+) rad", sentence)] == pytest.approx(errors, rel=0.02)
-    assert [float(number) for number in re.findall(r"([\d.]+) %", sentence)] == pytest.approx(covered, rel=0.02)
+    (sentence,) = re.findall(
+        r"^Raw encoders err by .*?2σ\.$", PAGES["README.md"], re.MULTILINE | re.DOTALL
+    )
+    assert [float(number) for number in re.findall(r"([\d.]+) rad", sentence)] == pytest.approx(
+        errors, rel=0.02
+    )
+    assert [float(number) for number in re.findall(r"([\d.]+) %", sentence)] == pytest.approx(
+        covered, rel=0.02
+    )

@@ -10,7 +10,7 @@ import pytest
 
 from bodylog.config import load_settings, merge_settings, settings_as_toml
 from bodylog.errors import ConfigError
-from bodylog.settings import ColourSettings, Settings, settings_as_values, list_configured_sources
+from bodylog.settings import ColourSettings, Settings, list_configured_sources, settings_as_values
 from bodylog.sources import (
     DICTIONARIES,
     CharucoSource,
@@ -53,7 +53,12 @@ def test_sources_of_each_kind_round_trip_through_toml(tmp_path) -> None:
     assert settings.features == FEATURES
     path.write_text(settings_as_toml(settings))
     assert load_settings(path).features == FEATURES
-    assert merge_settings(Settings(), json.loads(json.dumps(settings_as_values(settings))), "log").features == FEATURES
+    assert (
+        merge_settings(
+            Settings(), json.loads(json.dumps(settings_as_values(settings))), "log"
+        ).features
+        == FEATURES
+    )
 
 
 @pytest.mark.parametrize(
@@ -63,15 +68,30 @@ def test_sources_of_each_kind_round_trip_through_toml(tmp_path) -> None:
         ({"low": [0, 0, 0]}, "features.it is .*it must be {low"),
         ({"tag": 7, "point": [1, 2]}, "has tag and point; it must have exactly one of colour, tag"),
         ({"size": 0.1}, "has only size; it must have exactly one of"),
-        ({"tag": 7, "dictionnary": "4x4_50"}, "features.it.dictionnary; did you mean dictionary\\? possible: tag, di"),
+        (
+            {"tag": 7, "dictionnary": "4x4_50"},
+            "features.it.dictionnary; did you mean dictionary\\? possible: tag, di",
+        ),
         ({"tag": -1}, "features.it.tag is -1; possible: whole number from 0"),
         ({"tag": True}, "features.it.tag is True"),
         ({"tag": 587}, "features.it.tag is 587; apriltag_36h11 has tags from 0 to 586"),
-        ({"tag": 7, "dictionary": "36h11"}, "dictionary is '36h11'; possible: 4x4_50, .*apriltag_36h11"),
+        (
+            {"tag": 7, "dictionary": "36h11"},
+            "dictionary is '36h11'; possible: 4x4_50, .*apriltag_36h11",
+        ),
         ({"tag": 7, "size": 0}, "size is 0; possible: number from 1e-06 to 100 m"),
-        ({"charuco": "10x14", "square": 0.07}, "has no marker; it must have charuco, square, marker"),
-        ({"charuco": "10x14", "square": 0.04, "marker": 0.07}, "marker is 0.07 m; it must be less than square"),
-        ({"charuco": "10", "square": 0.07, "marker": 0.04}, "charuco is '10'; possible: columns and rows"),
+        (
+            {"charuco": "10x14", "square": 0.07},
+            "has no marker; it must have charuco, square, marker",
+        ),
+        (
+            {"charuco": "10x14", "square": 0.04, "marker": 0.07},
+            "marker is 0.07 m; it must be less than square",
+        ),
+        (
+            {"charuco": "10", "square": 0.07, "marker": 0.04},
+            "charuco is '10'; possible: columns and rows",
+        ),
         ({"charuco": "10x14", "square": 0.07, "marker": 0.04}, "needs 70 markers; 4x4_50 has 50"),
         ({"point": [1.0, float("nan")]}, "point is .*possible: \\[u, v\\] in px"),
         ({"table": "a.csv", "columns": ["u"]}, "columns is .*two or more columns"),
@@ -82,7 +102,9 @@ def test_sources_of_each_kind_round_trip_through_toml(tmp_path) -> None:
 def test_invalid_source_is_refused_with_the_possible_values(value, text) -> None:
     with pytest.raises(ConfigError, match=text) as caught:
         merge_settings(Settings(), {"features": {"it": value}}, "robot.toml")
-    assert re.match(r"robot.toml: (unknown key )?features.it", str(caught.value)) and "\n" not in str(caught.value)
+    assert re.match(
+        r"robot.toml: (unknown key )?features.it", str(caught.value)
+    ) and "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "a.b", "encoders", "touch"])
@@ -95,25 +117,43 @@ def test_feature_replaces_colour_and_default_effector() -> None:
     assert list(list_configured_sources(Settings())) == ["effector", "hand"]
     tagged = Settings(features={"wrist": TagSource(7)})
     assert list_configured_sources(tagged) == {"hand": ColourSource("red"), "wrist": TagSource(7)}
-    blue = replace(tagged, colours=ColourSettings(effector="blue", markers={"elbow": "cyan", "wrist": "red"}))
-    assert list_configured_sources(blue)["effector"] == ColourSource("blue") and list_configured_sources(blue)["wrist"] == TagSource(7)
-    assert list_configured_sources(Settings(features={"effector": TagSource(1)}))["effector"] == TagSource(1)
+    blue = replace(
+        tagged, colours=ColourSettings(effector="blue", markers={"elbow": "cyan", "wrist": "red"})
+    )
+    assert list_configured_sources(blue)["effector"] == ColourSource(
+        "blue"
+    ) and list_configured_sources(blue)["wrist"] == TagSource(7)
+    assert list_configured_sources(Settings(features={"effector": TagSource(1)}))[
+        "effector"
+    ] == TagSource(1)
 
 
 def test_dictionaries_of_opencv_all_have_a_name() -> None:
     there = {name.upper() for name in dir(cv2.aruco) if name.startswith("DICT_")}
-    ours = {f"DICT_{'ARUCO_' if name.startswith('mip') else ''}{name.upper()}" for name in DICTIONARIES}
+    ours = {
+        f"DICT_{'ARUCO_' if name.startswith('mip') else ''}{name.upper()}" for name in DICTIONARIES
+    }
     assert ours == there
     for name, count in DICTIONARIES.items():
         spelled = next(n for n in dir(cv2.aruco) if n.upper().removeprefix("DICT_").removeprefix("ARUCO_M")
                        == name.upper().removeprefix("M"))  # fmt: skip
-        assert len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, spelled)).bytesList) == count, name
+        assert (
+            len(cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, spelled)).bytesList) == count
+        ), name
 
 
 def test_board_gives_a_track_per_corner() -> None:
     board = CharucoSource("4x3", 0.1, 0.07)
     assert track_names("side/board", board) == tuple(f"side/board.{k}" for k in range(6))
-    expected = cv2.aruco.CharucoBoard((4, 3), 0.1, 0.07, cv2.aruco.getPredefinedDictionary(0)).getChessboardCorners()
+    expected = cv2.aruco.CharucoBoard(
+        (4, 3), 0.1, 0.07, cv2.aruco.getPredefinedDictionary(0)
+    ).getChessboardCorners()
     np.testing.assert_allclose(board_points(board), expected, atol=1e-6)
-    assert board_points(TagSource(3)) is None and len(board_points(TagSource(3, size=0.1, corners=True))) == 4
-    assert feature_of("side/board.3") == feature_of("board") == "board" and group_of("side/board.3") == "side/board"
+    assert (
+        board_points(TagSource(3)) is None
+        and len(board_points(TagSource(3, size=0.1, corners=True))) == 4
+    )
+    assert (
+        feature_of("side/board.3") == feature_of("board") == "board"
+        and group_of("side/board.3") == "side/board"
+    )

@@ -1,4 +1,6 @@
-"""Write features and estimates into a copy of a log: its own bytes are unchanged, the new messages follow."""
+"""Write features and estimates into a copy of a log:
+its own bytes are unchanged, the new messages follow.
+"""
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -29,11 +31,12 @@ def annotate_log(
     out: Path,
     only: Collection[str] | None = None,
 ) -> tuple[Finding, ...]:
-    """Write an MCAP `out` with all of `source`, the given messages, and a metadata record `bodylog`.
+    """Write an MCAP `out` with all of `source`, the
+    given messages, and a metadata record `bodylog`.
 
-    A chunked MCAP is copied byte for byte; other logs are rewritten, as is any log if `only` some topics are kept.
-    Topics of an earlier run are replaced. Findings name topics not carried over whole. UsageError if `out` is the
-    source, LogError if the copy fails verification.
+    A chunked MCAP is copied byte for byte; other logs are rewritten, as is any log if `only` some
+    topics are kept. Topics of an earlier run are replaced. Findings name topics not carried over
+    whole. UsageError if `out` is the source, LogError if the copy fails verification.
     """
     with open_annotation(source, out, whole=only is None) as under_way:
         under_way.copy()
@@ -43,11 +46,14 @@ def annotate_log(
 
 
 @contextmanager
-def open_annotation(source: Path, out: Path, whole: bool = True, limits: Input = LIMITS) -> Iterator["Annotation"]:
-    """`annotate_log` in steps: the source is read and, if unchanged, copied while the messages are made.
+def open_annotation(
+    source: Path, out: Path, whole: bool = True, limits: Input = LIMITS
+) -> Iterator["Annotation"]:
+    """`annotate_log` in steps: the source is read and,
+    if unchanged, copied while the messages are made.
 
-    Call `add_topics` and `about` once each; `copy` may come before, when a core is free: short copies wait for that. An
-    exception leaves no `out`.
+    Call `add_topics` and `about` once each; `copy` may come before, when a core is free: short
+    copies wait for that. An exception leaves no `out`.
     """
     guard_outputs([source], [Output(out)])
     with replace_atomically(out) as beside:
@@ -58,20 +64,29 @@ def open_annotation(source: Path, out: Path, whole: bool = True, limits: Input =
                 yield under_way
             copy.copied()
             verify_message_count(beside, under_way.messages, out)
-            sync_to_disk(beside)  # while the rest is digested; what is left to sync then is its name
+            # while the rest is digested; what is left to sync then is its name
+            sync_to_disk(beside)
             copy.digest()
 
 
 class Annotation:
     """An annotated log in progress."""
 
-    def __init__(self, source: Path, base: Prefix | None, copy: Copy, stream: BinaryIO, limits: Input) -> None:
+    def __init__(
+        self, source: Path, base: Prefix | None, copy: Copy, stream: BinaryIO, limits: Input
+    ) -> None:
         """`base` is the part of the source that is copied; None to rewrite everything."""
         self.messages = 0
-        self.copy, self.digest = copy.begin, copy.digest
-        self._source, self._base, self._stream, self._limits = source, base, stream, limits
+        self.copy = copy.begin
+        self.digest = copy.digest
+        self._source = source
+        self._base = base
+        self._stream = stream
+        self._limits = limits
 
-    def add(self, outgoing: Sequence[Outgoing], only: Collection[str] | None = None) -> tuple[Finding, ...]:
+    def add(
+        self, outgoing: Sequence[Outgoing], only: Collection[str] | None = None
+    ) -> tuple[Finding, ...]:
         """Write messages after those of the source, or of `only` some topics; returns losses."""
         self._writer, kept, findings = self._behind(only)
         readable, more = rename_conflicting(outgoing, self._writer.contents.schemas.values())
@@ -84,10 +99,13 @@ class Annotation:
         self._writer.about(NAME, metadata)
         self._writer.finish()
 
-    def _behind(self, only: Collection[str] | None) -> tuple[McapRecordWriter, int, tuple[Finding, ...]]:
+    def _behind(
+        self, only: Collection[str] | None
+    ) -> tuple[McapRecordWriter, int, tuple[Finding, ...]]:
         if self._base is None:
             return write_log_messages(self._source, self._stream, only, limits=self._limits)
-        end, contents = self._base.end, self._base.contents
+        end = self._base.end
+        contents = self._base.contents
         kept = sum(contents.counts.values())
         self._stream.seek(end)
         return McapRecordWriter(self._stream, contents, end, self._base.crc), kept, ()
@@ -105,11 +123,17 @@ def write_annotations(outgoing: Sequence[Outgoing], metadata: Mapping[str, str],
         verify_message_count(beside, sum(len(o.log_ns) for o in outgoing), out)
 
 
-def add_topics(writer: McapRecordWriter, outgoing: Sequence[Outgoing], about: Mapping[str, Mapping[str, str]] | None = None) -> None:
+def add_topics(
+    writer: McapRecordWriter,
+    outgoing: Sequence[Outgoing],
+    about: Mapping[str, Mapping[str, str]] | None = None,
+) -> None:
     """Write topics with their messages in order of log time; `about`: metadata of some of them."""
     extra = about or {}
     numbers = [
-        writer.topic(o.topic, o.type, o.encoding, o.definition, o.definition_encoding, extra.get(o.topic, {}))
+        writer.topic(
+            o.topic, o.type, o.encoding, o.definition, o.definition_encoding, extra.get(o.topic, {})
+        )
         for o in outgoing
     ]
     if outgoing:
@@ -135,6 +159,8 @@ def _table_of_outgoing(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> 
         log_ns=log_ns[order],
         publish_ns=log_ns[order],
         data=tuple(o.data for o in outgoing),
-        offset=np.concatenate([o.offset + start for o, start in zip(outgoing, shift, strict=False)])[order],
+        offset=np.concatenate(
+            [o.offset + start for o, start in zip(outgoing, shift, strict=False)]
+        )[order],
         length=np.concatenate([o.length for o in outgoing])[order],
     )

@@ -14,26 +14,35 @@ from ..errors import LogError
 from ..io.atomic_files import iter_mapped
 from ..logs.episode_files import files_of
 
-_PIECE, _AHEAD = 8 << 20, 4
+_PIECE = 8 << 20
+_AHEAD = 4
 """Bytes read at once, and how many such pieces the copy may be ahead of the digest."""
 
 _BLOCK = 4096
 _FICLONERANGE = 0x4020940D
-"""Linux ioctl for two files to share a range of blocks until one is written (btrfs, XFS, bcachefs, …)."""
+"""Linux ioctl for two files to share a range of
+blocks until one is written (btrfs, XFS, bcachefs, …).
+"""
 
 _LONG = 128 << 20
 """Bytes that take about a tenth of a second: shorter copies wait for a free core."""
 
 
 class Copy:
-    """The digest of `source`, and a copy of its first `end` bytes to `target`, made within a `with` block.
+    """The digest of `source`, and a copy of its first
+    `end` bytes to `target`, made within a `with` block.
 
-    The copy is ahead of the digest, which takes longer: it can be verified while the rest is digested.
+    The copy is ahead of the digest, which takes longer:
+    it can be verified while the rest is digested.
     """
 
     def __init__(self, source: Path, target: Path | None = None, end: int = 0) -> None:
-        """A short log is not copied before `begin`, `copied` or `digest`; without `target` nothing is copied."""
-        self._source, self._target, self._end = source, target, end
+        """A short log is not copied before `begin`, `copied`
+        or `digest`; without `target` nothing is copied.
+        """
+        self._source = source
+        self._target = target
+        self._end = end
         self._size = 0 if target is None else source.stat().st_size
         self._begun, self._stopped, self._pool = Event(), Event(), ThreadPoolExecutor(1)
         self._digest = _Digest()
@@ -61,12 +70,16 @@ class Copy:
         self._begun.set()
 
     def copied(self) -> None:
-        """Wait until all is read and the copy is made; LogError when a copied file changed its size."""
+        """Wait until all is read and the copy is made;
+        LogError when a copied file changed its size.
+        """
         self.begin()
         self._copy.result()
 
     def digest(self) -> str:
-        """Hex SHA-256 of the source, after reading and copying; LogError when a copied file changed its size."""
+        """Hex SHA-256 of the source, after reading and
+        copying; LogError when a copied file changed its size.
+        """
         self.copied()
         return self._digest.hex()
 
@@ -140,7 +153,9 @@ class _Target:
             self._direct = None
 
     def share(self, source: Path, end: int) -> int:
-        """Share the first `end` bytes with `source` in whole blocks if the disk can; returns how many are shared."""
+        """Share the first `end` bytes with `source` in whole
+        blocks if the disk can; returns how many are shared.
+        """
         size = end // _BLOCK * _BLOCK
         if sys.platform != "linux" or not size:
             return 0
@@ -148,7 +163,9 @@ class _Target:
 
         with source.open("rb") as stream:
             try:
-                fcntl.ioctl(self._plain, _FICLONERANGE, struct.pack("=qQQQ", stream.fileno(), 0, size, 0))
+                fcntl.ioctl(
+                    self._plain, _FICLONERANGE, struct.pack("=qQQQ", stream.fileno(), 0, size, 0)
+                )
             except OSError:
                 return 0
         return size
@@ -160,7 +177,9 @@ class _Target:
                 os.close(handle)
 
     def write(self, piece: memoryview, at: int) -> None:
-        """Write a piece at byte `at`: whole blocks directly to the disk, the remainder through the cache."""
+        """Write a piece at byte `at`: whole blocks directly
+        to the disk, the remainder through the cache.
+        """
         whole = 0 if self._direct is None else len(piece) // _BLOCK * _BLOCK
         done = 0
         while done < len(piece):

@@ -13,7 +13,9 @@ from ..types import Capabilities, Estimate, Finding, Health
 
 
 def describe_estimate(estimate: Estimate) -> dict[str, str]:
-    """The parts of an estimate without a topic, as entries of the metadata record; `read_estimate` reads them."""
+    """The parts of an estimate without a topic, as entries
+    of the metadata record; `read_estimate` reads them.
+    """
     used = {sense: asdict(health) for sense, health in estimate.used.items()}
     findings = [asdict(finding) for finding in estimate.findings]
     return {
@@ -37,9 +39,14 @@ class DeclaredEstimate:
 
 
 def _check_health(found: Health) -> Health:
-    """Validate health counts: ValueError for impossible counts, TypeError for what is not a number."""
+    """Validate health counts: ValueError for impossible
+    counts, TypeError for what is not a number.
+    """
     counts = (found.seen, found.used, *found.rejected.values())
-    if not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts) or not found.largest_gap_s >= 0.0:
+    if (
+        not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts)
+        or not found.largest_gap_s >= 0.0
+    ):
         raise ValueError("how much was used is not a number of messages")
     return found
 
@@ -62,13 +69,21 @@ def read_declared_estimate(path: Path, metadata: Mapping[str, str]) -> DeclaredE
     try:
         return DeclaredEstimate(
             metadata.get("method", ""),
-            {sense: _check_health(Health(**health)) for sense, health in read_json(metadata.get("used", "{}")).items()},
+            {
+                sense: _check_health(Health(**health))
+                for sense, health in read_json(metadata.get("used", "{}")).items()
+            },
             dict(read_json(metadata.get("resolved", "{}"))),
-            tuple(_check_finding(Finding(**finding)) for finding in read_json(metadata.get("findings", "[]"))),
+            tuple(
+                _check_finding(Finding(**finding))
+                for finding in read_json(metadata.get("findings", "[]"))
+            ),
             _check_capabilities(read_json(metadata.get("can", "{}"))),
         )
     except (ValueError, TypeError, AttributeError) as problem:
-        raise LogError(f"{path}: the metadata record {NAME} is damaged ({problem}); {type_again(path)}") from None
+        raise LogError(
+            f"{path}: the metadata record {NAME} is damaged ({problem}); {type_again(path)}"
+        ) from None
 
 
 def type_again(path: Path) -> str:

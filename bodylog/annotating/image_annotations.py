@@ -17,16 +17,32 @@ _Circle = tuple[tuple[float, ...], float, Array]
 
 
 def draw_image_annotations(
-    seen: Mapping[str, Series], predicted: Mapping[str, Series], cov: Mapping[str, Array], start_ns: int
+    seen: Mapping[str, Series],
+    predicted: Mapping[str, Series],
+    cov: Mapping[str, Array],
+    start_ns: int,
 ) -> tuple[Array, Payloads]:
-    """Log times (n,) of all frames, and one ImageAnnotations for each: a circle per feature seen or predicted,
-    and the prediction's 2-sigma ellipse."""
+    """Log times (n,) of all frames, and one ImageAnnotations for each: a circle per feature seen or
+    predicted, and the prediction's 2-sigma ellipse."""
     tracks = [*seen.values(), *predicted.values()]
-    times, first = np.unique(np.concatenate([track.source_ns for track in tracks]), return_index=True)
-    stamp = start_ns + np.rint(np.concatenate([track.t for track in tracks])[first] * 1e9).astype(np.int64)
-    circles: list[_Circle] = [((*measurement_ink(name).image, 1.0), 16.0, _values_at_log_times(times, track)) for name, track in seen.items()]
-    circles += [(_PREDICTED, 8.0, _values_at_log_times(times, track)) for track in predicted.values()]
-    loops = [_values_at_log_times(times, series, _ellipse_corners(series, cov[name])) for name, series in predicted.items() if name in cov]
+    times, first = np.unique(
+        np.concatenate([track.source_ns for track in tracks]), return_index=True
+    )
+    stamp = start_ns + np.rint(np.concatenate([track.t for track in tracks])[first] * 1e9).astype(
+        np.int64
+    )
+    circles: list[_Circle] = [
+        ((*measurement_ink(name).image, 1.0), 16.0, _values_at_log_times(times, track))
+        for name, track in seen.items()
+    ]
+    circles += [
+        (_PREDICTED, 8.0, _values_at_log_times(times, track)) for track in predicted.values()
+    ]
+    loops = [
+        _values_at_log_times(times, series, _ellipse_corners(series, cov[name]))
+        for name, series in predicted.items()
+        if name in cov
+    ]
     return times, _serialise_by_layout(stamp, circles, loops)
 
 
@@ -39,20 +55,29 @@ def _values_at_log_times(times: Array, track: Series, values: Array | None = Non
 
 
 def _ellipse_corners(series: Series, cov: Array) -> Array:
-    """Corners (K,2*CORNERS) px of the 2-sigma ellipses of cov (K,2,2) px² around the predictions."""
+    """Corners (K,2*CORNERS) px of the 2-sigma ellipses
+    of cov (K,2,2) px² around the predictions.
+    """
     return ellipse_corners(series.values, cov).reshape(len(cov), -1)
 
 
 def _serialise_by_layout(stamp: Array, circles: list[_Circle], loops: list[Array]) -> Payloads:
-    """One serialisation per group of frames that show the same parts, and so have the same layout."""
-    shown = np.column_stack([np.isfinite(values).all(1) for values in [*(c[2] for c in circles), *loops]])
+    """One serialisation per group of frames that
+    show the same parts, and so have the same layout.
+    """
+    shown = np.column_stack(
+        [np.isfinite(values).all(1) for values in [*(c[2] for c in circles), *loops]]
+    )
     packed = np.packbits(shown, axis=1)
-    kind_of = packed.view(f"S{packed.shape[1]}")[:, 0]  # as one text each: sorting rows of bits is slow
+    # as one text each: sorting rows of bits is slow
+    kind_of = packed.view(f"S{packed.shape[1]}")[:, 0]
     parts = []
     for rows in (np.flatnonzero(kind_of == number) for number in np.unique(kind_of)):
         kind = shown[rows[0]]
         round_parts = [c for c, there in zip(circles, kind, strict=False) if there]
-        loop_parts = [loop for loop, there in zip(loops, kind[len(circles) :], strict=True) if there]
+        loop_parts = [
+            loop for loop, there in zip(loops, kind[len(circles) :], strict=True) if there
+        ]
         fields: list[CdrField] = [("uint32", len(round_parts))]
         for colour, diameter, centre in round_parts:
             fields += _circle_fields(stamp[rows], centre[rows], diameter, colour)
@@ -64,7 +89,9 @@ def _serialise_by_layout(stamp: Array, circles: list[_Circle], loops: list[Array
     return cdr.merge_payloads(parts, len(stamp))
 
 
-def _circle_fields(stamp: Array, centre: Array, diameter: float, colour: tuple[float, ...]) -> list[CdrField]:
+def _circle_fields(
+    stamp: Array, centre: Array, diameter: float, colour: tuple[float, ...]
+) -> list[CdrField]:
     shape = [diameter, 2.0, *_CLEAR, *colour]
     return [*cdr.cdr_time_field(stamp), ("float64*", centre), ("float64*", np.array([shape]))]
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import FormatError, LogError
 from ..logs.decode.dynamic import make_dynamic_reader
-from ..logs.decode.ros1_to_cdr import make_cdr_converter, known_definition
+from ..logs.decode.ros1_to_cdr import known_definition, make_cdr_converter
 from ..logs.encode import cdr
 from ..logs.encode.cdr import CdrField
 from ..logs.formats import open_log, payload_views
@@ -18,7 +18,8 @@ from ..logs.topic_names import escape_topic_name
 from ..types import Array, LazyImage, Recording, Topic
 from .messages import stamps_ns
 
-COMPRESSED, RAW = "/camera/image/compressed", "/camera/image"
+COMPRESSED = "/camera/image/compressed"
+RAW = "/camera/image"
 _QUALITY = 95
 
 
@@ -48,20 +49,28 @@ _Convert = Callable[[bytes, int], bytes]
 """A payload and its stamp (ns) -> CDR."""
 
 
-def image_messages(path: Path, recording: Recording, unread: dict[str, list[str]]) -> Iterator[ImageMessage]:
-    """All images that the recording accepts, camera by camera, in file order; those of a video are encoded.
+def image_messages(
+    path: Path, recording: Recording, unread: dict[str, list[str]]
+) -> Iterator[ImageMessage]:
+    """All images that the recording accepts, camera by
+    camera, in file order; those of a video are encoded.
 
-    `unread` {topic or video: reasons} gets the images that cannot be read. The first camera's topic is
-    /camera/image, another's /NAME/image, or as compressed. LogError if two are the same.
+    `unread` {topic or video: reasons} gets the images that cannot be read. The first camera's topic
+    is /camera/image, another's /NAME/image, or as compressed. LogError if two are the same.
     """
     films = {"": recording.frames} if recording.frames is not None else {}
     for name, frames in (films | dict(recording.views)).items():
         under = f"/{escape_topic_name(name)}" if name else "/camera"
         if name and under == "/camera":
             source = recording.roles["camera/camera"]
-            raise LogError(f"{path}: two cameras would be written as {RAW}; name {source} first in [topics] camera")
+            raise LogError(
+                f"{path}: two cameras would be written as {RAW}; name {source} first in "
+                "[topics] camera"
+            )
         source = recording.roles.get(f"camera/{name}".strip("/"), "")
-        topics = {t.id: t for t in recording.topics if source == t.name or source.startswith(f"{t.name}.")}
+        topics = {
+            t.id: t for t in recording.topics if source == t.name or source.startswith(f"{t.name}.")
+        }
         if topics:
             found = _pass_through_images(path, recording, frames, topics, unread)
         else:
@@ -70,7 +79,11 @@ def image_messages(path: Path, recording: Recording, unread: dict[str, list[str]
 
 
 def _pass_through_images(
-    path: Path, recording: Recording, frames: Frames, topics: Mapping[int, Topic], unread: dict[str, list[str]]
+    path: Path,
+    recording: Recording,
+    frames: Frames,
+    topics: Mapping[int, Topic],
+    unread: dict[str, list[str]],
 ) -> Iterator[ImageMessage]:
     accepted: dict[int, deque[float]] = {}
     for frame in frames():
@@ -98,13 +111,18 @@ def _conversion_of_topic(topic: Topic) -> tuple[Kind, _Convert]:
     name = COMPRESSED if topic.type in messages.COMPRESSED else RAW
     if topic.encoding == "ros1":
         convert, definition = make_cdr_converter(topic)
-        return Kind(name, topic.type, definition, "ros2msg"), lambda payload, _: bytes(convert(memoryview(payload)))
+        return Kind(name, topic.type, definition, "ros2msg"), lambda payload, _: bytes(
+            convert(memoryview(payload))
+        )
     if topic.encoding == "cdr":
-        definition, form = topic.definition, topic.definition_encoding
+        definition = topic.definition
+        form = topic.definition_encoding
         if not definition:
-            definition, form = known_definition(topic.type) or b"", "ros2msg"
+            definition = known_definition(topic.type) or b""
+            form = "ros2msg"
         return Kind(name, topic.type, definition, form), lambda payload, _: payload
-    read, make = make_dynamic_reader(topic), _compressed_image_bytes if name == COMPRESSED else _raw_image_bytes
+    read = make_dynamic_reader(topic)
+    make = _compressed_image_bytes if name == COMPRESSED else _raw_image_bytes
     return _ros2_image_kind(name), lambda payload, stamp: make(read(payload), stamp)
 
 
@@ -127,13 +145,21 @@ def _encode_video_frames(
             continue
         done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
         if not done:
-            raise FormatError(f"{recording.name}: the image at {frame.t:.3f} s cannot be written as JPEG")
+            raise FormatError(
+                f"{recording.name}: the image at {frame.t:.3f} s cannot be written as JPEG"
+            )
         message = {"format": "jpeg", "data": jpeg.tobytes()}
-        yield ImageMessage(kind, frame.t, _compressed_image_bytes(message, _image_stamp_ns(frame.t, recording)))
+        yield ImageMessage(
+            kind, frame.t, _compressed_image_bytes(message, _image_stamp_ns(frame.t, recording))
+        )
 
 
 def _compressed_image_bytes(message: Mapping[str, Any], stamp: int) -> bytes:
-    fields: list[CdrField] = [*_header_fields(message, stamp), ("string", str(message.get("format", ""))), _bytes_field(message)]
+    fields: list[CdrField] = [
+        *_header_fields(message, stamp),
+        ("string", str(message.get("format", ""))),
+        _bytes_field(message),
+    ]
     return cdr.serialise_messages(1, fields).data.tobytes()
 
 

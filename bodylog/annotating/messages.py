@@ -20,11 +20,23 @@ PREDICTED_NAMES = (*TRACK_NAMES, "cov_uv")
 
 
 def from_features(features: Features, start_ns: int) -> list[Outgoing]:
-    """Tracks, sightings, strokes, touches and synchrony; the frame_id of image positions is the camera."""
-    out = [from_track(name, track, start_ns, _frame_id_of_track(name, features)) for name, track in features.tracks.items()]
+    """Tracks, sightings, strokes, touches and synchrony;
+    the frame_id of image positions is the camera.
+    """
+    out = [
+        from_track(name, track, start_ns, _frame_id_of_track(name, features))
+        for name, track in features.tracks.items()
+    ]
     for name in ("effector", "hand"):
         if name in features.tracks:
-            out.append(_points_message(PREFIX + name, features.tracks[name], start_ns, _frame_id_of_track(name, features)))
+            out.append(
+                _points_message(
+                    PREFIX + name,
+                    features.tracks[name],
+                    start_ns,
+                    _frame_id_of_track(name, features),
+                )
+            )
     if features.hand is not None:
         out.append(_strokes_message(features, features.hand, start_ns))
     if features.touches is not None:
@@ -34,22 +46,56 @@ def from_features(features: Features, start_ns: int) -> list[Outgoing]:
 
 
 def from_estimate(estimate: Estimate, features: Features, start_ns: int) -> list[Outgoing]:
-    """Belief, covariance, errors, predictions, faults, and each camera's overlay of seen and predicted positions."""
+    """Belief, covariance, errors, predictions, faults, and
+    each camera's overlay of seen and predicted positions.
+    """
     joints = estimate.joints
     out = [
         from_joints(PREFIX + "joint_states", joints, start_ns, estimate.rate.values),
-        _named_vector_message(PREFIX + "joint_covariance", "Covariance", joints, estimate.cov.reshape(len(joints.t), -1), start_ns),
+        _named_vector_message(
+            PREFIX + "joint_covariance",
+            "Covariance",
+            joints,
+            estimate.cov.reshape(len(joints.t), -1),
+            start_ns,
+        ),
         _scalar_message(PREFIX + "free_energy", joints, estimate.free_energy, start_ns),
     ]
-    out += [_named_vector_message(ERROR + escape_topic_name(sense), "Vector", e, e.values, start_ns) for sense, e in estimate.errors.items()]
+    out += [
+        _named_vector_message(ERROR + escape_topic_name(sense), "Vector", e, e.values, start_ns)
+        for sense, e in estimate.errors.items()
+    ]
     if estimate.bias is not None:
-        out.append(_named_vector_message(PREFIX + "encoder_bias", "Vector", estimate.bias, estimate.bias.values, start_ns))
+        out.append(
+            _named_vector_message(
+                PREFIX + "encoder_bias", "Vector", estimate.bias, estimate.bias.values, start_ns
+            )
+        )
     for name, series in estimate.predicted.items():
-        out.append(_predicted_message(name, series, estimate.predicted_cov.get(name), start_ns, _frame_id_of_track(name, features)))
+        out.append(
+            _predicted_message(
+                name,
+                series,
+                estimate.predicted_cov.get(name),
+                start_ns,
+                _frame_id_of_track(name, features),
+            )
+        )
     if (predicted := estimate.predicted.get("effector")) is not None:
-        out.append(_points_message(PREFIX + "effector_predicted", predicted, start_ns, _frame_id_of_track("effector", features)))
+        out.append(
+            _points_message(
+                PREFIX + "effector_predicted",
+                predicted,
+                start_ns,
+                _frame_id_of_track("effector", features),
+            )
+        )
     for name, kinematic in estimate.kinematic.items():
-        out.append(_named_vector_message(KINEMATIC + escape_topic_name(name), "Vector", kinematic, kinematic.values, start_ns))
+        out.append(
+            _named_vector_message(
+                KINEMATIC + escape_topic_name(name), "Vector", kinematic, kinematic.values, start_ns
+            )
+        )
     if estimate.effector is not None:
         out.append(_poses_message(PREFIX + "effector_pose", estimate.effector, start_ns))
     if estimate.faults:
@@ -67,17 +113,27 @@ def _frame_id_of_track(name: str, features: Features) -> str:
     return features.cameras.get(_camera_of_track(name), "")
 
 
-def _overlays_by_camera(estimate: Estimate, tracks: Mapping[str, Series], start_ns: int) -> Iterator[Outgoing]:
+def _overlays_by_camera(
+    estimate: Estimate, tracks: Mapping[str, Series], start_ns: int
+) -> Iterator[Outgoing]:
     for camera in sorted({_camera_of_track(name) for name in (*tracks, *estimate.predicted)}):
         seen = {name: track for name, track in tracks.items() if _camera_of_track(name) == camera}
-        predicted = {name: series for name, series in estimate.predicted.items() if _camera_of_track(name) == camera}
-        times, payloads = image_annotations.draw_image_annotations(seen, predicted, estimate.predicted_cov, start_ns)
+        predicted = {
+            name: series
+            for name, series in estimate.predicted.items()
+            if _camera_of_track(name) == camera
+        }
+        times, payloads = image_annotations.draw_image_annotations(
+            seen, predicted, estimate.predicted_cov, start_ns
+        )
         topic = "/".join(filter(None, (ANNOTATIONS, escape_topic_name(camera))))
         yield _make_outgoing(topic, "foxglove_msgs/msg/ImageAnnotations", times, payloads)
 
 
 def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = None) -> Outgoing:
-    """Joint angles (N,M) as sensor_msgs/JointState, with velocity if `rate` (N,M) rad/s is given."""
+    """Joint angles (N,M) as sensor_msgs/JointState,
+    with velocity if `rate` (N,M) rad/s is given.
+    """
     # NaN instead of an empty array: pybag cannot read a message that ends in an empty array.
     unknown = np.full(joints.values.shape, np.nan)
     fields: list[CdrField] = [
@@ -92,7 +148,10 @@ def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = 
 
 def from_skin(topic: str, skin: Series, start_ns: int) -> Outgoing:
     """Proximity (N,cells) 0..1 as bodylog_msgs/SkinArray."""
-    fields: list[CdrField] = [*cdr.cdr_header_field(stamps_ns(skin.t, start_ns)), ("float32[]", skin.values)]
+    fields: list[CdrField] = [
+        *cdr.cdr_header_field(stamps_ns(skin.t, start_ns)),
+        ("float32[]", skin.values),
+    ]
     return _serialise_rows(topic, "bodylog_msgs/msg/SkinArray", skin.source_ns, fields)
 
 
@@ -105,43 +164,69 @@ def from_track(name: str, track: Series, start_ns: int, frame: str) -> Outgoing:
     """Positions (N,2) px of a track with their standard deviations as bodylog_msgs/Vector."""
     std = np.full_like(track.values, np.nan) if track.std is None else track.std
     data = np.hstack([track.values, std])
-    return _vector_message(TRACK + escape_topic_name(name), track, TRACK_NAMES, data, start_ns, frame)
+    return _vector_message(
+        TRACK + escape_topic_name(name), track, TRACK_NAMES, data, start_ns, frame
+    )
 
 
-def _predicted_message(name: str, series: Series, cov: Array | None, start_ns: int, frame: str) -> Outgoing:
+def _predicted_message(
+    name: str, series: Series, cov: Array | None, start_ns: int, frame: str
+) -> Outgoing:
     if cov is None:
         variance = np.full((len(series.t), 3), np.nan)
     else:
         variance = np.column_stack([np.sqrt(cov[:, 0, 0]), np.sqrt(cov[:, 1, 1]), cov[:, 0, 1]])
     data = np.hstack([series.values, variance])
-    return _vector_message(PREDICTED + escape_topic_name(name), series, PREDICTED_NAMES, data, start_ns, frame)
+    return _vector_message(
+        PREDICTED + escape_topic_name(name), series, PREDICTED_NAMES, data, start_ns, frame
+    )
 
 
 def _points_message(topic: str, track: Series, start_ns: int, frame: str) -> Outgoing:
     seen = np.isfinite(track.values).all(1)
     point = np.column_stack([track.values[seen], np.zeros(seen.sum())])
-    fields: list[CdrField] = [*cdr.cdr_header_field(stamps_ns(track.t[seen], start_ns), frame), ("float64*", point)]
+    fields: list[CdrField] = [
+        *cdr.cdr_header_field(stamps_ns(track.t[seen], start_ns), frame),
+        ("float64*", point),
+    ]
     return _serialise_rows(topic, "geometry_msgs/msg/PointStamped", track.source_ns[seen], fields)
 
 
-def _named_vector_message(topic: str, kind: str, series: Series, data: Array, start_ns: int) -> Outgoing:
+def _named_vector_message(
+    topic: str, kind: str, series: Series, data: Array, start_ns: int
+) -> Outgoing:
     return _vector_message(topic, series, series.names, data, start_ns, "", kind)
 
 
 def _vector_message(
-    topic: str, series: Series, names: Sequence[str], data: Array, start_ns: int, frame: str, kind: str = "Vector"
+    topic: str,
+    series: Series,
+    names: Sequence[str],
+    data: Array,
+    start_ns: int,
+    frame: str,
+    kind: str = "Vector",
 ) -> Outgoing:
-    fields: list[CdrField] = [*cdr.cdr_header_field(stamps_ns(series.t, start_ns), frame), ("string[]", names), ("float64[]", data)]
+    fields: list[CdrField] = [
+        *cdr.cdr_header_field(stamps_ns(series.t, start_ns), frame),
+        ("string[]", names),
+        ("float64[]", data),
+    ]
     return _serialise_rows(topic, f"bodylog_msgs/msg/{kind}", series.source_ns, fields)
 
 
 def _scalar_message(topic: str, series: Series, data: Array, start_ns: int) -> Outgoing:
-    fields: list[CdrField] = [*cdr.cdr_header_field(stamps_ns(series.t, start_ns)), ("float64", data)]
+    fields: list[CdrField] = [
+        *cdr.cdr_header_field(stamps_ns(series.t, start_ns)),
+        ("float64", data),
+    ]
     return _serialise_rows(topic, "bodylog_msgs/msg/Scalar", series.source_ns, fields)
 
 
 def _poses_message(topic: str, poses: Poses, start_ns: int) -> Outgoing:
-    """Poses with their covariance, rows and columns in ROS's order: x, y, z, rotations about x, y, z."""
+    """Poses with their covariance, rows and columns
+    in ROS's order: x, y, z, rotations about x, y, z.
+    """
     count = len(poses.t)
     cov = np.zeros((count, 36)) if poses.cov is None else poses.cov.reshape(count, 36)
     fields: list[CdrField] = [
@@ -154,7 +239,9 @@ def _poses_message(topic: str, poses: Poses, start_ns: int) -> Outgoing:
 def _strokes_message(features: Features, hand: Series, start_ns: int) -> Outgoing:
     """Strokes with the delay of the paired touch, each logged at the image in which it began."""
     delays = {pair.stroke: pair.delay for pair in features.synchrony}
-    start, end = (np.array([getattr(s, side) for s in features.strokes], float) for side in ("start", "end"))
+    start, end = (
+        np.array([getattr(s, side) for s in features.strokes], float) for side in ("start", "end")
+    )
     start_stamps = stamps_ns(start, start_ns)
     places = [(*s.start_px, 0.0, *s.end_px, 0.0) for s in features.strokes]
     fields: list[CdrField] = [
@@ -164,7 +251,9 @@ def _strokes_message(features: Features, hand: Series, start_ns: int) -> Outgoin
         ("float64", np.array([delays.get(number, np.nan) for number in range(len(start_stamps))])),
     ]
     pictures = np.maximum(np.searchsorted(hand.t, start, "right") - 1, 0)
-    return _serialise_rows(PREFIX + "stroke", "bodylog_msgs/msg/Stroke", hand.source_ns[pictures], fields)
+    return _serialise_rows(
+        PREFIX + "stroke", "bodylog_msgs/msg/Stroke", hand.source_ns[pictures], fields
+    )
 
 
 def _touches_message(touches: Sequence[Touch], start_ns: int) -> Outgoing:
@@ -180,10 +269,14 @@ def _touches_message(touches: Sequence[Touch], start_ns: int) -> Outgoing:
         ]
         parts.append((np.array([i]), cdr.serialise_messages(1, fields)))
     times = np.array([touch.source_ns for touch in touches], np.int64)
-    return _make_outgoing(PREFIX + "touch", "bodylog_msgs/msg/Touch", times, cdr.merge_payloads(parts, len(touches)))
+    return _make_outgoing(
+        PREFIX + "touch", "bodylog_msgs/msg/Touch", times, cdr.merge_payloads(parts, len(touches))
+    )
 
 
-def _synchrony_message(synchrony: Sequence[Synchrony], touches: Sequence[Touch], start_ns: int) -> Outgoing:
+def _synchrony_message(
+    synchrony: Sequence[Synchrony], touches: Sequence[Touch], start_ns: int
+) -> Outgoing:
     caused = [touches[s.touch] for s in synchrony]
     fields: list[CdrField] = [
         *cdr.cdr_header_field(stamps_ns(np.array([touch.onset for touch in caused]), start_ns)),
@@ -209,7 +302,9 @@ def _faults_message(faults: Sequence[Fault], joints: Series, start_ns: int) -> O
         parts.append((np.array([i]), cdr.serialise_messages(1, fields)))
     last = np.searchsorted(joints.t, [fault.since for fault in faults], "right") - 1
     times = joints.source_ns[np.maximum(last, 0)]
-    return _make_outgoing(PREFIX + "faults", "bodylog_msgs/msg/Fault", times, cdr.merge_payloads(parts, len(faults)))
+    return _make_outgoing(
+        PREFIX + "faults", "bodylog_msgs/msg/Fault", times, cdr.merge_payloads(parts, len(faults))
+    )
 
 
 def _optional_fault_fields(fault: Fault) -> tuple[float | None, ...]:
@@ -225,5 +320,11 @@ def _make_outgoing(topic: str, kind: str, log_ns: Array, payloads: Payloads) -> 
     log_ns = np.asarray(log_ns, np.int64)
     order = np.argsort(log_ns, kind="stable")
     return Outgoing(
-        topic, kind, ros2msg_definition(kind), log_ns[order], payloads.data, payloads.offset[order], payloads.length[order]
+        topic,
+        kind,
+        ros2msg_definition(kind),
+        log_ns[order],
+        payloads.data,
+        payloads.offset[order],
+        payloads.length[order],
     )

@@ -23,16 +23,28 @@ _FIELDS = {_PLAIN: (*_HEADER, *(f"pose.{field}" for field in _AXES)), _COVARIANT
 def true_poses(path: Path, start_ns: int) -> Poses | None:
     """The effector's true poses in a log, t in s since `start_ns`; None without any."""
     with open_log(path) as log:
-        topic = next((topic for topic in log.topics if topic.name == TRUTH and topic.type in _FIELDS), None)
-        return None if topic is None else poses_from_columns(read_topic_columns(log, topic, _FIELDS[topic.type]), start_ns)
+        topic = next(
+            (topic for topic in log.topics if topic.name == TRUTH and topic.type in _FIELDS), None
+        )
+        return (
+            None
+            if topic is None
+            else poses_from_columns(read_topic_columns(log, topic, _FIELDS[topic.type]), start_ns)
+        )
 
 
 def poses_from_columns(found: TopicColumns, start_ns: int) -> Poses | None:
     """The poses of a topic in order of t, without rows that are not numbers; None without any."""
-    rows, covs, stamps, logged, frames = [], [], [], [], list[str]()
+    rows = []
+    covs = []
+    stamps = []
+    logged = []
+    frames = list[str]()
     for part in found.parts:
         stamp, frame, *values = part.values
-        numbers = np.column_stack([np.asarray(value, float).reshape(len(part.rows), -1) for value in values])
+        numbers = np.column_stack(
+            [np.asarray(value, float).reshape(len(part.rows), -1) for value in values]
+        )
         rows.append(numbers[:, :7])
         covs.append(numbers[:, 7:])
         stamps.append(np.asarray(stamp, np.int64))
@@ -46,4 +58,6 @@ def poses_from_columns(found: TopicColumns, start_ns: int) -> Poses | None:
     order = np.flatnonzero(sound)[np.argsort(ns[sound], kind="stable")]
     known = cov[order].reshape(-1, 6, 6) if cov.shape[1] == 36 else None
     turn = pose[order, 3:] / length[order, None]
-    return Poses((ns[order] - start_ns) / 1e9, pose[order, :3], turn, frames[0], log_ns[order], known)
+    return Poses(
+        (ns[order] - start_ns) / 1e9, pose[order, :3], turn, frames[0], log_ns[order], known
+    )

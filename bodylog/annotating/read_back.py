@@ -1,4 +1,6 @@
-"""Read annotations back: tracks and touches for another run, the estimate for scoring and reports."""
+"""Read annotations back: tracks and touches for
+another run, the estimate for scoring and reports.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -29,7 +31,7 @@ from ..types import (
     Synchrony,
     Topic,
     Touch,
-)  # fmt: skip
+)
 from .estimate_metadata import read_declared_estimate, type_again
 from .messages import ERROR, KINEMATIC, POSE, PREDICTED, PREDICTED_NAMES
 from .pose_topics import POSED, poses_from_columns
@@ -40,7 +42,15 @@ _FIELDS: Mapping[str, tuple[str, ...]] = {
     "bodylog_msgs/msg/Covariance": _VECTOR,
     "bodylog_msgs/msg/Scalar": ("header.stamp", "data"),
     "bodylog_msgs/msg/Touch": ("header.stamp", "duration", "cells", "peak"),
-    "bodylog_msgs/msg/Stroke": ("header.stamp", "duration", "start.x", "start.y", "end.x", "end.y", "delay"),
+    "bodylog_msgs/msg/Stroke": (
+        "header.stamp",
+        "duration",
+        "start.x",
+        "start.y",
+        "end.x",
+        "end.y",
+        "delay",
+    ),
     "bodylog_msgs/msg/Synchrony": ("header.stamp", "delay", "weight"),
     "bodylog_msgs/msg/Fault": ("header.stamp", "sense", "name", "kind", "size", "unit"),
     POSE: POSED,
@@ -57,7 +67,10 @@ def _fields_of_annotation(topic: Topic) -> tuple[str, ...]:
     """The fields of a topic; older faults lack some."""
     fields = _FIELDS[topic.type]
     if topic.type.endswith("/Fault"):
-        fields = (*fields, *(name for name in FAULT_DOUBTS if f"float64 {name}\n".encode() in topic.definition))
+        fields = (
+            *fields,
+            *(name for name in FAULT_DOUBTS if f"float64 {name}\n".encode() in topic.definition),
+        )
     return fields
 
 
@@ -66,7 +79,11 @@ def read_metadata(path: Path) -> dict[str, str]:
     try:
         with RecordFile(path) as file:
             _, summary = file.summary()
-            listed = [r.fields for r, _ in summary if r.opcode == op.METADATA_INDEX and r.fields["name"] == NAME]
+            listed = [
+                r.fields
+                for r, _ in summary
+                if r.opcode == op.METADATA_INDEX and r.fields["name"] == NAME
+            ]
             if listed:
                 record = memoryview(file.read(listed[-1]["offset"], listed[-1]["length"]))
                 return dict(parse_record(op.METADATA, record[HEAD.size :]).fields["metadata"])
@@ -76,7 +93,9 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
-    """The estimate in an annotated MCAP, t in s since `start_ns` (None: the log's own); LogError without one."""
+    """The estimate in an annotated MCAP, t in s since
+    `start_ns` (None: the log's own); LogError without one.
+    """
     with open_log(path) as log:
         stored = read_declared_estimate(path, read_metadata(path))
         table = _Table(log, log.start_ns if start_ns is None else start_ns, path)
@@ -104,7 +123,9 @@ def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
 
 
 def read_features(log: Log, start_ns: int) -> Features | None:
-    """Tracks, strokes, touches and synchrony of an earlier run in a log, without joints; None without any."""
+    """Tracks, strokes, touches and synchrony of an earlier
+    run in a log, without joints; None without any.
+    """
     names = {topic.name for topic in log.topics}
     if not any(name.startswith(TRACK) or name == PREFIX + "touch" for name in names):
         return None
@@ -123,18 +144,27 @@ class _Table:
     def __init__(self, log: Log, start_ns: int, path: Path) -> None:
         topics = {t.id: t for t in log.topics if t.name.startswith(PREFIX) and t.type in _FIELDS}
         try:
-            found = columns_of(log, {number: (topic, _fields_of_annotation(topic)) for number, topic in topics.items()})
+            found = columns_of(
+                log,
+                {number: (topic, _fields_of_annotation(topic)) for number, topic in topics.items()},
+            )
         except (ConfigError, FormatError) as problem:
             raise FormatError(f"{path}: {problem}") from None
         self.columns = {topics[number].name: columns for number, columns in found.items()}
-        self.start_ns, self.path = start_ns, path
+        self.start_ns = start_ns
+        self.path = path
 
     def joints(self) -> tuple[Series, Series]:
         """The belief (N,M) rad and its rate (N,M) rad/s."""
         t, source_ns, (names, position, velocity) = self._rows(PREFIX + "joint_states")
         if position.shape != velocity.shape or position.shape != (len(t), len(names)):
-            raise self._unfit(PREFIX + "joint_states", f"{len(names)} names, arrays {position.shape}, {velocity.shape}")
-        return Series(t, position, names, "rad", source_ns), Series(t, velocity, names, "rad/s", source_ns)
+            raise self._unfit(
+                PREFIX + "joint_states",
+                f"{len(names)} names, arrays {position.shape}, {velocity.shape}",
+            )
+        return Series(t, position, names, "rad", source_ns), Series(
+            t, velocity, names, "rad/s", source_ns
+        )
 
     def series(self, topic: str, unit: str) -> Series | None:
         """A vector topic (N,D), or None if it is missing."""
@@ -148,15 +178,24 @@ class _Table:
     def under(self, prefix: str, unit: str) -> dict[str, Series]:
         """All vector topics under a prefix, by the rest of their names."""
         names = [topic for topic in self.columns if topic.startswith(prefix)]
-        return {unescape_topic_name(name[len(prefix) :]): s for name in names if (s := self.series(name, unit)) is not None}
+        return {
+            unescape_topic_name(name[len(prefix) :]): s
+            for name in names
+            if (s := self.series(name, unit)) is not None
+        }
 
     def tracks(self) -> dict[str, Series]:
         """The tracks: u, v and their standard deviations (N,4) px."""
         found = self.under(TRACK, "px")
         for name, series in found.items():
             if len(series.names) != len(TRACK_NAMES):
-                raise self._unfit(TRACK + name, f"{len(series.names)} names, not {len(TRACK_NAMES)}")
-        return {name: replace(series, values=reject_impossible(series.values)[0]) for name, series in found.items()}
+                raise self._unfit(
+                    TRACK + name, f"{len(series.names)} names, not {len(TRACK_NAMES)}"
+                )
+        return {
+            name: replace(series, values=reject_impossible(series.values)[0])
+            for name, series in found.items()
+        }
 
     def aligned(self, name: str, joints: Series, width: int) -> Array:
         """Values (N,width) for each row of `joints`; LogError when they do not match."""
@@ -164,18 +203,23 @@ class _Table:
         data: Array = values[-1].reshape(len(t), values[-1].size // max(1, len(t)))
         if data.shape != (len(joints.t), width) or not np.array_equal(t, joints.t):
             raise LogError(
-                f"{self.path}: {PREFIX}{name} does not go with {PREFIX}joint_states; {type_again(self.path)}"
+                f"{self.path}: {PREFIX}{name} does not go with {PREFIX}joint_states; "
+                f"{type_again(self.path)}"
             )
         return data
 
     def predicted(self) -> tuple[dict[str, Series], dict[str, Array]]:
         """Predictions (K,2) px with their standard deviations, and covariances (K,2,2) px²."""
-        series, cov = {}, {}
+        series = {}
+        cov = {}
         for name, found in self.under(PREDICTED, "px").items():
             if len(found.names) != len(PREDICTED_NAMES):
-                raise self._unfit(PREDICTED + name, f"{len(found.names)} names, not {len(PREDICTED_NAMES)}")
+                raise self._unfit(
+                    PREDICTED + name, f"{len(found.names)} names, not {len(PREDICTED_NAMES)}"
+                )
             series[name] = _track_from_vector(found)
-            std, between = found.values[:, 2:4], found.values[:, 4]
+            std = found.values[:, 2:4]
+            between = found.values[:, 4]
             with np.errstate(over="ignore"):  # an absurd error bar of a spoilt log is infinite
                 rows = np.column_stack([std[:, 0] ** 2, between, between, std[:, 1] ** 2])
             cov[name] = rows.reshape(-1, 2, 2)
@@ -196,15 +240,25 @@ class _Table:
 
     def cameras(self) -> dict[str, str]:
         """The image topics of the tracks, by camera name."""
-        named = ((topic, part) for topic in self.columns if topic.startswith(TRACK) for part, _ in self._parts(topic))
-        found = {unescape_topic_name(topic[len(TRACK) :]).rpartition("/")[0]: part[-1][0] for topic, part in named}
+        named = (
+            (topic, part)
+            for topic in self.columns
+            if topic.startswith(TRACK)
+            for part, _ in self._parts(topic)
+        )
+        found = {
+            unescape_topic_name(topic[len(TRACK) :]).rpartition("/")[0]: part[-1][0]
+            for topic, part in named
+        }
         return {name: camera for name, camera in sorted(found.items()) if camera}
 
     def strokes(self) -> tuple[tuple[Stroke, ...], Iterator[int]]:
         """Strokes in order, and the numbers of those paired with a touch."""
         found = []
         for part, _ in self._parts(PREFIX + "stroke"):
-            for stamp, lasting, u, v, to_u, to_v, delay in zip(*(column.tolist() for column in part), strict=True):
+            for stamp, lasting, u, v, to_u, to_v, delay in zip(
+                *(column.tolist() for column in part), strict=True
+            ):
                 start, end = ((ns - self.start_ns) / 1e9 for ns in (stamp, stamp + lasting))
                 found.append((Stroke(start, end, (u, v), (to_u, to_v)), delay))
         found.sort(key=lambda stroke: (stroke[0].start, stroke[0].end))
@@ -212,7 +266,9 @@ class _Table:
         return tuple(stroke for stroke, _ in found), paired
 
     def synchrony(self, touches: tuple[Touch, ...], paired: Iterator[int]) -> tuple[Synchrony, ...]:
-        """One per touch of the same onset; the `paired` strokes of touches are in their own order."""
+        """One per touch of the same onset; the `paired`
+        strokes of touches are in their own order.
+        """
         waiting: dict[int, list[int]] = {}
         for i, touch in reversed(list(enumerate(touches))):
             waiting.setdefault(round(touch.onset * 1e9), []).append(i)
@@ -222,16 +278,24 @@ class _Table:
                 if numbers := waiting.get(s - self.start_ns):
                     found.append(Synchrony(numbers.pop(), None, d, w))
         found.sort(key=lambda pair: pair.touch)
-        return tuple(replace(p, stroke=next(paired, None)) if np.isfinite(p.delay) else p for p in found)
+        return tuple(
+            replace(p, stroke=next(paired, None)) if np.isfinite(p.delay) else p for p in found
+        )
 
     def faults(self) -> tuple[Fault, ...]:
         """Faults in order of onset."""
         found = []
         for (stamp, sense, name, kind, size, unit, *more), _ in self._parts(PREFIX + "faults"):
-            fault_scores = np.stack([*more, *(np.full(len(size), np.nan) for _ in FAULT_DOUBTS[len(more) :])], axis=1)
-            for since, amount, row in zip((stamp - self.start_ns) / 1e9, size, fault_scores.tolist(), strict=True):
+            fault_scores = np.stack(
+                [*more, *(np.full(len(size), np.nan) for _ in FAULT_DOUBTS[len(more) :])], axis=1
+            )
+            for since, amount, row in zip(
+                (stamp - self.start_ns) / 1e9, size, fault_scores.tolist(), strict=True
+            ):
                 known = (None if value != value else value for value in row)
-                found.append(Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0], *known))
+                found.append(
+                    Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0], *known)
+                )
         return tuple(sorted(found, key=lambda fault: (fault.since, fault.sense, fault.name)))
 
     def effector(self) -> Poses | None:
@@ -244,15 +308,22 @@ class _Table:
 
     def _parts(self, topic: str) -> list[tuple[tuple[Any, ...], Array]]:
         columns = self.columns.get(topic)
-        return [(part.values, columns.log_ns[part.rows]) for part in columns.parts] if columns else []
+        return (
+            [(part.values, columns.log_ns[part.rows]) for part in columns.parts] if columns else []
+        )
 
     def _rows(self, topic: str) -> tuple[Array, Array, tuple[Any, ...]]:
-        """t (N,), log times (N,) and the other fields of a topic with constant names, in order of t."""
+        """t (N,), log times (N,) and the other fields
+        of a topic with constant names, in order of t.
+        """
         if topic not in self.columns:
             raise _no_estimate_error(self.path)
         parts = self._parts(topic)
         if len(parts) != 1:
-            raise LogError(f"{self.path}: {topic} has {len(parts)} sets of names, not 1; {type_again(self.path)}")
+            raise LogError(
+                f"{self.path}: {topic} has {len(parts)} sets of names, not 1; "
+                f"{type_again(self.path)}"
+            )
         (stamp, *values), log_ns = parts[0]
         order = np.argsort(stamp, kind="stable")
         sorted_values = tuple(v if isinstance(v, tuple) else v[order] for v in values)

@@ -18,7 +18,9 @@ Report = Callable[[Row, int, int], None]
 
 @dataclass(frozen=True)
 class Group:
-    """Logs (files, folders, patterns) of one robot: its body, or what to learn it from, settings and bounds."""
+    """Logs (files, folders, patterns) of one robot: its
+    body, or what to learn it from, settings and bounds.
+    """
 
     name: str
     logs: tuple[str, ...]
@@ -31,7 +33,8 @@ class Group:
 
 @dataclass(frozen=True)
 class BatchPlan:
-    """The work of a batch and its resources: processes, memory (bytes), shard (I, N), Dask scheduler.
+    """The work of a batch and its resources: processes,
+    memory (bytes), shard (I, N), Dask scheduler.
 
     `inputs` are further files that must not be written to: the manifest, a robot.toml.
     """
@@ -77,7 +80,8 @@ def exit_code(rows: Sequence[Row]) -> int:
 def _plan_jobs(plan: BatchPlan) -> tuple[list[Job], set[str]]:
     """The jobs of all shards, and the names of this shard's jobs.
 
-    Invalid bounds, methods, senses, bodies and output folders are rejected before any log is processed.
+    Invalid bounds, methods, senses, bodies and output
+    folders are rejected before any log is processed.
     """
     from ..evaluation import bounds
 
@@ -89,14 +93,23 @@ def _plan_jobs(plan: BatchPlan) -> tuple[list[Job], set[str]]:
             bounds.parse_bound(text)
         logs.append(jobs.name_logs(group.logs, group.settings.input.max_wait_s))
     shares = [jobs.select_shard(found, plan.shard) for found in logs]
-    read = [path for found in logs for log in found.values() if (path := _local_path_of_log(log)) is not None]
-    bodies = [path for group in plan.groups for path in (group.body, *group.train) if path is not None]
+    read = [
+        path
+        for found in logs
+        for log in found.values()
+        if (path := _local_path_of_log(log)) is not None
+    ]
+    bodies = [
+        path for group in plan.groups for path in (group.body, *group.train) if path is not None
+    ]
     guard_outputs([*plan.inputs, *read, *bodies], [Output(plan.out, folder=True)])
     require_writable(plan.out, folder=True)
     examines = any(group.task == EXAMINE for group in plan.groups)
     folders.check_batch_folder(plan.out, (), folders.WRITTEN if examines else folders.SUMMARIES)
     for group, found in zip(plan.groups, logs, strict=True):
-        folders.check_batch_folder(plan.out / group.name, [plan.out / group.name / name for name in found])
+        folders.check_batch_folder(
+            plan.out / group.name, [plan.out / group.name / name for name in found]
+        )
         if group.train:
             resume.check_replaceable(plan.out / group.name / folders.BODY[0])
     checked: set[object] = set()
@@ -105,7 +118,8 @@ def _plan_jobs(plan: BatchPlan) -> tuple[list[Job], set[str]]:
             _check_body_and_settings(group.body, group.settings, checked)
     folders.mark_folder(plan.out, folders.BATCH)
     folders.claim_folder(plan.out, _name_logs_of_groups(plan, logs))
-    whole, names = [], set[str]()
+    whole = []
+    names = set[str]()
     for group, found, share in zip(plan.groups, logs, shares, strict=True):
         before = f"{group.name}/" if group.name else ""
         whole += _list_group_jobs(plan, group, found, before)
@@ -116,7 +130,11 @@ def _plan_jobs(plan: BatchPlan) -> tuple[list[Job], set[str]]:
 def _name_logs_of_groups(plan: BatchPlan, logs: Sequence[Mapping[str, str]]) -> dict[str, str]:
     """The logs of all groups by the names of their rows."""
     pairs = zip(plan.groups, logs, strict=True)
-    return {f"{group.name}/{name}" if group.name else name: log for group, some in pairs for name, log in some.items()}
+    return {
+        f"{group.name}/{name}" if group.name else name: log
+        for group, some in pairs
+        for name, log in some.items()
+    }
 
 
 def _local_path_of_log(log: str) -> Path | None:
@@ -125,7 +143,9 @@ def _local_path_of_log(log: str) -> Path | None:
 
 
 def _check_body_and_settings(body: Path, settings: Settings, checked: set[object]) -> None:
-    """ModelError or UsageError for a damaged body, or a method or sense it cannot use; each pair is checked once."""
+    """ModelError or UsageError for a damaged body, or a
+    method or sense it cannot use; each pair is checked once.
+    """
     from .. import estimation
     from ..body import storage
 
@@ -135,7 +155,9 @@ def _check_body_and_settings(body: Path, settings: Settings, checked: set[object
         checked.add(asked)
 
 
-def _list_group_jobs(plan: BatchPlan, group: Group, found: Mapping[str, str], before: str) -> list[Job]:
+def _list_group_jobs(
+    plan: BatchPlan, group: Group, found: Mapping[str, str], before: str
+) -> list[Job]:
     folder = folders.mark_folder(plan.out / group.name, folders.BATCH)
     body = _given_or_learned_body(group, folder)
     how = resume.settings_digest(body, group.settings, group.bounds, group.task)
@@ -149,14 +171,19 @@ def _run_open_jobs(plan: BatchPlan, open_jobs: Sequence[Job]) -> Iterator[Row]:
 
         yield from cluster.run_on_cluster(open_jobs, plan.scheduler, plan.workers)
         return
-    yield from local.run_on_this_machine(open_jobs, min(plan.workers, max(1, len(open_jobs))), plan.memory, plan.keep_going)
+    yield from local.run_on_this_machine(
+        open_jobs, min(plan.workers, max(1, len(open_jobs))), plan.memory, plan.keep_going
+    )
 
 
 def _given_or_learned_body(group: Group, folder: Path) -> Path | None:
-    """The given body model, or one learned from the training logs unless an earlier run left the same."""
+    """The given body model, or one learned from the
+    training logs unless an earlier run left the same.
+    """
     if group.body is not None or not group.train:
         return group.body
-    with folders.lock_folder(folder, folders.BATCH):  # shards that share a folder learn the body once
+    with folders.lock_folder(folder, folders.BATCH):
+        # shards that share a folder learn the body once
         body = resume.learn_body_once(group.train, folder / "body.npz", group.settings)
     _check_body_and_settings(body, group.settings, set())
     return body

@@ -1,4 +1,6 @@
-"""Run the jobs of a batch on a Dask distributed scheduler, for example one started by dask-jobqueue."""
+"""Run the jobs of a batch on a Dask distributed
+scheduler, for example one started by dask-jobqueue.
+"""
 
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
@@ -15,7 +17,9 @@ TRIES = 3
 
 
 def run_on_cluster(jobs: Sequence[Job], scheduler: str, workers: int) -> Iterator[Row]:
-    """Rows as they finish; a job whose worker is lost is given to another. `scheduler`: tcp://host:port, or local."""
+    """Rows as they finish; a job whose worker is lost is given to another. `scheduler`:
+    tcp://host:port, or local.
+    """
     client = _open_client(scheduler, workers)
     try:
         yield from _gather_rows(client, jobs)
@@ -27,21 +31,33 @@ def _open_client(scheduler: str, workers: int) -> "Client":
     try:
         import dask
 
-        # must be set before distributed is imported: forked workers start several times faster than spawned ones
-        dask.config.set({"distributed.worker.multiprocessing-method": "forkserver", "logging.distributed": "error"})
+        # must be set before distributed is imported: forked
+        # workers start several times faster than spawned ones
+        dask.config.set(
+            {
+                "distributed.worker.multiprocessing-method": "forkserver",
+                "logging.distributed": "error",
+            }
+        )
         from distributed import Client, LocalCluster
     except ImportError as err:
         raise UsageError("--scheduler needs Dask; type: pip install 'bodylog[dask]'") from err
     if scheduler == "local":
-        return Client(LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0"))
+        return Client(
+            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0")
+        )
     try:
         return Client(scheduler, timeout="5s")
     except (OSError, ValueError, TimeoutError) as err:
-        raise UsageError(f"--scheduler {scheduler}: no scheduler answers; type: tcp://HOST:PORT or local") from err
+        raise UsageError(
+            f"--scheduler {scheduler}: no scheduler answers; type: tcp://HOST:PORT or local"
+        ) from err
 
 
 def run_job_on_worker(job: Job) -> Row:
-    """Run one job on a worker. The allocator keeps freed memory, which Dask otherwise has workers return at once."""
+    """Run one job on a worker. The allocator keeps freed
+    memory, which Dask otherwise has workers return at once.
+    """
     import cv2
 
     malloc.tune_malloc()
@@ -53,9 +69,13 @@ def _gather_rows(client: "Client", jobs: Sequence[Job]) -> Iterator[Row]:
     from distributed import as_completed
 
     # pure=False: a job writes files, so an equal call is not redundant
-    futures = {client.submit(run_job_on_worker, job, pure=False, retries=TRIES): job for job in jobs}
+    futures = {
+        client.submit(run_job_on_worker, job, pure=False, retries=TRIES): job for job in jobs
+    }
     for future in as_completed(list(futures)):
         if future.status == "finished":
             yield future.result()
         else:
-            yield work.write_died_row(futures[future], f"lost with its workers: {future.exception()!r}")
+            yield work.write_died_row(
+                futures[future], f"lost with its workers: {future.exception()!r}"
+            )

@@ -14,7 +14,7 @@ from ..io.outputs import Output, guard_outputs
 from ..io.temporary import create_scratch_folder
 from ..io.values import read_json
 from ..settings import Settings
-from . import Group, BatchPlan, Report, run_batch, exit_code, folders, jobs
+from . import BatchPlan, Group, Report, exit_code, folders, jobs, run_batch
 from .jobs import Row
 
 
@@ -32,10 +32,16 @@ def holds_several_logs(log: Path | str) -> bool:
     episodes."""
     from ..logs.datasets import kinds
 
-    if not isinstance(log, Path) or episodes.split_episode_name(log)[1] is not None or not log.exists():
+    if (
+        not isinstance(log, Path)
+        or episodes.split_episode_name(log)[1] is not None
+        or not log.exists()
+    ):
         return False
     if log.is_dir():
-        return kinds.is_episode_dataset(log) or (kinds.of_folder(log) is None and not jobs.is_rosbag2(log))
+        return kinds.is_episode_dataset(log) or (
+            kinds.of_folder(log) is None and not jobs.is_rosbag2(log)
+        )
     return len(kinds.episode_numbers(log)) > 1
 
 
@@ -44,7 +50,9 @@ def chosen_episodes(
 ) -> tuple[str, ...]:
     """The logs in a dataset, in order; of numbered episodes those from `begin` to before `end`."""
     found = [log for given in logs for log in jobs.find_logs(str(given))]
-    numbers = [None if remote.is_url(log) else episodes.split_episode_name(Path(log))[1] for log in found]
+    numbers = [
+        None if remote.is_url(log) else episodes.split_episode_name(Path(log))[1] for log in found
+    ]
     if begin is None and end is None:
         return tuple(found)
     if all(number is None for number in numbers):
@@ -63,7 +71,9 @@ def chosen_episodes(
     return chosen
 
 
-def examine_dataset(plan: BatchPlan, report: Report | None, page: Path | None, table: Path | None) -> ExaminedDataset:
+def examine_dataset(
+    plan: BatchPlan, report: Report | None, page: Path | None, table: Path | None
+) -> ExaminedDataset:
     """Examine all episodes of a plan; `page` and `table` are files to write beside plan.out."""
     from ..dataset import outputs
 
@@ -87,9 +97,15 @@ def examine_dataset(plan: BatchPlan, report: Report | None, page: Path | None, t
 
 
 def fix_dataset(
-    dataset: Path, out: Path, settings: Settings, repeats: str, exclude: str, workers: int,
-    checked: Path | None, report: Report | None,
-) -> tuple[str, ...]:  # fmt: skip
+    dataset: Path,
+    out: Path,
+    settings: Settings,
+    repeats: str,
+    exclude: str,
+    workers: int,
+    checked: Path | None,
+    report: Report | None,
+) -> tuple[str, ...]:
     """Write a corrected copy of a LeRobot folder as the new folder `out`, and return what was done
     in sentences.
 
@@ -105,7 +121,9 @@ def fix_dataset(
         logs = tuple(jobs.find_logs(str(dataset)))
         group = Group("", logs, settings, task=jobs.EXAMINE)
         rows_folder = folder / "rows" if checked is None else checked
-        plan = BatchPlan((group,), rows_folder, workers, resume=checked is not None, keep_going=True)
+        plan = BatchPlan(
+            (group,), rows_folder, workers, resume=checked is not None, keep_going=True
+        )
         rows = run_batch(plan, report)
         judged = outputs.judge_dataset(rows_folder, rows)
     base, chosen = remedies.choose_remedies(judged, settings, exclude)

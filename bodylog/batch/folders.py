@@ -46,15 +46,27 @@ TAKEN = frozenset((*SUMMARIES, *BODY, PAGE, DATASET))
 
 
 def name_folders(names: Mapping[str, str]) -> dict[str, str]:
-    """A folder name for each log: its file name made safe, with a digest of its path where two names are equal.
+    """A folder name for each log: its file name made safe,
+    with a digest of its path where two names are equal.
 
-    Names that differ only in case or in the encoding of accents are equal: some file systems do not distinguish them.
+    Names that differ only in case or in the encoding of accents
+    are equal: some file systems do not distinguish them.
     """
-    plain = {log: re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "log" for log, name in names.items()}
+    plain = {
+        log: re.sub(r"[^A-Za-z0-9._-]", "_", name).lstrip(".") or "log"
+        for log, name in names.items()
+    }
     taken = Counter([*map(fold_case, plain.values()), *TAKEN])
     for length in (8, 64):
-        found = {log: f"{name[:_LONGEST]}-{_digest_log_path(log)[:length]}" for log, name in plain.items()}
-        found |= {log: name for log, name in plain.items() if taken[fold_case(name)] == 1 and len(name) <= _LONGEST}
+        found = {
+            log: f"{name[:_LONGEST]}-{_digest_log_path(log)[:length]}"
+            for log, name in plain.items()
+        }
+        found |= {
+            log: name
+            for log, name in plain.items()
+            if taken[fold_case(name)] == 1 and len(name) <= _LONGEST
+        }
         if len(set(map(fold_case, found.values()))) == len(found):
             break
     return found
@@ -69,18 +81,24 @@ def _digest_log_path(log: str) -> str:
     return hashlib.sha256(log.encode(errors="surrogateescape")).hexdigest()
 
 
-def check_batch_folder(folder: Path, results: Iterable[Path], written: Iterable[str] = SUMMARIES) -> None:
+def check_batch_folder(
+    folder: Path, results: Iterable[Path], written: Iterable[str] = SUMMARIES
+) -> None:
     """UsageError if a batch into `folder`, with the logs' folders `results`, would replace files of
     others; `written` are the names of the files that it writes into `folder`."""
     _refuse_file(folder)
     if not (folder / BATCH).is_file():
         for path in (folder / name for name in written):
             if path.exists() and not _left_by_a_batch(path):
-                raise UsageError(f"{path}: no batch wrote this file, and it would be replaced; type another -o")
+                raise UsageError(
+                    f"{path}: no batch wrote this file, and it would be replaced; type another -o"
+                )
     for path in results:
         _refuse_file(path)
         if path.is_dir() and not is_result(path) and any(path.iterdir()):
-            raise UsageError(f"{path}: no batch made this folder, and a log's results go there; type another -o")
+            raise UsageError(
+                f"{path}: no batch made this folder, and a log's results go there; type another -o"
+            )
 
 
 def _refuse_file(folder: Path) -> None:
@@ -97,7 +115,9 @@ def _left_by_a_batch(path: Path) -> bool:
 
 
 def is_result(folder: Path) -> bool:
-    """Whether a batch made this folder for a log's results; earlier versions marked it with a lock file only."""
+    """Whether a batch made this folder for a log's results;
+    earlier versions marked it with a lock file only.
+    """
     if (folder / RESULT).is_file():
         return True
     return (folder / _OLD_LOCK).is_file() and all(
@@ -115,16 +135,23 @@ def mark_folder(folder: Path, name: str) -> Path:
 
 
 def claim_folder(folder: Path, logs: Mapping[str, str]) -> None:
-    """Note in a marked folder whose results it holds, {name: log}; UsageError where it holds those of other logs.
+    """Note in a marked folder whose results it holds, {name:
+    log}; UsageError where it holds those of other logs.
 
     Summaries name the logs of one batch, so that another batch's rows would vanish from them.
     """
     with lock_folder(folder, BATCH):
-        others = [log for name, log in read_claimed_logs(folder).items() if _is_other(name, log, logs)]
+        others = [
+            log for name, log in read_claimed_logs(folder).items() if _is_other(name, log, logs)
+        ]
         if others:
             what = f"{len(others)} logs that this batch does not name, as {others[0]}"
-            raise UsageError(f"{folder}: it holds the results of {what}; type another -o, or name all of them")
-        text = json.dumps({name: _log_location(log) for name, log in sorted(logs.items())}, ensure_ascii=True)
+            raise UsageError(
+                f"{folder}: it holds the results of {what}; type another -o, or name all of them"
+            )
+        text = json.dumps(
+            {name: _log_location(log) for name, log in sorted(logs.items())}, ensure_ascii=True
+        )
         (folder / BATCH).write_text(text, encoding="ascii")
 
 
@@ -148,7 +175,9 @@ def _log_location(log: str) -> str:
 
 
 def is_claimed_by_more(folder: Path, logs: Mapping[str, str]) -> bool:
-    """Whether a batch of other logs as well has noted meanwhile that the folder holds its results."""
+    """Whether a batch of other logs as well has noted
+    meanwhile that the folder holds its results.
+    """
     found = read_claimed_logs(folder)
     return bool(found) and found != {name: _log_location(log) for name, log in logs.items()}
 
@@ -157,7 +186,8 @@ def is_claimed_by_more(folder: Path, logs: Mapping[str, str]) -> bool:
 def lock_folder(folder: Path, name: str) -> Iterator[None]:
     """Hold the lock of a marked folder.
 
-    On file systems without locks nobody waits: each file is written atomically, and results are read again afterwards.
+    On file systems without locks nobody waits: each file is
+    written atomically, and results are read again afterwards.
     """
     with (folder / name).open("a") as lock:
         lock_handle(lock.fileno(), wait=True)

@@ -16,20 +16,45 @@ from . import folders
 
 Row = dict[str, Any]
 """The results of one log as plain values: a line of results.jsonl."""
-KEYS = frozenset((
-    "name", "log", "key", "status", "exit_code", "error", "messages", "outputs", "scores", "used",
-    "verdict", "headline", "faults", "health", "findings",
-))  # fmt: skip
+KEYS = frozenset(
+    (
+        "name",
+        "log",
+        "key",
+        "status",
+        "exit_code",
+        "error",
+        "messages",
+        "outputs",
+        "scores",
+        "used",
+        "verdict",
+        "headline",
+        "faults",
+        "health",
+        "findings",
+    )
+)
 """The keys of a row."""
 
-ESTIMATE, EXAMINE = "estimate", "examine"
+ESTIMATE = "estimate"
+EXAMINE = "examine"
 """The tasks of a batch: estimate and score each log, or examine it beside its siblings."""
 MOST = 100_000
 """Most names that a pattern may match, and most folders that are searched."""
 SUFFIXES = (
-    ".bag", ".bag.active", ".bag.zst", ".bag.lz4", ".mcap", ".mcap.zst", ".mcap.lz4", ".db3", ".db3.zstd", ".hdf5",
+    ".bag",
+    ".bag.active",
+    ".bag.zst",
+    ".bag.lz4",
+    ".mcap",
+    ".mcap.zst",
+    ".mcap.lz4",
+    ".db3",
+    ".db3.zstd",
+    ".hdf5",
     ".h5",
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)
@@ -52,7 +77,9 @@ class Job:
 
 
 def name_logs(logs: Sequence[str], wait_s: float = remote.WAIT_S) -> dict[str, str]:
-    """The logs by name, in path order; LogError if there is no log, or no answer of a server within `wait_s`."""
+    """The logs by name, in path order; LogError if there
+    is no log, or no answer of a server within `wait_s`.
+    """
     found = sorted({log for given in logs for log in find_logs(given, wait_s)})
     if not found:
         raise LogError(f"{', '.join(logs)}: no log in there; logs end in {', '.join(SUFFIXES)}")
@@ -61,7 +88,9 @@ def name_logs(logs: Sequence[str], wait_s: float = remote.WAIT_S) -> dict[str, s
 
 
 def select_shard(names: Iterable[str], shard: tuple[int, int]) -> tuple[str, ...]:
-    """The names of this shard (I, N): every N-th, from the I-th; UsageError for an impossible shard."""
+    """The names of this shard (I, N): every N-th,
+    from the I-th; UsageError for an impossible shard.
+    """
     index, count = shard
     if not 1 <= index <= count:
         raise UsageError(f"--shard {index}/{count}: the first number runs from 1 to the second")
@@ -69,14 +98,19 @@ def select_shard(names: Iterable[str], shard: tuple[int, int]) -> tuple[str, ...
 
 
 def find_logs(given: str, wait_s: float = remote.WAIT_S) -> Iterator[str]:
-    """The logs of a file, a folder (searched recursively), a pattern or a URL; LogError if there is no log.
+    """The logs of a file, a folder (searched recursively),
+    a pattern or a URL; LogError if there is no log.
 
     Results of a batch are skipped unless they are named.
     """
     if remote.is_url(given):
         yield from remote.expand_url(given, SUFFIXES, wait_s)
         return
-    if not Path(given).exists() and (some := episodes.expand_episode_range(Path(given))) and episodes.split_episode_name(some[0])[1] is not None:
+    if (
+        not Path(given).exists()
+        and (some := episodes.expand_episode_range(Path(given)))
+        and episodes.split_episode_name(some[0])[1] is not None
+    ):
         yield from map(str, some)
         return
     paths = [Path(given)] if Path(given).exists() else _match_pattern(given)
@@ -87,7 +121,9 @@ def find_logs(given: str, wait_s: float = remote.WAIT_S) -> Iterator[str]:
 
 
 def _list_episodes(path: Path) -> list[Path]:
-    """The episodes of a dataset that has several; otherwise the path, also of a dataset that cannot be read."""
+    """The episodes of a dataset that has several; otherwise
+    the path, also of a dataset that cannot be read.
+    """
     from ..logs.datasets import kinds
 
     try:
@@ -98,24 +134,34 @@ def _list_episodes(path: Path) -> list[Path]:
 
 
 def _match_pattern(pattern: str) -> list[Path]:
-    """The paths that match a pattern, without results of batches; UsageError if there are too many."""
+    """The paths that match a pattern, without results
+    of batches; UsageError if there are too many.
+    """
     if re.search(r"[*?\[].*/\.\.(/|$)", pattern):
-        raise UsageError(f"{pattern}: a pattern goes back (..) after a wildcard; name the folders to search instead")
+        raise UsageError(
+            f"{pattern}: a pattern goes back (..) after a wildcard; name the folders to "
+            "search instead"
+        )
     found = glob.iglob(re.sub(r"(\*\*/)+", "**/", pattern), recursive=True)
     try:
         matches = list(itertools.islice(found, MOST + 1))
     except RecursionError:
-        raise UsageError(f"{pattern}: folders are too deep for a pattern; name a folder to search instead") from None
+        raise UsageError(
+            f"{pattern}: folders are too deep for a pattern; name a folder to search instead"
+        ) from None
     if len(matches) > MOST:
         raise UsageError(f"{pattern}: more than {MOST} names fit; name folders nearer to the logs")
     return [path for path in map(Path, sorted(matches)) if not folders.is_result(path.parent)]
 
 
 def _find_logs_in_folder(folder: Path) -> Iterator[Path]:
-    """The logs in a folder, in path order, each folder once despite links; UsageError if there are too many folders."""
+    """The logs in a folder, in path order, each folder once
+    despite links; UsageError if there are too many folders.
+    """
     from ..logs.datasets import kinds
 
-    seen, left = set[Key | None]((None,)), [folder]
+    seen = set[Key | None]((None,))
+    left = [folder]
     while left:
         path = left.pop()
         if not path.is_dir():
@@ -125,19 +171,27 @@ def _find_logs_in_folder(folder: Path) -> Iterator[Path]:
             continue
         seen.add(found)
         if len(seen) > MOST:
-            raise UsageError(f"{folder}: more than {MOST} folders are in it; name folders nearer to the logs")
+            raise UsageError(
+                f"{folder}: more than {MOST} folders are in it; name folders nearer to the logs"
+            )
         if is_rosbag2(path) or kinds.is_episode_dataset(path):
             yield from _list_episodes(path)
             continue
         names = sorted(path.iterdir(), reverse=True)
-        left += [one for one in names if (one.name[0] != "." if one.is_dir() else _is_log(one.name))]
+        left += [
+            one for one in names if (one.name[0] != "." if one.is_dir() else _is_log(one.name))
+        ]
 
 
 def is_rosbag2(folder: Path) -> bool:
-    """Whether a folder is a rosbag2 log rather than a folder of logs: described as one, or with databases alone."""
+    """Whether a folder is a rosbag2 log rather than a folder
+    of logs: described as one, or with databases alone.
+    """
     if (folder / "metadata.yaml").is_file():
         return True
-    names = [path.name.lower() for path in folder.iterdir() if _is_log(path.name) and path.name[0] != "."]
+    names = [
+        path.name.lower() for path in folder.iterdir() if _is_log(path.name) and path.name[0] != "."
+    ]
     return any(name.endswith(".db3") for name in names) and all(".db3" in name for name in names)
 
 

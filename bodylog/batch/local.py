@@ -1,4 +1,6 @@
-"""Run the jobs of a batch on this machine: a pool of processes, largest logs first, within a memory budget."""
+"""Run the jobs of a batch on this machine: a pool of
+processes, largest logs first, within a memory budget.
+"""
 
 import multiprocessing
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +12,7 @@ from ..errors import BodylogError
 from ..io import remote
 from ..io.temporary import remove_killed
 from ..logs.episode_files import files_of
-from ..runtime.workers import become_worker, stop_processes, block_interrupts
+from ..runtime.workers import become_worker, block_interrupts, stop_processes
 from . import work
 from .jobs import Job, Row
 
@@ -18,7 +20,9 @@ BASE_BYTES = 300 << 20
 TRIES = 2
 
 
-def run_on_this_machine(jobs: Sequence[Job], workers: int, memory: int | None, keep_going: bool) -> Iterator[Row]:
+def run_on_this_machine(
+    jobs: Sequence[Job], workers: int, memory: int | None, keep_going: bool
+) -> Iterator[Row]:
     """Rows as they finish; after a bug no further log is started, unless `keep_going`."""
     sizes = {job.name: log_size_bytes(job.log, job.settings.input.max_wait_s) for job in jobs}
     queue = sorted(jobs, key=lambda job: (-sizes[job.name], job.name))
@@ -58,7 +62,9 @@ class WorkerPool:
 
     def __init__(self, workers: int, memory: int | None, keep_going: bool) -> None:
         """Start no process yet."""
-        self._workers, self._memory, self._keep_going = workers, memory, keep_going
+        self._workers = workers
+        self._memory = memory
+        self._keep_going = keep_going
         self._context = multiprocessing.get_context("spawn")
         self._idle: list[tuple[BaseProcess, Connection]] = []
         self._busy: dict[Connection, tuple[BaseProcess, Job]] = {}
@@ -66,8 +72,11 @@ class WorkerPool:
         self._needs: dict[str, int] = {}
 
     def run(self, queue: Sequence[Job], sizes: Mapping[str, int]) -> Iterator[Row]:
-        """Rows as they finish; a job whose worker dies is tried once more, then becomes a row. sizes: bytes by name."""
-        queue, self._needs = list(queue), {name: expected_memory_bytes(size) for name, size in sizes.items()}
+        """Rows as they finish; a job whose worker dies is tried
+        once more, then becomes a row. sizes: bytes by name.
+        """
+        queue = list(queue)
+        self._needs = {name: expected_memory_bytes(size) for name, size in sizes.items()}
         try:
             while queue or self._busy:
                 self._hand_out(queue)
@@ -91,7 +100,9 @@ class WorkerPool:
     def _fits(self, job: Job) -> bool:
         """Whether the memory budget allows another job; a job above the budget runs alone."""
         taken = sum(self._needs[busy.name] for _, busy in self._busy.values())
-        return not self._busy or self._memory is None or taken + self._needs[job.name] <= self._memory
+        return (
+            not self._busy or self._memory is None or taken + self._needs[job.name] <= self._memory
+        )
 
     def _start(self) -> tuple[BaseProcess, Connection]:
         here, there = self._context.Pipe()
@@ -116,10 +127,17 @@ class WorkerPool:
         if self._tries[job.name] < TRIES:
             queue.insert(0, job)
             return None
-        return work.write_died_row(job, f"the worker process died with {process.exitcode} on {job.log}, {TRIES} times")
+        return work.write_died_row(
+            job, f"the worker process died with {process.exitcode} on {job.log}, {TRIES} times"
+        )
 
     def _stop(self) -> None:
-        stop_processes([*(process for process, _ in self._idle), *(process for process, _ in self._busy.values())])
+        stop_processes(
+            [
+                *(process for process, _ in self._idle),
+                *(process for process, _ in self._busy.values()),
+            ]
+        )
         if self._busy:
             remove_killed(*(job.folder for _, job in self._busy.values()))
 

@@ -1,4 +1,6 @@
-"""What a batch leaves: results.jsonl as it goes, then in name order; junit.xml for CI; summary.html for people."""
+"""What a batch leaves: results.jsonl as it goes, then in
+name order; junit.xml for CI; summary.html for people.
+"""
 
 import html
 import json
@@ -14,15 +16,23 @@ from .resume import ODD
 
 
 class Journal:
-    """The rows in a batch's folder: appended to results.jsonl as they come, so that an interrupted batch shows them.
+    """The rows in a batch's folder: appended to results.jsonl
+    as they come, so that an interrupted batch shows them.
 
-    Other shards may write there as well. Every row is also in its log's folder, and from there all are put together.
+    Other shards may write there as well. Every row is also
+    in its log's folder, and from there all are put together.
     """
 
-    def __init__(self, out: Path, whole: Sequence[Job], names: frozenset[str], own: Mapping[str, Row]) -> None:
+    def __init__(
+        self, out: Path, whole: Sequence[Job], names: frozenset[str], own: Mapping[str, Row]
+    ) -> None:
         """Of the jobs of all shards; of those called `names` the rows are `own`, which grows."""
-        self._path, self._out, self._own = out / "results.jsonl", out, own
-        self._whole, self._names, self._seen = whole, names, (0, 0)
+        self._path = out / "results.jsonl"
+        self._out = out
+        self._own = own
+        self._whole = whole
+        self._names = names
+        self._seen = (0, 0)
         with folders.lock_folder(out, folders.BATCH):
             self._rewrite()
 
@@ -63,12 +73,17 @@ class Journal:
         return rows
 
     def _is_superseded(self) -> bool:
-        """Whether a batch of these and more logs began in the folder meanwhile: it writes all rows."""
+        """Whether a batch of these and more logs began
+        in the folder meanwhile: it writes all rows.
+        """
         return folders.is_claimed_by_more(self._out, {job.name: job.log for job in self._whole})
 
     def _rows(self) -> list[Row]:
         """This shard's rows, and what others left that was done as this one does it."""
-        found = (self._own.get(job.name) if job.name in self._names else resume.read_valid_row(job) for job in self._whole)
+        found = (
+            self._own.get(job.name) if job.name in self._names else resume.read_valid_row(job)
+            for job in self._whole
+        )
         return [row for row in found if row is not None]
 
     def _rewrite(self) -> None:
@@ -123,7 +138,9 @@ def _write_batch_text(path: Path, text: str) -> None:
 
 
 def junit_xml(rows: Sequence[Row]) -> str:
-    """JUnit XML: a broken bound is a failure; an unusable log, a bug or a log not reached is an error."""
+    """JUnit XML: a broken bound is a failure; an
+    unusable log, a bug or a log not reached is an error.
+    """
     failures = sum(row["exit_code"] == 4 for row in rows)
     errors = sum(row["exit_code"] not in (0, 3, 4) for row in rows)
     counts = {"tests": str(len(rows)), "failures": str(failures), "errors": str(errors)}
@@ -132,15 +149,21 @@ def junit_xml(rows: Sequence[Row]) -> str:
     for row in rows:
         _add_test_case(suite, row)
     ET.indent(suites)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(suites, encoding="unicode") + "\n"
+    return (
+        '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(suites, encoding="unicode") + "\n"
+    )
 
 
 def _add_test_case(suite: ET.Element, row: Row) -> None:
-    case = ET.SubElement(suite, "testcase", {"classname": "bodylog", "name": _xml_text(row["name"])})
+    case = ET.SubElement(
+        suite, "testcase", {"classname": "bodylog", "name": _xml_text(row["name"])}
+    )
     if row["exit_code"] not in (0, 3):
         kind = "failure" if row["exit_code"] == 4 else "error"
         first = _xml_text(row["error"]).strip().splitlines()[-1]
-        ET.SubElement(case, kind, {"message": first, "type": row["status"]}).text = _xml_text(row["error"])
+        ET.SubElement(case, kind, {"message": first, "type": row["status"]}).text = _xml_text(
+            row["error"]
+        )
     scores = "\n".join(f"{name} = {value}" for name, value in row["scores"].items())
     findings = "\n".join(f"{severity}: {text}" for severity, text in row["findings"])
     ET.SubElement(case, "system-out").text = _xml_text(f"{row['log']}\n{scores}\n{findings}")
@@ -148,15 +171,21 @@ def _add_test_case(suite: ET.Element, row: Row) -> None:
 
 def _xml_text(text: str) -> str:
     """Text without the control characters XML 1.0 cannot hold."""
-    return "".join(c if c in "\t\n" or " " <= c <= "\ud7ff" or "\ue000" <= c <= "\ufffd" else "�" for c in text)
+    return "".join(
+        c if c in "\t\n" or " " <= c <= "\ud7ff" or "\ue000" <= c <= "\ufffd" else "�" for c in text
+    )
 
 
 def summary_page(rows: Sequence[Row]) -> str:
-    """A page with the verdict and one line per log: its main figures; everything from a log is escaped."""
+    """A page with the verdict and one line per log:
+    its main figures; everything from a log is escaped.
+    """
     names = [name for name in headline.NAMES if any(name in row["headline"] for row in rows)]
     heads = ("log", "status", *names, "remark")
     head = "".join(f"<th>{html.escape(name)}</th>" for name in heads)
-    text = "\n".join(f"<p>{html.escape(sentence)}</p>" for sentence in verdict.verdict_of_batch(rows))
+    text = "\n".join(
+        f"<p>{html.escape(sentence)}</p>" for sentence in verdict.verdict_of_batch(rows)
+    )
     body = "\n".join(_summary_row(row, names) for row in rows)
     return PAGE.format(count=len(rows), verdict=text, head=head, body=body)
 

@@ -1,4 +1,6 @@
-"""Results that an earlier run left: valid if inputs, settings and version are the same and outputs are unchanged."""
+"""Results that an earlier run left: valid if inputs,
+settings and version are the same and outputs are unchanged.
+"""
 
 import hashlib
 import json
@@ -9,7 +11,7 @@ from typing import Any
 from .. import pipeline
 from ..errors import BodylogError, LogError, ModelError, UsageError
 from ..io import episodes, remote
-from ..io.atomic_files import replace_atomically, hash_files
+from ..io.atomic_files import hash_files, replace_atomically
 from ..io.atomic_files import read_limited_text as read_text
 from ..io.values import read_json
 from ..logs.episode_files import hash_log
@@ -28,13 +30,21 @@ ODD = "backslashreplace"
 
 
 def job_key(job: Job) -> str:
-    """Digest of what a log's outputs depend on: log (a URL: its identity), body, settings, bounds, version."""
+    """Digest of what a log's outputs depend on: log (a
+    URL: its identity), body, settings, bounds, version.
+    """
     wait_s = job.settings.input.max_wait_s
-    log = remote.remote_identity(job.log, wait_s) if remote.is_url(job.log) else hash_log(Path(job.log))
+    log = (
+        remote.remote_identity(job.log, wait_s)
+        if remote.is_url(job.log)
+        else hash_log(Path(job.log))
+    )
     return _digest_parts([log, *_list_conditions(job.body, job.settings, job.bounds, job.task)])
 
 
-def settings_digest(body: Path | None, settings: Settings, bounds: Sequence[str], task: str = ESTIMATE) -> str:
+def settings_digest(
+    body: Path | None, settings: Settings, bounds: Sequence[str], task: str = ESTIMATE
+) -> str:
     """Digest of what all logs' outputs depend on: body, settings, bounds, version, task."""
     return _digest_parts(_list_conditions(body, settings, bounds, task))
 
@@ -49,7 +59,9 @@ def _list_conditions(
 
 
 def write_row(job: Job, row: Row) -> Row:
-    """Write a row beside its outputs; returns the row as `read_valid_row` and `read_finished_row` read it."""
+    """Write a row beside its outputs; returns the row
+    as `read_valid_row` and `read_finished_row` read it.
+    """
     text = json.dumps({**row, HOW: job.how}, sort_keys=True, ensure_ascii=False, allow_nan=False)
     with replace_atomically(job.folder / ROW) as beside:
         beside.write_text(text, encoding="utf-8", errors=ODD)
@@ -57,13 +69,21 @@ def write_row(job: Job, row: Row) -> Row:
 
 
 def read_valid_row(job: Job) -> Row | None:
-    """The row that another shard left with the same body, settings, bounds and version; None otherwise."""
+    """The row that another shard left with the same
+    body, settings, bounds and version; None otherwise.
+    """
     row = _read_row(job.folder / ROW)
-    return _row_without_digest(row) if row is not None and row.get(HOW) == job.how and _is_current(row) else None
+    return (
+        _row_without_digest(row)
+        if row is not None and row.get(HOW) == job.how and _is_current(row)
+        else None
+    )
 
 
 def read_finished_row(job: Job) -> Row | None:
-    """The row of an earlier run, if its work is the same and its outputs are unchanged; None otherwise."""
+    """The row of an earlier run, if its work is the
+    same and its outputs are unchanged; None otherwise.
+    """
     row = _read_row(job.folder / ROW)
     if row is None or not _is_current(row) or row["key"] is None or row["key"] != _key_or_none(job):
         return None
@@ -78,12 +98,16 @@ def read_finished_row(job: Job) -> Row | None:
 
 def _is_current(row: Row) -> bool:
     """Whether a row has the keys of this version's rows, and its scores their names."""
-    if not row.keys() >= KEYS or not all(isinstance(row[name], kind) for name, kind in _KINDS.items()):
+    if not row.keys() >= KEYS or not all(
+        isinstance(row[name], kind) for name, kind in _KINDS.items()
+    ):
         return False
     texts = (*row["outputs"].values(), *row["headline"].values())
     written = all(isinstance(text, str) for text in texts)
     numbers = all(isinstance(value, float | int | None) for value in row["scores"].values())
-    return written and numbers and all(split_score_name(name)[0] in FIGURES for name in row["scores"])
+    return (
+        written and numbers and all(split_score_name(name)[0] in FIGURES for name in row["scores"])
+    )
 
 
 _KINDS: Mapping[str, Any] = {
@@ -134,18 +158,25 @@ def _has_declared_messages(job: Job, row: Row) -> bool:
     if "annotated.mcap" not in row["outputs"]:
         return True
     try:
-        return bool(pipeline.count_declared_messages(job.folder / "annotated.mcap") == row["messages"])
+        return bool(
+            pipeline.count_declared_messages(job.folder / "annotated.mcap") == row["messages"]
+        )
     except BodylogError:
         return False
 
 
 def learn_body_once(train: Sequence[Path], body: Path, settings: Settings) -> Path:
-    """Learn the body model from `train`, unless the existing one is from the same logs and settings."""
+    """Learn the body model from `train`, unless the
+    existing one is from the same logs and settings.
+    """
     for log in train:
         if not episodes.dataset_path(log).exists():
             raise LogError(f"{log}: there is no such file or folder; check the name")
     mark_file = _mark_of(body)
-    wanted, known = _digest_parts([[hash_log(log) for log in train], settings_as_values(settings), __version__]), _read_mark(mark_file)
+    wanted = _digest_parts(
+        [[hash_log(log) for log in train], settings_as_values(settings), __version__]
+    )
+    known = _read_mark(mark_file)
     if not (_is_loadable_body(body) and known == [wanted, hash_files(body)]):
         _leave_mark(mark_file, [wanted, None])
         pipeline.fit(train, body, settings)
@@ -162,9 +193,13 @@ def check_replaceable(body: Path) -> None:
     known = _read_mark(mark_file)
     ours = isinstance(known, list) and len(known) == 2
     if mark_file.exists() and not ours:
-        raise UsageError(f"{mark_file}: no batch wrote this file, and --train would replace it; type another -o")
+        raise UsageError(
+            f"{mark_file}: no batch wrote this file, and --train would replace it; type another -o"
+        )
     if body.exists() and not (ours and body.is_file() and known[1] in (None, hash_files(body))):
-        raise UsageError(f"{body}: no batch learned this body, and --train would replace it; type another -o")
+        raise UsageError(
+            f"{body}: no batch learned this body, and --train would replace it; type another -o"
+        )
 
 
 def _mark_of(body: Path) -> Path:

@@ -14,7 +14,7 @@ from ..config import settings_as_toml
 from ..errors import BodylogError, BoundError, LogError
 from ..evaluation import bounds
 from ..io import remote
-from ..io.atomic_files import FULL, replace_atomically, hash_files
+from ..io.atomic_files import FULL, hash_files, replace_atomically
 from ..io.temporary import PART, remove_stale
 from ..runtime import sigbus
 from ..types import Fault, Health
@@ -60,7 +60,9 @@ def _on_one_core() -> Iterator[None]:
 def _run_job_afresh(job: Job) -> Row:
     remove_stale(job.folder, f".*{PART}")
     for stale in (job.folder / name for name in (*OUTPUTS, *EVIDENCE, folders.ROW)):
-        shutil.rmtree(stale) if stale.is_dir() and not stale.is_symlink() else stale.unlink(missing_ok=True)
+        shutil.rmtree(stale) if stale.is_dir() and not stale.is_symlink() else stale.unlink(
+            missing_ok=True
+        )
     return resume.write_row(job, _attempt_job(job))
 
 
@@ -89,7 +91,9 @@ def _attempt_job(job: Job) -> Row:
     except BodylogError as err:
         return _build_row(job, key, err.exit_code if err.exit_code != 2 else 65, str(err))
     except OSError as err:
-        return _build_row(job, key, 74 if err.errno in FULL else 65, f"{job.log}: {err.strerror or err}")
+        return _build_row(
+            job, key, 74 if err.errno in FULL else 65, f"{job.log}: {err.strerror or err}"
+        )
     except MemoryError as err:
         return _build_row(job, key, 65, f"{job.log}: there is not enough memory ({err})")
     except Exception:
@@ -101,22 +105,33 @@ def _estimate_job(job: Job) -> dict[str, Any]:
     annotated = job.folder / "annotated.mcap"
     with remote.local_copy(job.log, job.folder, job.settings.input.max_wait_s) as log:
         result = pipeline.estimate(log, job.body, annotated, job.settings)
-        about = tuple(replace(one, text=one.text.replace(str(log), job.log)) for one in result.findings)
+        about = tuple(
+            replace(one, text=one.text.replace(str(log), job.log)) for one in result.findings
+        )
         result = replace(result, findings=about)
     views.write_report(annotated, job.folder / "report.html", job.settings)
     _write_job_text(job.folder / "robot.toml", settings_as_toml(job.settings))
     lost = any(finding.severity == "lost" for finding in result.findings)
-    code, error = (3 if lost else 0), None
+    code = 3 if lost else 0
+    error = None
     try:
-        bounds.check_bounds({job.name: result.figures}, [bounds.parse_bound(text) for text in job.bounds])
+        bounds.check_bounds(
+            {job.name: result.figures}, [bounds.parse_bound(text) for text in job.bounds]
+        )
     except BoundError as err:
-        code, error = err.exit_code, str(err)
-    return {"code": code, "error": error, "result": result, "messages": pipeline.count_declared_messages(annotated)}
+        code = err.exit_code
+        error = str(err)
+    return {
+        "code": code,
+        "error": error,
+        "result": result,
+        "messages": pipeline.count_declared_messages(annotated),
+    }
 
 
 def _examine_job(job: Job) -> dict[str, Any]:
-    """Keywords of `_build_row`, for an episode examined beside its siblings; its evidence is left for
-    their comparison."""
+    """Keywords of `_build_row`, for an episode examined beside
+    its siblings; its evidence is left for their comparison."""
     from ..dataset import examination
 
     with remote.local_copy(job.log, job.folder, job.settings.input.max_wait_s) as log:
@@ -124,16 +139,23 @@ def _examine_job(job: Job) -> dict[str, Any]:
     text = json.dumps(evidence, sort_keys=True, ensure_ascii=False, allow_nan=False)
     _write_job_text(job.folder / EVIDENCE[0], text)
     lost = any(finding.severity == "lost" for finding in result.findings)
-    code, error = (3 if lost else 0), None
+    code = 3 if lost else 0
+    error = None
     known = [bounds.parse_bound(text) for text in job.bounds]
     try:
-        bounds.check_bounds({job.name: result.scores}, bounds.select_measured_bounds(result.scores, known))
+        bounds.check_bounds(
+            {job.name: result.scores}, bounds.select_measured_bounds(result.scores, known)
+        )
     except BoundError as err:
-        code, error = err.exit_code, str(err)
+        code = err.exit_code
+        error = str(err)
     return {"code": code, "error": error, "result": result}
 
 
-TASKS: Mapping[str, Callable[[Job], dict[str, Any]]] = {ESTIMATE: _estimate_job, EXAMINE: _examine_job}
+TASKS: Mapping[str, Callable[[Job], dict[str, Any]]] = {
+    ESTIMATE: _estimate_job,
+    EXAMINE: _examine_job,
+}
 """What a batch does with each log, by the name of the task."""
 LEAVES: Mapping[str, tuple[str, ...]] = {ESTIMATE: OUTPUTS, EXAMINE: EVIDENCE}
 """The files that a task leaves beside the row of each log."""
@@ -156,19 +178,27 @@ def _build_row(
         "error": error,
         "messages": messages,
         "outputs": {name: hash_files(job.folder / name) for name in LEAVES[job.task] if result},
-        "scores": {score.name: _finite_or_none(score.value) for score in result.scores} if result else {},
+        "scores": {score.name: _finite_or_none(score.value) for score in result.scores}
+        if result
+        else {},
         "used": {sense: health.used for sense, health in result.health.items()} if result else {},
         "verdict": list(result.verdict) if result else [],
         "headline": dict(result.headline) if result else {},
         "faults": [_plain_fault(fault) for fault in result.faults] if result else [],
-        "health": {name: _record_as_json(health) for name, health in result.health.items()} if result else {},
-        "findings": [[f.severity, f.text] for f in dict.fromkeys(result.findings)] if result else [],
+        "health": {name: _record_as_json(health) for name, health in result.health.items()}
+        if result
+        else {},
+        "findings": [[f.severity, f.text] for f in dict.fromkeys(result.findings)]
+        if result
+        else [],
     }
 
 
 def _record_as_json(record: Fault | Health) -> dict[str, Any]:
     """A record as JSON holds it, NaN as null."""
-    return {key: _finite_or_none(v) if isinstance(v, float) else v for key, v in asdict(record).items()}
+    return {
+        key: _finite_or_none(v) if isinstance(v, float) else v for key, v in asdict(record).items()
+    }
 
 
 def _plain_fault(fault: Fault) -> dict[str, Any]:

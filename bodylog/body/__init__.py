@@ -21,23 +21,34 @@ NAME_URDF = "give the robot's URDF with --urdf"
 
 
 def learn_body(
-    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None,
-    keep: "Keep" = "explained", advice: str = "",
-) -> "LearnedBody":  # fmt: skip
-    """Call `learning.learn_from_features`; the import is late, since predicting needs none of it."""
+    features: Sequence[Features],
+    settings: Settings,
+    provenance: Mapping[str, Any],
+    update: BodyModel | None = None,
+    keep: "Keep" = "explained",
+    advice: str = "",
+) -> "LearnedBody":
+    """Call `learning.learn_from_features`; the import
+    is late, since predicting needs none of it.
+    """
     from . import learning
 
     return learning.learn_from_features(features, settings, provenance, update, keep, advice)
 
 
 def with_kinematics(
-    features: Sequence[Features], settings: Settings, found: "LearnedBody", robot: "Robotics | None",
+    features: Sequence[Features],
+    settings: Settings,
+    found: "LearnedBody",
+    robot: "Robotics | None",
     update: BodyModel | None = None,
-) -> "LearnedBody":  # fmt: skip
-    """Add the URDF's kinematics to a learned body; return it unchanged without a URDF, or with an unsuitable one.
+) -> "LearnedBody":
+    """Add the URDF's kinematics to a learned body; return
+    it unchanged without a URDF, or with an unsuitable one.
 
-    A body to update keeps its own chain unless a URDF is requested. Tracks that kinematics do not explain are refused
-    where a Gaussian process does not explain them, or where they tell nothing about the joints.
+    A body to update keeps its own chain unless a URDF is requested. Tracks
+    that kinematics do not explain are refused where a Gaussian process
+    does not explain them, or where they tell nothing about the joints.
     """
     doubtful = {**found.poor, **found.vague}
     judged = replace(found, poor=doubtful) if found.vague else found
@@ -49,10 +60,17 @@ def with_kinematics(
         return _record_unused_urdf(with_it, unused)
     try:
         plain = learn_body(
-            features, settings, found.model.provenance, update, "telling", _advise_on_vague_track(settings, robot)
+            features,
+            settings,
+            found.model.provenance,
+            update,
+            "telling",
+            _advise_on_vague_track(settings, robot),
         )
     except EvidenceError as problem:
-        raise EvidenceError("; ".join([str(problem), *map(_reason_urdf_unused, unused)])) from problem
+        raise EvidenceError(
+            "; ".join([str(problem), *map(_reason_urdf_unused, unused)])
+        ) from problem
     return _record_unused_urdf(replace(plain, findings=(*plain.findings, *unused)), unused)
 
 
@@ -73,14 +91,19 @@ def _record_unused_urdf(found: "LearnedBody", unused: Sequence[Finding]) -> "Lea
 
 
 def _reason_urdf_unused(unused: Finding) -> str:
-    """Why a URDF is not used, without the advice to leave it out, of no use where a URDF is needed."""
+    """Why a URDF is not used, without the advice to
+    leave it out, of no use where a URDF is needed.
+    """
     return unused.text.removesuffix(f", {WITHOUT_URDF}")
 
 
 def _learn_or_update_kinematics(
-    features: Sequence[Features], settings: Settings, found: "LearnedBody", robot: "Robotics | None",
+    features: Sequence[Features],
+    settings: Settings,
+    found: "LearnedBody",
+    robot: "Robotics | None",
     update: BodyModel | None,
-) -> "LearnedBody":  # fmt: skip
+) -> "LearnedBody":
     if settings.kinematics.use and (robot is None or not robot.asked) and update is not None:
         from .kinematic import update as kinematic_update
 

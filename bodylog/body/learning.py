@@ -15,32 +15,33 @@ from . import exploration_report, noise_estimates, pose_errors
 from .data import trainable
 from .data.exploration import select_joints
 from .data.pairs import (
-    SmoothedJoint,
     Pairs,
-    join_pairs,
-    smooth_all_joints,
-    has_moved,
+    SmoothedJoint,
+    drop_impossible_values,
     find_moving_joints,
+    has_moved,
+    join_pairs,
     pair_sightings,
     pairs_of_samples,
-    drop_impossible_values,
+    smooth_all_joints,
     sparse_joints,
 )
 from .gp.model import GP
 from .senses import encoder_calibration, encoder_function, touch, track
 
 Keep = Literal["all", "explained", "telling"]
-"""Tracks that keep a model: all that have one, for kinematics to explain; those explained by the joints; those of which
-one image also tells something about the joints."""
+"""Tracks that keep a model: all that have one, for kinematics to explain; those explained by the
+joints; those of which one image also tells something about the joints."""
 
 
 @dataclass(frozen=True, eq=False)
 class LearnedBody:
-    """A body model, its scores on held-out data, remarks on the exploration, and the joints it was learned over.
+    """A body model, its scores on held-out data, remarks
+    on the exploration, and the joints it was learned over.
 
-    poor: tracks, and why, that a Gaussian process alone cannot explain, kept for kinematics · vague: tracks that it
-    explains, and why one image of them tells nothing about the joints · faint: warnings for joints whose motion the
-    senses hardly show.
+    poor: tracks, and why, that a Gaussian process alone cannot explain, kept for kinematics ·
+    vague: tracks that it explains, and why one image of them tells nothing about the joints ·
+    faint: warnings for joints whose motion the senses hardly show.
     """
 
     model: BodyModel
@@ -54,17 +55,22 @@ class LearnedBody:
 
 @one_thread("scipy.linalg")
 def learn_from_features(
-    features: Sequence[Features], settings: Settings, provenance: Mapping[str, Any], update: BodyModel | None = None,
-    keep: Keep = "explained", advice: str = "",
-) -> LearnedBody:  # fmt: skip
+    features: Sequence[Features],
+    settings: Settings,
+    provenance: Mapping[str, Any],
+    update: BodyModel | None = None,
+    keep: Keep = "explained",
+    advice: str = "",
+) -> LearnedBody:
     """Learn a body model from the features of one or many exploration logs.
 
-    A body to update keeps its joints, its given senses, and touch unless a log has touches; its own samples count as
-    one more log. `keep`: see `Keep` · advice: what to do about a track that tells nothing. Where logs have a
-    reference, its angles are used and the encoders' function is learned as well.
+    A body to update keeps its joints, its given senses, and touch unless a log has
+    touches; its own samples count as one more log. `keep`: see `Keep` · advice: what to
+    do about a track that tells nothing. Where logs have a reference, its angles are
+    used and the encoders' function is learned as well.
 
-    LogError without joints, ConfigError for an unknown joint, ModelError for another robot's body, EvidenceError when
-    nothing was seen or moved.
+    LogError without joints, ConfigError for an unknown joint, ModelError for another robot's body,
+    EvidenceError when nothing was seen or moved.
     """
     features, absurd = drop_impossible_values(features)
     wanted = settings.body.joints if update is None else _require_known_joints(features, update)
@@ -79,23 +85,41 @@ def learn_from_features(
     senses, poor, vague = _learn_senses(tracks, chosen, settings.fit, keep, corners, advice)
     if not senses:
         raise EvidenceError(_refusal_message(features, poor, chosen))
-    names, gps = tuple(j.name for j in chosen), {name: found.gp for name, found in senses.items()}
+    names = tuple(j.name for j in chosen)
+    gps = {name: found.gp for name, found in senses.items()}
     learned, repeated = _learn_all_noise(features, chosen, senses, update)
     constants, cells, touched = touch.learn_touch(angled, names, gps.get("effector"))
     read = encoder_calibration.learn_encoder_functions(features, chosen, learned)
     given: Mapping[str, ForwardModel] = {}
     if update is not None:
         given = {n: g for n, g in update.senses.items() if n not in _senses_of_tracks(update)}
-        constants, cells = (constants, {**update.cells, **cells}) if touched else (update.touch, update.cells)
-    scores = (*exploration_report.exploration_scores(chosen, gps, learned), *_scores_of_tracks(senses, names, learned), *read.scores)
-    still = exploration_report.still_findings([j for j in available if j in chosen or not has_moved(j)], chosen)
+        constants, cells = (
+            (constants, {**update.cells, **cells}) if touched else (update.touch, update.cells)
+        )
+    scores = (
+        *exploration_report.exploration_scores(chosen, gps, learned),
+        *_scores_of_tracks(senses, names, learned),
+        *read.scores,
+    )
+    still = exploration_report.still_findings(
+        [j for j in available if j in chosen or not has_moved(j)], chosen
+    )
     gaps = exploration_report.missing_findings(angled, [j.name for j in available], wanted)
     dropped = _dropped_findings(features, senses, poor)
     about = {**_image_provenance(features), **repeated, **provenance}
     return LearnedBody(
         BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, about, cells),
         scores,
-        (trainable.learned_joints_finding(available, chosen), *still, *absurd, *unseen, *gaps, *dropped, *touched, *read.findings),
+        (
+            trainable.learned_joints_finding(available, chosen),
+            *still,
+            *absurd,
+            *unseen,
+            *gaps,
+            *dropped,
+            *touched,
+            *read.findings,
+        ),
         tuple(chosen),
         {name: reason for name, reason in poor.items() if name in senses},
         vague,
@@ -103,26 +127,48 @@ def learn_from_features(
     )
 
 
-def _choose_moved_joints(features: Sequence[Features], available: list[SmoothedJoint], wanted: tuple[str, ...] | None) -> list[SmoothedJoint]:
+def _choose_moved_joints(
+    features: Sequence[Features], available: list[SmoothedJoint], wanted: tuple[str, ...] | None
+) -> list[SmoothedJoint]:
     """The joints wanted, or those that moved; EvidenceError without any."""
     chosen = [j for j in available if wanted or has_moved(j)]
     if not chosen:
-        possible = ", ".join(j.name for j in available) or f"none ({'; '.join(sparse_joints(features).values())})"
-        raise EvidenceError(f"no joint moved; the log has {possible}; record an exploration, or name [body] joints")
+        possible = (
+            ", ".join(j.name for j in available)
+            or f"none ({'; '.join(sparse_joints(features).values())})"
+        )
+        raise EvidenceError(
+            f"no joint moved; the log has {possible}; record an exploration, or name [body] joints"
+        )
     return chosen
 
 
 def _learn_all_noise(
-    features: Sequence[Features], chosen: Sequence[SmoothedJoint], senses: Mapping[str, track.TrackSense], update: BodyModel | None
+    features: Sequence[Features],
+    chosen: Sequence[SmoothedJoint],
+    senses: Mapping[str, track.TrackSense],
+    update: BodyModel | None,
 ) -> tuple[Noise, dict[str, Any]]:
-    """Noise of joints and senses, pooled with that of a body to update, and its part of the provenance."""
-    gps, floors = ({n: getattr(found, part) for n, found in senses.items()} for part in ("gp", "floor"))
+    """Noise of joints and senses, pooled with that of
+    a body to update, and its part of the provenance.
+    """
+    gps, floors = (
+        {n: getattr(found, part) for n, found in senses.items()} for part in ("gp", "floor")
+    )
     learned = noise_estimates.learn_noise([j.acceleration for j in chosen], gps, floors)
-    learned, repeated = _encoder_noise_from_poses(learned, senses, len(chosen)) if all(f.poses for f in features) else (learned, {})
-    return learned if update is None else noise_estimates.pool_noise(learned, update.noise), repeated
+    learned, repeated = (
+        _encoder_noise_from_poses(learned, senses, len(chosen))
+        if all(f.poses for f in features)
+        else (learned, {})
+    )
+    return learned if update is None else noise_estimates.pool_noise(
+        learned, update.noise
+    ), repeated
 
 
-def _scores_of_tracks(senses: Mapping[str, track.TrackSense], names: tuple[str, ...], noise: Noise) -> Iterator[Score]:
+def _scores_of_tracks(
+    senses: Mapping[str, track.TrackSense], names: tuple[str, ...], noise: Noise
+) -> Iterator[Score]:
     """Scores of all tracks."""
     for name, found in senses.items():
         yield from track.scores_of_track(name, found, names, noise)
@@ -140,25 +186,37 @@ def _dropped_findings(
         yield from track.track_findings(name, found)
 
 
-def _encoder_noise_from_poses(learned: Noise, senses: Mapping[str, track.TrackSense], count: int) -> tuple[Noise, dict[str, Any]]:
+def _encoder_noise_from_poses(
+    learned: Noise, senses: Mapping[str, track.TrackSense], count: int
+) -> tuple[Noise, dict[str, Any]]:
     """Encoder noise from still poses, and its std (rad) for the provenance."""
     found = pose_errors.learn_pose_errors(senses, count)
     if found is None:
         return learned, {}
     variance, error = (tuple(float(v) for v in values) for values in found)
     std = {"pose_std": [v**0.5 for v in variance]}
-    return replace(learned, encoder=variance, std_error={**learned.std_error, "encoder": error}), std
+    return replace(
+        learned, encoder=variance, std_error={**learned.std_error, "encoder": error}
+    ), std
 
 
 def _learn_senses(
-    tracks: Mapping[str, Pairs], chosen: Sequence[SmoothedJoint], fit: FitSettings, keep: Keep, corners: Mapping[str, str],
+    tracks: Mapping[str, Pairs],
+    chosen: Sequence[SmoothedJoint],
+    fit: FitSettings,
+    keep: Keep,
+    corners: Mapping[str, str],
     advice: str,
-) -> tuple[dict[str, track.TrackSense], dict[str, str], dict[str, str]]:  # fmt: skip
-    """Each track's model, the reasons why others have none or a poor one, and why models that are kept are vague.
+) -> tuple[dict[str, track.TrackSense], dict[str, str], dict[str, str]]:
+    """Each track's model, the reasons why others have none
+    or a poor one, and why models that are kept are vague.
 
-    corners: tracks that a URDF joins to boards · advice: what to do about a track that tells nothing.
+    corners: tracks that a URDF joins to boards ·
+    advice: what to do about a track that tells nothing.
     """
-    found, poor, vague = dict[str, track.TrackSense](), dict[str, str](), dict[str, str]()
+    found = dict[str, track.TrackSense]()
+    poor = dict[str, str]()
+    vague = dict[str, str]()
     for name, part in tracks.items():
         fewest = trainable.FEWEST_OF_BOARD if name in corners else trainable.FEWEST
         reason = trainable.reason_untrainable(part, [] if keep == "all" else chosen, fewest)
@@ -186,15 +244,24 @@ def _learn_senses(
 def _nothing_seen(features: Sequence[Features]) -> str:
     """The message without any track, with the joints that moved."""
     names = find_moving_joints(features)
-    moved = f"though {len(names)} joints moved ({', '.join(names)})" if names else "and no joint moved"
-    return f"no track to learn from, {moved}; type: bodylog info LOG, and name a marker in [features]"
+    moved = (
+        f"though {len(names)} joints moved ({', '.join(names)})" if names else "and no joint moved"
+    )
+    return (
+        f"no track to learn from, {moved}; type: bodylog info LOG, and name a marker in [features]"
+    )
 
 
-def _refusal_message(features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[SmoothedJoint]) -> str:
+def _refusal_message(
+    features: Sequence[Features], poor: Mapping[str, str], chosen: Sequence[SmoothedJoint]
+) -> str:
     """The message when no track can be learned, and advice."""
     moved = f"{len(chosen)} joints moved ({', '.join(joint.name for joint in chosen)})"
     reasons = "; ".join(f"{name}: {reason}" for name, reason in _by_board(features, poor))
-    advice = "type bodylog features LOG to see what else there is, or record a marker that all joints move in view"
+    advice = (
+        "type bodylog features LOG to see what else there is, or record a marker that all joints "
+        "move in view"
+    )
     return f"no track can be learned, though {moved}: {reasons}; {advice}"
 
 
@@ -205,25 +272,44 @@ def _board_of_each_corner(features: Sequence[Features]) -> dict[str, str]:
 
 
 def _by_board(features: Sequence[Features], poor: Mapping[str, str]) -> Iterator[tuple[str, str]]:
-    """Yield each poor track, or a whole board once, with the reason and in how many images it was seen."""
-    corners, boards = _board_of_each_corner(features), dict[str, list[str]]()
+    """Yield each poor track, or a whole board once,
+    with the reason and in how many images it was seen.
+    """
+    corners = _board_of_each_corner(features)
+    boards = dict[str, list[str]]()
     for name in poor:
         boards.setdefault(corners.get(name, name), []).append(name)
     for board, tracks in boards.items():
-        best = max(tracks, key=lambda name: sum(trainable.count_sightings(f, name)[1] for f in features if name in f.tracks))
+        best = max(
+            tracks,
+            key=lambda name: sum(
+                trainable.count_sightings(f, name)[1] for f in features if name in f.tracks
+            ),
+        )
         reason = f"{poor[best]}, {trainable.describe_sighting_counts(features, best)}"
         corner = f"{len(tracks)} corners; of {best}, seen most often: " if len(tracks) > 1 else ""
         yield (board if len(tracks) > 1 else best), f"{corner}{reason}"
 
 
 def _pairs_by_track(
-    features: Sequence[Features], chosen: Sequence[SmoothedJoint], fit: FitSettings, update: BodyModel | None
+    features: Sequence[Features],
+    chosen: Sequence[SmoothedJoint],
+    fit: FitSettings,
+    update: BodyModel | None,
 ) -> Iterator[tuple[str, Pairs]]:
     known = {} if update is None else _senses_of_tracks(update)
-    for name in sorted({name for f in features for name in f.tracks if name != "hand"} | set(known)):
-        parts = [pair_sightings(features, name, chosen, fit.every)] if any(name in f.tracks for f in features) else []
+    for name in sorted(
+        {name for f in features for name in f.tracks if name != "hand"} | set(known)
+    ):
+        parts = (
+            [pair_sightings(features, name, chosen, fit.every)]
+            if any(name in f.tracks for f in features)
+            else []
+        )
         if name in known:
-            parts.append(pairs_of_samples(known[name].samples, known[name].targets, known[name].spread))
+            parts.append(
+                pairs_of_samples(known[name].samples, known[name].targets, known[name].spread)
+            )
         yield name, join_pairs(parts)
 
 
@@ -245,6 +331,10 @@ def _require_known_joints(features: Sequence[Features], update: BodyModel) -> tu
         names = () if found.joints is None else found.joints.names
         missing = [name for name in update.joints if name not in names]
         if names and missing:
-            which, available = f"log {index + 1} of {len(features)}", ", ".join(names)
-            raise ModelError(f"{which}: joint {missing[0]!r} of the body to update is missing; it has {available}")
+            which = f"log {index + 1} of {len(features)}"
+            available = ", ".join(names)
+            raise ModelError(
+                f"{which}: joint {missing[0]!r} of the body to update is missing; it has "
+                f"{available}"
+            )
     return update.joints

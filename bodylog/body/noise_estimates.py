@@ -15,10 +15,20 @@ _LEAST_PIXEL = 1e-6
 _EXACT = 1e-6
 
 
-def learn_noise(motions: Sequence[WhiteMotion], senses: Mapping[str, GP], floors: Mapping[str, Array]) -> Noise:
-    """Noise of joints (one white-acceleration motion each) and senses; floors {name: (n,D) unit²} as measured."""
-    variances = {name: np.maximum(gp.noise + floors[name].mean(axis=0), _LEAST_PIXEL) for name, gp in senses.items()}
-    errors = {name: _tuple_of_floats(value * np.sqrt(2.0 / len(floors[name]))) for name, value in variances.items()}
+def learn_noise(
+    motions: Sequence[WhiteMotion], senses: Mapping[str, GP], floors: Mapping[str, Array]
+) -> Noise:
+    """Noise of joints (one white-acceleration motion each)
+    and senses; floors {name: (n,D) unit²} as measured.
+    """
+    variances = {
+        name: np.maximum(gp.noise + floors[name].mean(axis=0), _LEAST_PIXEL)
+        for name, gp in senses.items()
+    }
+    errors = {
+        name: _tuple_of_floats(value * np.sqrt(2.0 / len(floors[name])))
+        for name, value in variances.items()
+    }
     # the standard error of an unknown variance is at most the variance
     errors["encoder"] = tuple(min(m.std_error[1], max(m.encoder, _LEAST_ENCODER)) for m in motions)
     errors["process"] = tuple(min(m.std_error[0], 1e9) for m in motions)
@@ -31,18 +41,33 @@ def learn_noise(motions: Sequence[WhiteMotion], senses: Mapping[str, GP], floors
 
 
 def pool_noise(new: Noise, old: Noise) -> Noise:
-    """Pool the noise of two logs: each variance is the mean of both, weighted by their numbers of readings.
+    """Pool the noise of two logs: each variance is the
+    mean of both, weighted by their numbers of readings.
 
     A sense of only one of them, or without standard errors in one, keeps the other's value.
     """
-    count = {name: _half_degrees_of_freedom(new, old, name) for name in ("encoder", *new.senses, *old.senses)}
+    count = {
+        name: _half_degrees_of_freedom(new, old, name)
+        for name in ("encoder", *new.senses, *old.senses)
+    }
     encoder = _weighted_mean_variance(new.encoder, old.encoder, count["encoder"])
     process = _weighted_mean_variance(new.process, old.process, count["encoder"])
     both = [name for name in new.senses if name in old.senses]
-    senses = {name: _weighted_mean_variance(new.senses[name], old.senses[name], count[name]) for name in both}
-    errors = {part: _std_error_of_mean(new, old, part, count["encoder"]) for part in ("encoder", "process")}
+    senses = {
+        name: _weighted_mean_variance(new.senses[name], old.senses[name], count[name])
+        for name in both
+    }
+    errors = {
+        part: _std_error_of_mean(new, old, part, count["encoder"])
+        for part in ("encoder", "process")
+    }
     errors |= {name: _std_error_of_mean(new, old, name, count[name]) for name in both}
-    return Noise(encoder, {**old.senses, **new.senses, **senses}, process, {**old.std_error, **new.std_error, **errors})
+    return Noise(
+        encoder,
+        {**old.senses, **new.senses, **senses},
+        process,
+        {**old.std_error, **new.std_error, **errors},
+    )
 
 
 def _variance_by_name(noise: Noise, name: str) -> Array:
@@ -50,7 +75,9 @@ def _variance_by_name(noise: Noise, name: str) -> Array:
 
 
 def _half_degrees_of_freedom(new: Noise, old: Noise, name: str) -> Array:
-    """Half the degrees of freedom (2,D) of new and old, from their standard errors; all new where unknown."""
+    """Half the degrees of freedom (2,D) of new and old,
+    from their standard errors; all new where unknown.
+    """
     if name not in new.std_error or name not in old.std_error:
         return np.array([[1.0], [0.0]])
     both = np.stack([_variance_by_name(noise, name) for noise in (new, old)])
@@ -58,7 +85,9 @@ def _half_degrees_of_freedom(new: Noise, old: Noise, name: str) -> Array:
     return np.asarray(np.square(both / np.maximum(errors, _EXACT * both)))
 
 
-def _weighted_mean_variance(new: tuple[float, ...], old: tuple[float, ...], weights: Array) -> tuple[float, ...]:
+def _weighted_mean_variance(
+    new: tuple[float, ...], old: tuple[float, ...], weights: Array
+) -> tuple[float, ...]:
     return _tuple_of_floats((weights * np.array([new, old])).sum(axis=0) / weights.sum(axis=0))
 
 
@@ -66,7 +95,9 @@ def _std_error_of_mean(new: Noise, old: Noise, name: str, weights: Array) -> tup
     """Standard error of the mean; that of a nearly unknown variance is at most the variance."""
     if name not in new.std_error or name not in old.std_error:
         return new.std_error.get(name, ())
-    errors = np.stack([np.minimum(noise.std_error[name], _variance_by_name(noise, name)) for noise in (new, old)])
+    errors = np.stack(
+        [np.minimum(noise.std_error[name], _variance_by_name(noise, name)) for noise in (new, old)]
+    )
     return _tuple_of_floats(np.sqrt(np.square(weights * errors).sum(axis=0)) / weights.sum(axis=0))
 
 

@@ -1,7 +1,8 @@
 """Errors of still poses against their encoders, learned from residuals that several tracks share.
 
-Held-out residuals of all tracks in one pose are r = J e + own: e, common to them, is normal with variance Q (M,) rad²
-of each joint (encoders, and whatever of the arm does not repeat); their own part is a share of the variance expected.
+Held-out residuals of all tracks in one pose are r = J e + own: e, common to them, is normal with
+variance Q (M,) rad² of each joint (encoders, and whatever of the arm does not repeat); their own
+part is a share of the variance expected.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,15 +19,20 @@ WIDTH = 2.0
 FEWEST = 10
 """Fewest poses."""
 SURE = 2.0
-"""Largest model std of a held-out sighting over its noise; beyond it, errors are the models', not the joints'."""
+"""Largest model std of a held-out sighting over its
+noise; beyond it, errors are the models', not the joints'.
+"""
 FARTHEST = 0.02
 """rad: largest plausible error; larger shared residuals come from models of too few poses."""
-_LEAST, _STEP = 1e-6, 0.1
+_LEAST = 1e-6
+_STEP = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class _PoseResiduals:
-    """P poses: residuals r (P,K) px, Jacobians (P,K,M) px/rad, variances (P,K) px², infinite where not seen."""
+    """P poses: residuals r (P,K) px, Jacobians (P,K,M)
+    px/rad, variances (P,K) px², infinite where not seen.
+    """
 
     r: Array
     jac: Array
@@ -34,7 +40,9 @@ class _PoseResiduals:
 
 
 def learn_pose_errors(senses: Mapping[str, TrackSense], joints: int) -> tuple[Array, Array] | None:
-    """Variance Q (M,) rad² and its standard error (M,); None if poses are too few to separate it from model error."""
+    """Variance Q (M,) rad² and its standard error (M,); None
+    if poses are too few to separate it from model error.
+    """
     from scipy.optimize import minimize
 
     rows = _collect_pose_residuals(list(senses.values()), joints)
@@ -42,11 +50,18 @@ def learn_pose_errors(senses: Mapping[str, TrackSense], joints: int) -> tuple[Ar
         return None
     first = np.append(np.full(joints, 2.0 * np.log(STILL)), 0.0)
     bounds = [(2.0 * np.log(_LEAST), 0.0)] * joints + [(-3.0, 3.0)]
-    found = np.asarray(minimize(lambda p: _pose_error_loss(p, rows), first, method="L-BFGS-B", bounds=bounds).x)
+    found = np.asarray(
+        minimize(lambda p: _pose_error_loss(p, rows), first, method="L-BFGS-B", bounds=bounds).x
+    )
     if np.exp(0.5 * found[:joints]).max() > FARTHEST:
         return None
     best = _pose_error_loss(found, rows)
-    bend = np.array([_pose_error_loss(found + s, rows) + _pose_error_loss(found - s, rows) - 2.0 * best for s in _STEP * np.eye(joints + 1)])
+    bend = np.array(
+        [
+            _pose_error_loss(found + s, rows) + _pose_error_loss(found - s, rows) - 2.0 * best
+            for s in _STEP * np.eye(joints + 1)
+        ]
+    )
     error = 1.0 / np.sqrt(np.maximum(bend[:joints] / _STEP**2, 1.0 / (2.0 * WIDTH) ** 2))
     variance = np.exp(found[:joints])
     return variance, variance * error
@@ -57,12 +72,15 @@ def _collect_pose_residuals(senses: Sequence[TrackSense], joints: int) -> _PoseR
     keys = [np.stack([s.used.log.astype(float), s.used.t], axis=1) for s in senses]
     poses = np.unique(np.concatenate([key[key[:, 0] >= 0] for key in keys]), axis=0)
     shape = len(poses), 2 * len(senses)
-    r, jac, var = np.zeros(shape), np.zeros((*shape, joints)), np.full(shape, np.inf)
+    r = np.zeros(shape)
+    jac = np.zeros((*shape, joints))
+    var = np.full(shape, np.inf)
     index = {tuple(pose): k for k, pose in enumerate(poses.tolist())}
     for k, (found, key) in enumerate(zip(senses, keys, strict=True)):
         at = np.array([index.get(tuple(one), -1) for one in key.tolist()])
         noise = found.gp.noise + found.used.floor
-        mine, columns = (at >= 0) & (found.variance <= SURE * noise).all(axis=1), slice(2 * k, 2 * k + 2)
+        mine = (at >= 0) & (found.variance <= SURE * noise).all(axis=1)
+        columns = slice(2 * k, 2 * k + 2)
         r[at[mine], columns], var[at[mine], columns] = found.residual[mine], found.variance[mine]
         jac[at[mine], columns] = found.gp.means(found.used.x)[1][mine]
     seen = np.isfinite(var).any(axis=1)
@@ -70,14 +88,21 @@ def _collect_pose_residuals(senses: Sequence[TrackSense], joints: int) -> _PoseR
 
 
 def _pose_error_loss(p: Array, rows: _PoseResiduals) -> float:
-    """Minus ln density (nats) of all residuals for ln Q (M,) and ln of the tracks' own share, with Q's prior."""
-    common, own = np.exp(p[:-1]), rows.var * np.exp(p[-1])
+    """Minus ln density (nats) of all residuals for ln Q
+    (M,) and ln of the tracks' own share, with Q's prior.
+    """
+    common = np.exp(p[:-1])
+    own = rows.var * np.exp(p[-1])
     seen = np.isfinite(own)
     scaled = rows.jac / own[..., None]
     inner = np.einsum("pki,pkj->pij", scaled, rows.jac) + np.diag(1.0 / common)
     side = np.einsum("pki,pk->pi", scaled, rows.r)
     square = float(np.where(seen, rows.r**2 / own, 0.0).sum())
     square -= float((side * np.linalg.solve(inner, side[..., None])[..., 0]).sum())
-    logdet = float(np.log(own[seen]).sum() + np.linalg.slogdet(inner)[1].sum() + len(rows.r) * np.log(common).sum())
+    logdet = float(
+        np.log(own[seen]).sum()
+        + np.linalg.slogdet(inner)[1].sum()
+        + len(rows.r) * np.log(common).sum()
+    )
     away = (p[:-1] - 2.0 * np.log(STILL)) / (2.0 * WIDTH)
     return 0.5 * (square + logdet + float(away @ away))

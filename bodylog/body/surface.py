@@ -1,4 +1,6 @@
-"""What a body knows of its surface: a camera on a URDF, rebuilt as a model, and stored as plain arrays and names."""
+"""What a body knows of its surface: a camera on a URDF,
+rebuilt as a model, and stored as plain arrays and names.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -9,7 +11,7 @@ from ..body_model import PATCH_PX, LandmarkMap, Noise, Surface, SurfaceCamera
 from ..errors import FormatError
 from ..io.values import encodable_text
 from ..types import Array, Features
-from .kinematic.storage import insist_sound, insist_rigid
+from .kinematic.storage import insist_rigid, insist_sound
 
 if TYPE_CHECKING:
     from ..kinematics.joint_motion import JointCurve
@@ -41,7 +43,9 @@ _MOST_SIDE = 1 << 20
 _LARGEST = 1e6
 
 
-def landmark_model(surface: Surface, camera: SurfaceCamera, motions: "Sequence[JointCurve]" = ()) -> "LandmarkModel":
+def landmark_model(
+    surface: Surface, camera: SurfaceCamera, motions: "Sequence[JointCurve]" = ()
+) -> "LandmarkModel":
     """The model of one camera, without belief, for the motions of some logs."""
     from ..kinematics import urdf
     from ..kinematics.landmark_fit import build_model
@@ -50,7 +54,9 @@ def landmark_model(surface: Surface, camera: SurfaceCamera, motions: "Sequence[J
 
     robot = urdf.parse_urdf(surface.urdf, "the body's URDF")
     space = Space(robot, tuple(surface.joint_of.values()), dict(surface.still), surface.zero_std)
-    placed = RigCamera(f"camera {camera.name}".strip(), camera.link, camera.anchor, camera.lens, camera.doubt)
+    placed = RigCamera(
+        f"camera {camera.name}".strip(), camera.link, camera.anchor, camera.lens, camera.doubt
+    )
     return build_model(space, placed, motions, surface.zero_std)
 
 
@@ -59,7 +65,9 @@ def joint_noise(features: Sequence[Features], names: tuple[str, ...]) -> Noise:
     from . import noise_estimates
     from .data.pairs import smooth_all_joints
 
-    return noise_estimates.learn_noise([joint.acceleration for joint in smooth_all_joints(features, names)], {}, {})
+    return noise_estimates.learn_noise(
+        [joint.acceleration for joint in smooth_all_joints(features, names)], {}, {}
+    )
 
 
 def surface_names(surface: Surface) -> dict[str, Any]:
@@ -106,21 +114,41 @@ def check_surface(found: Any, joints: tuple[str, ...]) -> dict[str, Any]:
     """The part of a header; ValueError, naming the field, where it is invalid."""
     if not isinstance(found, dict):
         raise ValueError(f"surface: found {str(found)[:80]}, possible: a table")
-    joint_of = {encodable_text(log): encodable_text(joint) for log, joint in dict(found["joint_of"]).items()}
-    insist_sound(set(joint_of) == set(joints), "surface.joint_of", list(joint_of)[:4], "the URDF's joint of each joint")
+    joint_of = {
+        encodable_text(log): encodable_text(joint) for log, joint in dict(found["joint_of"]).items()
+    }
+    insist_sound(
+        set(joint_of) == set(joints),
+        "surface.joint_of",
+        list(joint_of)[:4],
+        "the URDF's joint of each joint",
+    )
     joint_of = {name: joint_of[name] for name in joints}
-    still = {encodable_text(joint): _check_number(f"surface.still.{joint}", angle) for joint, angle in dict(found["still"]).items()}
+    still = {
+        encodable_text(joint): _check_number(f"surface.still.{joint}", angle)
+        for joint, angle in dict(found["still"]).items()
+    }
     zero_std = _check_number("surface.zero_std", found["zero_std"])
     insist_sound(zero_std >= 0.0, "surface.zero_std", zero_std, "0 rad and more")
-    insist_sound(isinstance(found["urdf"], str), "surface.urdf", type(found["urdf"]).__name__, "a text")
+    insist_sound(
+        isinstance(found["urdf"], str), "surface.urdf", type(found["urdf"]).__name__, "a text"
+    )
     cameras = [_check_camera(one) for one in found["cameras"]]
     insist_sound(bool(cameras), "surface.cameras", "none", "one or more")
     _insist_robot(found["urdf"], (*joint_of.values(), *still), [one["link"] for one in cameras])
-    return {"urdf": found["urdf"], "joint_of": joint_of, "still": still, "zero_std": zero_std, "cameras": cameras}
+    return {
+        "urdf": found["urdf"],
+        "joint_of": joint_of,
+        "still": still,
+        "zero_std": zero_std,
+        "cameras": cameras,
+    }
 
 
 def _check_number(field: str, value: Any) -> float:
-    sound = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+    sound = (
+        isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
+    )
     insist_sound(sound, field, str(value)[:80], f"a number, at most {_LARGEST:g}")
     return float(value)
 
@@ -128,10 +156,15 @@ def _check_number(field: str, value: Any) -> float:
 def _check_camera(found: Mapping[str, Any]) -> dict[str, Any]:
     size = found["size"]
     sides = size if isinstance(size, list) and len(size) == 2 else [0, 0]
-    whole = all(isinstance(side, int) and not isinstance(side, bool) and 1 <= side <= _MOST_SIDE for side in sides)
+    whole = all(
+        isinstance(side, int) and not isinstance(side, bool) and 1 <= side <= _MOST_SIDE
+        for side in sides
+    )
     insist_sound(whole, "surface.cameras.size", str(size)[:80], "[width, height] in px")
     mapped = found.get("mapped", False)
-    insist_sound(isinstance(mapped, bool), "surface.cameras.mapped", str(mapped)[:80], "true or false")
+    insist_sound(
+        isinstance(mapped, bool), "surface.cameras.mapped", str(mapped)[:80], "true or false"
+    )
     names_of_camera = {field: encodable_text(found[field]) for field in ("name", "topic", "link")}
     return {**names_of_camera, "size": tuple(sides), "mapped": mapped}
 
@@ -158,15 +191,42 @@ def build_surface(header: Mapping[str, Any], found: Sequence[Mapping[str, Array]
     for number, (about, own) in enumerate(zip(header["cameras"], found, strict=True)):
         where = f"surface.{number}"
         insist_rigid(own["anchor"], f"{where}/anchor")
-        insist_sound(len(own["doubt"]) == _POSE_AND_LENS, f"{where}/doubt", len(own["doubt"]), f"{_POSE_AND_LENS} numbers")
-        insist_sound((own["doubt"] > 0.0).all(), f"{where}/doubt", float(own["doubt"].min()), "positive numbers")
-        insist_sound(len(own["unknowns"]) == count, f"{where}/unknowns", len(own["unknowns"]), f"{count} numbers")
+        insist_sound(
+            len(own["doubt"]) == _POSE_AND_LENS,
+            f"{where}/doubt",
+            len(own["doubt"]),
+            f"{_POSE_AND_LENS} numbers",
+        )
+        insist_sound(
+            (own["doubt"] > 0.0).all(),
+            f"{where}/doubt",
+            float(own["doubt"].min()),
+            "positive numbers",
+        )
+        insist_sound(
+            len(own["unknowns"]) == count,
+            f"{where}/unknowns",
+            len(own["unknowns"]),
+            f"{count} numbers",
+        )
         for field in ("lens", "unknowns"):
             largest = float(np.abs(own[field]).max())
             insist_sound(largest <= _LARGEST, f"{where}/{field}", largest, f"at most {_LARGEST:g}")
-        insist_sound(_is_covariance(own["covariance"]), f"{where}/covariance", "another matrix", "a covariance")
-        insist_sound((own["delay_std"] > 0.0).all(), f"{where}/delay_std", float(own["delay_std"].min()), "positive numbers")
-        fields_of_camera: dict[str, Any] = {field: about[field] for field in ("name", "topic", "link", "size")}
+        insist_sound(
+            _is_covariance(own["covariance"]),
+            f"{where}/covariance",
+            "another matrix",
+            "a covariance",
+        )
+        insist_sound(
+            (own["delay_std"] > 0.0).all(),
+            f"{where}/delay_std",
+            float(own["delay_std"].min()),
+            "positive numbers",
+        )
+        fields_of_camera: dict[str, Any] = {
+            field: about[field] for field in ("name", "topic", "link", "size")
+        }
         fields_of_camera |= {field: own[field] for field in SHAPES}
         landmarks = _landmarks(where, own) if about["mapped"] else None
         cameras.append(SurfaceCamera(**fields_of_camera, landmarks=landmarks))
@@ -176,7 +236,9 @@ def build_surface(header: Mapping[str, Any], found: Sequence[Mapping[str, Array]
         if camera.landmarks is not None:
             bodies = len(landmark_model(surface, camera).bodies)
             largest = int(camera.landmarks.body.max())
-            insist_sound(largest < bodies, f"surface.{number}/body", largest, f"numbers below {bodies}")
+            insist_sound(
+                largest < bodies, f"surface.{number}/body", largest, f"numbers below {bodies}"
+            )
     return surface
 
 
@@ -186,19 +248,39 @@ def _landmarks(where: str, own: Mapping[str, Array]) -> LandmarkMap:
     for field, most in (("body", _MOST_SIDE), ("view_of", len(own["body"]) - 1)):
         value = own[field]
         whole = (value == np.floor(value)) & (value >= 0) & (value <= most)
-        insist_sound(bool(whole.all()), f"{where}/{field}", value[~whole][:1], f"whole numbers from 0 to {most}")
+        insist_sound(
+            bool(whole.all()),
+            f"{where}/{field}",
+            value[~whole][:1],
+            f"whole numbers from 0 to {most}",
+        )
         numbers[field] = value.astype(int)
-    insist_sound(bool((np.diff(numbers["view_of"]) >= 0).all()), f"{where}/view_of", "a fall", "ascending numbers")
+    insist_sound(
+        bool((np.diff(numbers["view_of"]) >= 0).all()),
+        f"{where}/view_of",
+        "a fall",
+        "ascending numbers",
+    )
     side = own["patches"].shape[1]
     insist_sound(side == PATCH_PX, f"{where}/patches", f"{side} px", f"{PATCH_PX} px")
     for number, matrix in enumerate(own["precision"]):
-        insist_sound(_is_covariance(matrix), f"{where}/precision", f"another matrix at {number}", "positive definite ones")
+        insist_sound(
+            _is_covariance(matrix),
+            f"{where}/precision",
+            f"another matrix at {number}",
+            "positive definite ones",
+        )
     largest = max(float(np.abs(own[field]).max()) for field in ("places", "slopes", "view_slopes"))
     insist_sound(largest <= _LARGEST, f"{where}/places", largest, f"at most {_LARGEST:g}")
     return LandmarkMap(
-        numbers["body"], own["places"], own["precision"], own["slopes"], numbers["view_of"], own["patches"],
+        numbers["body"],
+        own["places"],
+        own["precision"],
+        own["slopes"],
+        numbers["view_of"],
+        own["patches"],
         own["view_slopes"],
-    )  # fmt: skip
+    )
 
 
 def _is_covariance(matrix: Array) -> bool:

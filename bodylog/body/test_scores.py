@@ -1,4 +1,6 @@
-"""Score a body on test logs: prediction errors of each track, and the coverage of its error bars."""
+"""Score a body on test logs: prediction errors of
+each track, and the coverage of its error bars.
+"""
 
 from collections.abc import Iterator, Sequence
 
@@ -8,51 +10,74 @@ from ..body_model import BodyModel
 from ..errors import EvidenceError, ModelError
 from ..sources import group_of
 from ..types import Array, Features, Finding, Score
-from .data.pairs import Pairs, smooth_all_joints, pair_sightings, drop_impossible_values
+from .data.pairs import Pairs, drop_impossible_values, pair_sightings, smooth_all_joints
 from .senses import encoder_function
 
 COVERED = 2.0
 """Standard deviations within which 95 % of sightings should lie."""
 
 
-def score_body_on_tests(model: BodyModel, features: Sequence[Features]) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
-    """Scores test_…/TRACK of all logs together, and of a board's tracks together; remarks on tracks not scored.
+def score_body_on_tests(
+    model: BodyModel, features: Sequence[Features]
+) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
+    """Scores test_…/TRACK of all logs together, and of a
+    board's tracks together; remarks on tracks not scored.
 
-    Angles are the encoders', smoothed along a motion. EvidenceError where no log shows a track of the body's,
-    ModelError where one lacks its joints.
+    Angles are the encoders', smoothed along a motion. EvidenceError where no log shows a track of
+    the body's, ModelError where one lacks its joints.
     """
-    features, findings = drop_impossible_values([encoder_function.with_true_angles(found, model) for found in features])
+    features, findings = drop_impossible_values(
+        [encoder_function.with_true_angles(found, model) for found in features]
+    )
     for index, found in enumerate(features):
         names = () if found.joints is None else found.joints.names
         if missing := [name for name in model.joints if name not in names]:
             have = ", ".join(names) or "none"
-            raise ModelError(f"test log {index + 1}: joint {missing[0]!r} of the body is not there; it has {have}")
+            raise ModelError(
+                f"test log {index + 1}: joint {missing[0]!r} of the body is not there; it "
+                f"has {have}"
+            )
     chosen = smooth_all_joints(features, model.joints)
     seen = sorted({name for found in features for name in found.tracks} & set(model.senses))
     parts = {name: pair_sightings(features, name, chosen, 1) for name in seen}
     scored = {name: part for name, part in parts.items() if len(part.x)}
     if not scored:
         shown = ", ".join(sorted({name for found in features for name in found.tracks})) or "none"
-        raise EvidenceError(f"test: no sighting of {', '.join(model.senses)}; tracks: {shown}; give another log")
+        raise EvidenceError(
+            f"test: no sighting of {', '.join(model.senses)}; tracks: {shown}; give another log"
+        )
     unseen = [name for name in model.senses if name not in scored and name != "encoders"]
-    findings += [Finding("warning", f"{name}: not scored, the test logs do not show it") for name in unseen]
+    findings += [
+        Finding("warning", f"{name}: not scored, the test logs do not show it") for name in unseen
+    ]
     errors = {name: _prediction_errors(name, part, model) for name, part in scored.items()}
     groups: dict[str, list[str]] = {}
     for name in errors:
         groups.setdefault(group_of(name), []).append(name)
-    boards = {group: [errors[name] for name in names] for group, names in groups.items() if len(names) > 1}
-    joint = {group: tuple(np.concatenate(column) for column in zip(*of, strict=True)) for group, of in boards.items()}
-    return tuple(s for name, one in {**joint, **errors}.items() for s in _scores_of_errors(name, *one)), tuple(findings)
+    boards = {
+        group: [errors[name] for name in names] for group, names in groups.items() if len(names) > 1
+    }
+    joint = {
+        group: tuple(np.concatenate(column) for column in zip(*of, strict=True))
+        for group, of in boards.items()
+    }
+    return tuple(
+        s for name, one in {**joint, **errors}.items() for s in _scores_of_errors(name, *one)
+    ), tuple(findings)
 
 
 def _prediction_errors(name: str, part: Pairs, model: BodyModel) -> tuple[Array, Array]:
     """Errors (N,2) px of one track and their predicted variances (N,2) px²."""
     mean, jac, var = model.senses[name].predict(part.x)
-    return part.y - mean, var + _sighting_variance(name, part, model) + np.einsum("ndm,nm->nd", jac**2, part.variance)
+    return part.y - mean, var + _sighting_variance(name, part, model) + np.einsum(
+        "ndm,nm->nd", jac**2, part.variance
+    )
 
 
 def _scores_of_errors(name: str, error: Array, total: Array) -> Iterator[Score]:
-    """Yield scores of errors (N,2) px, per axis and together, and their agreement with the variances."""
+    """Yield scores of errors (N,2) px, per axis and
+    together, and their agreement with the variances.
+    """
     ratio = error**2 / total
     size = np.linalg.norm(error, axis=1)
     yield Score(f"rmse/test/{name}", float(np.sqrt(np.mean(size**2))), "px")
@@ -65,7 +90,9 @@ def _scores_of_errors(name: str, error: Array, total: Array) -> Iterator[Score]:
 
 
 def _sighting_variance(name: str, part: Pairs, model: BodyModel) -> Array:
-    """Variance (N,2) px² of sightings: stated std squared plus the learned excess, or else the learned one."""
+    """Variance (N,2) px² of sightings: stated std squared
+    plus the learned excess, or else the learned one.
+    """
     fallback = np.broadcast_to(model.noise.senses.get(name, (1.0, 1.0)), part.floor.shape)
     beyond = np.asarray(getattr(model.senses[name], "noise", 0.0))
     return np.where(part.floor > 0.0, part.floor + beyond, fallback)

@@ -1,5 +1,5 @@
-"""State against action: the delay with which the joints follow what was asked of them, and by how far they miss
-it."""
+"""State against action: the delay with which the joints
+follow what was asked of them, and by how far they miss it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,7 +12,8 @@ from .reading import EpisodeReading, StoredNumbers
 from .records import Measurement
 from .siblings import pool_values
 
-EARLIEST_S, LATEST_S = -0.2, 0.6
+EARLIEST_S = -0.2
+LATEST_S = 0.6
 """Delays of the state against the action that are searched."""
 STEPS_PER_ROW = 4
 """Delays that are tried within one row's time: a parabola gives the rest."""
@@ -70,7 +71,8 @@ def measure_action_error(reading: EpisodeReading) -> Iterator[Measurement]:
 
 def measure_swapped_joints(reading: EpisodeReading) -> Iterator[Measurement]:
     """1 for each pair of joints of which each follows the other's action and not its own."""
-    joints, action = reading.joints, reading.action
+    joints = reading.joints
+    action = reading.action
     if joints is None or action is None:
         return
     names = _common_moving(joints, action)
@@ -101,7 +103,8 @@ def _correlate_steps(states: Array, wanted: Array) -> Array:
 
 def measure_following(reading: EpisodeReading) -> Following | None:
     """How each joint follows the action of its name; None without actions, or with too few rows."""
-    joints, action = reading.joints, reading.action
+    joints = reading.joints
+    action = reading.action
     if joints is None or action is None or joints.step_s <= 0.0:
         return None
     names = _common_moving(joints, action)
@@ -135,7 +138,9 @@ def _rows_with_known_actions(t: Array, action_t: Array) -> Array:
     return np.asarray((t - LATEST_S >= action_t[0]) & (t - EARLIEST_S <= action_t[-1]))
 
 
-def _actions_at_delays(joints: StoredNumbers, action: StoredNumbers, names: tuple[str, ...], delays: Array) -> Array:
+def _actions_at_delays(
+    joints: StoredNumbers, action: StoredNumbers, names: tuple[str, ...], delays: Array
+) -> Array:
     """The actions (D,N,K) of joints `names`, as they were at the joints' times less each delay."""
     columns = [action.values[:, action.names.index(name)] for name in names]
     times = joints.t[None] - delays[:, None]

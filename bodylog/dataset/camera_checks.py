@@ -23,7 +23,8 @@ LATE_S = 0.01
 SIGNIFICANT_SIGMA = 3.0
 LATENESS_S = (0.0, 0.1, 0.2, 0.3)
 """s by which images may be late: an arm that sets off is not in them yet."""
-SLOW_SHARE, SLOWEST_SHARE = 0.25, 0.02
+SLOW_SHARE = 0.25
+SLOWEST_SHARE = 0.02
 """Shares of the images that change whose joints are slower than those of a frozen image have to be,
 in stretches up to LASTING_S and in longer ones: an arm that comes to rest looks frozen briefly."""
 LASTING_S = 1.0
@@ -64,7 +65,8 @@ def measure_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
         share = seen.repeats.share
         if share is None or np.median(seen.brightness) < BLACK_GREY:
             continue
-        stored, distinct = seen.repeats.stored_hz, seen.repeats.distinct_hz
+        stored = seen.repeats.stored_hz
+        distinct = seen.repeats.distinct_hz
         text = ""
         if share >= REPEATED_SHARE and stored is not None and distinct is not None:
             rates = f"{stored:.3g} Hz, of which {distinct:.3g} distinct"

@@ -36,7 +36,8 @@ from ..wording import list_in_words
 from .remedies import CameraDelay, Remedy
 
 MARK, DROP, KEEP = REPEATS
-EXCLUDED, FIXED = "meta/excluded.jsonl", "meta/fixed.json"
+EXCLUDED = "meta/excluded.jsonl"
+FIXED = "meta/fixed.json"
 Films = Mapping[tuple[int, str], "RepeatedFrames"]
 """Repeated frames of cameras by episode and feature."""
 REPEATED = "repeated."
@@ -173,7 +174,8 @@ def _edits(
         if len(taken) < every:
             where = f"{known.table(one.number)}: {rows} rows"
             raise LogError(f"{where}, and images later than that; none is left")
-        # frames of a video of another length than the table are dated by themselves: no row has them
+        # frames of a video of another length than the
+        # table are dated by themselves: no row has them
         flags = {
             feature: films[one.number, feature].flags
             for feature in one.repeating
@@ -196,8 +198,7 @@ def _least_repeating(
     """Every n-th row, from the one on with which fewest images repeat."""
     phases = [taken[phase::every] for phase in range(every)]
     counts = [
-        sum(int(film[rows + frames[name]].sum()) for name, film in flags.items())
-        for rows in phases
+        sum(int(film[rows + frames[name]].sum()) for name, film in flags.items()) for rows in phases
     ]
     return phases[int(np.argmin(counts))]
 
@@ -209,8 +210,13 @@ def _where(known: DatasetLayout, number: int) -> list[tuple[int, int]]:
 class _Work:
     """The files of one corrected dataset as they are written."""
 
-    def __init__(self, known: DatasetLayout, target: DatasetLayout, edits: Sequence[Edit], every: int) -> None:
-        self._known, self._target, self._edits, self._every = known, target, edits, every
+    def __init__(
+        self, known: DatasetLayout, target: DatasetLayout, edits: Sequence[Edit], every: int
+    ) -> None:
+        self._known = known
+        self._target = target
+        self._edits = edits
+        self._every = every
         self._unchanged = set[int]()
         self.copied = 0
         self.written = 0
@@ -257,7 +263,8 @@ class _Work:
     def _edited(self, table: Any, edit: Edit, arrow: Any) -> Any:
         """The rows of an episode as they are taken."""
         held = np.concatenate([np.arange(*run) for run in _where(self._known, edit.number)])
-        names, columns = list(table.column_names), dict[str, Any]()
+        names = list(table.column_names)
+        columns = dict[str, Any]()
         for name in names:
             source = table.column(name)
             late = edit.frames.get(name.removesuffix(STAMP), 0)
@@ -301,7 +308,9 @@ class _Work:
                 if not source.is_file() or (not self._each and source in done):
                     continue
                 done.add(source)
-                place = self._target.video(edit.new, name).path if self._each else self._beside(source)
+                place = (
+                    self._target.video(edit.new, name).path if self._each else self._beside(source)
+                )
                 later = edit.latest - edit.frames[name]
                 if later and self._each:
                     place.parent.mkdir(parents=True, exist_ok=True)
@@ -347,8 +356,10 @@ class _Work:
 
     def _numbers(self, edit: Edit) -> dict[str, Array]:
         """The numbers (n,K) of an episode in the output, by feature."""
-        path = self._target.table(edit.new) if self._each else self._beside(
-            self._known.table(edit.number)
+        path = (
+            self._target.table(edit.new)
+            if self._each
+            else self._beside(self._known.table(edit.number))
         )
         where = parquet.find_row_runs(path, "episode_index", edit.new)
         names = [name for name, one in self._info_features().items() if one["dtype"] not in _IMAGES]
@@ -363,7 +374,8 @@ class _Work:
         return features
 
     def _info(self) -> dict[str, Any]:
-        info, count = dict(self._known.info), len(self._edits)
+        info = dict(self._known.info)
+        count = len(self._edits)
         films = sum(one.get("dtype") == "video" for one in self._known.features.values())
         counted = {
             "total_episodes": count,
@@ -421,7 +433,8 @@ class _Work:
             writer.write_table(arrow.Table.from_pylist(changed, schema=table.schema), place)
 
     def _listed_row(self, row: dict[str, Any], edit: Edit) -> dict[str, Any]:
-        count, fps = len(edit.taken), self._known.fps
+        count = len(edit.taken)
+        fps = self._known.fps
         end = edit.offset + count
         told = {"episode_index": edit.new, "length": count}
         told |= {"dataset_from_index": edit.offset, "dataset_to_index": end}
@@ -547,7 +560,9 @@ def _sentences(
     for name in sorted({name for edit in edits for name in edit.repeated}):
         count = sum(int(edit.repeated[name].sum()) for edit in edits if name in edit.repeated)
         rows = sum(len(edit.taken) for edit in edits)
-        yield f"{name}: {count} of {rows} frames repeat the one before; {_mark_name(name)} marks them"
+        yield (
+            f"{name}: {count} of {rows} frames repeat the one before; {_mark_name(name)} marks them"
+        )
     lost = sum(edit.rows for edit in edits) - sum(len(edit.taken) for edit in edits)
     if lost and every == 1:
         yield f"{lost} rows at begins or ends have no image that shows them, and are left out"
@@ -563,7 +578,9 @@ def _delay_sentences(name: str, known: DatasetLayout, edits: Sequence[Edit]) -> 
             groups.setdefault(key, []).append(str(edit.number))
     for (frames, late), numbers in groups.items():
         size = f"{1e3 * late.seconds:.0f} ± {1e3 * late.std_s:.0f} ms late"
-        where = f"in episode {list_in_words(numbers)}" if late.own else f"in {len(numbers)} episodes"
+        where = (
+            f"in episode {list_in_words(numbers)}" if late.own else f"in {len(numbers)} episodes"
+        )
         if not frames:
             yield f"{name}: {size} {where}: less than half a frame, left as it is"
             continue

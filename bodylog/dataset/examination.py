@@ -31,7 +31,8 @@ def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, d
     `name`: what texts call the log. InputError where it cannot be used.
     """
     reading = read_episode(log, settings)
-    scores, findings = list[Score](), [one for one in reading.findings if not _is_role_advice(one)]
+    scores = list[Score]()
+    findings = [one for one in reading.findings if not _is_role_advice(one)]
     figures: dict[str, list[float | None]] = {}
     for check in CHECKS:
         for one in check.measure(reading) if check.measure is not None else ():
@@ -54,9 +55,12 @@ def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, d
 
 
 def _add_surface(
-    log: Path, settings: Settings, scores: list[Score], findings: list[Finding],
+    log: Path,
+    settings: Settings,
+    scores: list[Score],
+    findings: list[Finding],
     figures: dict[str, list[float | None]],
-) -> None:  # fmt: skip
+) -> None:
     """Add what the robot's own surface tells of cameras and joint zeros."""
     from ..surface_findings import examine_by_surface
 
@@ -74,7 +78,9 @@ def _is_role_advice(finding: Finding) -> bool:
     return finding.severity == "info" and finding.text.startswith("roles, ready for robot.toml")
 
 
-def episode_evidence(reading: EpisodeReading, figures: Mapping[str, list[float | None]]) -> dict[str, Any]:
+def episode_evidence(
+    reading: EpisodeReading, figures: Mapping[str, list[float | None]]
+) -> dict[str, Any]:
     """What the comparison with siblings and the page need, as plain values.
 
     figures {name: [value, standard error or null, the part of it that siblings share, the joint
@@ -92,7 +98,9 @@ def episode_evidence(reading: EpisodeReading, figures: Mapping[str, list[float |
             | {"mean_row": None if film.delay is None else film.delay.mean_row}
             for name, film in reading.films.items()
         },
-        "statistics": {name: _column_statistics(values) for name, values in reading.features.items()},
+        "statistics": {
+            name: _column_statistics(values) for name, values in reading.features.items()
+        },
         "digest": _digest_episode(reading),
         "duration_s": reading.read.duration_s,
         "rows": reading.rows,

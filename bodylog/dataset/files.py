@@ -34,7 +34,9 @@ def dataset_findings(logs: Mapping[str, str], evidence: Mapping[str, Any]) -> It
             yield str(problem)
 
 
-def _check_statistics(known: Any, names: Mapping[int, str], evidence: Mapping[str, Any]) -> Iterator[str]:
+def _check_statistics(
+    known: Any, names: Mapping[int, str], evidence: Mapping[str, Any]
+) -> Iterator[str]:
     """Stored statistics that do not match the numbers."""
     from ..logs.datasets.lerobot_layout import EPISODE_STATISTICS, STATISTICS, stored_statistics
     from ..logs.datasets.statistics import combine_statistics
@@ -47,7 +49,9 @@ def _check_statistics(known: Any, names: Mapping[int, str], evidence: Mapping[st
         f"{feature} of episode {number}"
         for number, own in sorted(found.items())
         for feature in sorted(own)
-        if _statistics_disagree(own[feature], _as_mapping(_as_mapping(each.get(number)).get(feature)))
+        if _statistics_disagree(
+            own[feature], _as_mapping(_as_mapping(each.get(number)).get(feature))
+        )
     ]
     if wrong:
         yield f"{EPISODE_STATISTICS} does not match the data: {list_in_words(wrong)}"

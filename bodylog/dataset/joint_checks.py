@@ -114,7 +114,8 @@ def _moving_rows(joints: StoredNumbers) -> Array:
 
 def _repeat_text(reading: EpisodeReading, number: int, first: int, last: int) -> str:
     """What an action that moves says of a joint that repeats its reading in rows first to last."""
-    joints, action = reading.joints, reading.action
+    joints = reading.joints
+    action = reading.action
     if joints is None or action is None or joints.names[number] not in action.names:
         return ""
     if len(action.t) != len(joints.t) or joints.t[last] - joints.t[first] < SHORTEST_STUCK_S:
@@ -179,7 +180,9 @@ def measure_jumps(reading: EpisodeReading) -> Iterator[Measurement]:
         if found:
             at, size, std = found[0]
             more = f", and {len(found) - 1} more" if len(found) > 1 else ""
-            text = f"{name}: jumps by {size:.3g} ± {std:.1g} rad at {joints.t[finite][at]:.2f} s{more}"
+            text = (
+                f"{name}: jumps by {size:.3g} ± {std:.1g} rad at {joints.t[finite][at]:.2f} s{more}"
+            )
         yield Measurement(name, float(len(found)), None, text)
 
 

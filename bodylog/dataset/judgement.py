@@ -29,8 +29,8 @@ SWAP_SHARE = 0.5
 """Distance of a swapped joint from the other's siblings, over its distance from its own."""
 SIGNIFICANT_SIGMA = 2.0
 FLOW_STD_S = 0.006
-"""s: error of delays by flow that the episodes of a dataset share: in 21 cameras of drawn worlds, whose delays are
-known, pooled ones err by 6.5 ms rms, of which their own errors explain 3.2."""
+"""s: error of delays by flow that the episodes of a dataset share: in 21 cameras of drawn worlds,
+whose delays are known, pooled ones err by 6.5 ms rms, of which their own errors explain 3.2."""
 STOP_SHARE = 0.02
 """Distance from an end of what a joint reads in all episodes, over its range, within which it is at
 a stop."""
@@ -102,9 +102,7 @@ def judge_episodes(
     pooled = _pool_delays(names, evidence, outliers)
     scores = tuple(_dataset_scores(rows, evidence, outliers, pooled, views))
     lasting = [
-        text
-        for camera, (_, step) in moved.items()
-        for text in moved_sentences(camera, step, names)
+        text for camera, (_, step) in moved.items() for text in moved_sentences(camera, step, names)
     ]
     whole = (*findings, *doubles, *lasting)
     differing = [one for one in odd if not one.accused]
@@ -119,9 +117,12 @@ def _with_outliers(row: Row, outliers: Sequence[StandsOut]) -> Row:
 
 
 def _find_standouts(
-    names: Sequence[str], evidence: Mapping[str, Evidence], table: Table,
-    moved: Mapping[str, Sequence[Outlier]], looks: int,
-) -> Iterator[StandsOut]:  # fmt: skip
+    names: Sequence[str],
+    evidence: Mapping[str, Evidence],
+    table: Table,
+    moved: Mapping[str, Sequence[Outlier]],
+    looks: int,
+) -> Iterator[StandsOut]:
     """Episodes that stand out, each cause once: a wrong unit or swapped joints explain all else
     about these joints; `moved` {camera: episodes whose view stands out}."""
     found: dict[tuple[int, str], Outlier] = {}
@@ -145,7 +146,8 @@ def _is_at_stop(
     if at is None:
         return False
     joint = figure.partition("/")[2]
-    lows, highs = [], []
+    lows = []
+    highs = []
     for name in names:
         joints = evidence[name]["joints"]
         if name != episode and joints is not None and joint in joints["names"]:
@@ -242,9 +244,7 @@ def _check_name(figure: str) -> str:
     return "" if check is None else check.name
 
 
-def _find_other_unit(
-    episode: str, left: dict[str, Outlier], table: Table
-) -> Iterator[StandsOut]:
+def _find_other_unit(episode: str, left: dict[str, Outlier], table: Table) -> Iterator[StandsOut]:
     """All joints larger or smaller by one factor: another unit."""
     sizes = {figure: one for figure, one in left.items() if figure.startswith("size/")}
     every = [figure for figure in table if figure.startswith("size/")]
@@ -338,7 +338,8 @@ def _pool_delays(
             row = evidence[name]["cameras"].get(camera, {}).get("mean_row")
             if rolling is not None and row is not None and abs(row) * rolling.std < shared:
                 # rows above the middle are read earlier, and show joints of an earlier time
-                value, shared = value + row * rolling.mean, abs(row) * rolling.std
+                value = value + row * rolling.mean
+                shared = abs(row) * rolling.std
             summary_findings.append((value, own, float(np.hypot(shared, method))))
         if summary_findings:
             values, stds, shares = np.array(summary_findings).T
@@ -353,14 +354,19 @@ def pooled_row_time(
     """The time (s) that a camera's rolling shutter takes, over episodes; None of fewer than
     LEAST_EPISODES, of which the scatter does not tell the error."""
     known = [evidence[name]["figures"].get(f"row_time/{camera}") for name in names]
-    summary_findings = np.array([(one[0], one[1]) for one in known if one is not None and one[1] is not None])
+    summary_findings = np.array(
+        [(one[0], one[1]) for one in known if one is not None and one[1] is not None]
+    )
     return pool_values(*summary_findings.T) if len(summary_findings) >= LEAST_EPISODES else None
 
 
 def _dataset_scores(
-    rows: Sequence[Row], evidence: Mapping[str, Evidence], outliers: Sequence[StandsOut],
-    pooled: Mapping[str, PooledDelay], views: Mapping[str, Views],
-) -> Iterator[Score]:  # fmt: skip
+    rows: Sequence[Row],
+    evidence: Mapping[str, Evidence],
+    outliers: Sequence[StandsOut],
+    pooled: Mapping[str, PooledDelay],
+    views: Mapping[str, Views],
+) -> Iterator[Score]:
     """Scores of the whole dataset: counts, pooled delays, and medians of shares and rates over
     episodes."""
     yield Score("episodes", float(len(rows)), "1")
@@ -375,7 +381,9 @@ def _dataset_scores(
     for camera, one_view in views.items():
         yield Score(f"moved/{camera}", float(np.nanmax(one_view.moved_px)), "px")
     for figure in _list_median_figures(evidence):
-        yield Score(figure, _median_over_episodes(figure, evidence), BY_NAME[figure.partition("/")[0]].unit)
+        yield Score(
+            figure, _median_over_episodes(figure, evidence), BY_NAME[figure.partition("/")[0]].unit
+        )
 
 
 def _list_median_figures(evidence: Mapping[str, Evidence]) -> list[str]:
@@ -391,17 +399,25 @@ def _median_over_episodes(figure: str, evidence: Mapping[str, Evidence]) -> floa
 
 
 def _dataset_verdict(
-    rows: Sequence[Row], names: Sequence[str], evidence: Mapping[str, Evidence],
-    outliers: Sequence[StandsOut], differing: Sequence[StandsOut],
-    pooled: Mapping[str, PooledDelay], whole: Sequence[str],
-) -> Iterator[str]:  # fmt: skip
+    rows: Sequence[Row],
+    names: Sequence[str],
+    evidence: Mapping[str, Evidence],
+    outliers: Sequence[StandsOut],
+    differing: Sequence[StandsOut],
+    pooled: Mapping[str, PooledDelay],
+    whole: Sequence[str],
+) -> Iterator[str]:
     """How many episodes there are and stand out, then what is wrong with all of them, then with the
     files."""
     seconds = sum(evidence[name]["duration_s"] for name in names)
     unusable = [row["name"] for row in rows if row["exit_code"] not in (0, 3, 4)]
     odd = list(dict.fromkeys(one.episode for one in outliers))
     text = f"{len(rows)} episodes, {seconds:.0f} s"
-    text += f"; {len(odd)} stand out: {list_in_words(odd)}" if odd else "; none stands out from the others"
+    text += (
+        f"; {len(odd)} stand out: {list_in_words(odd)}"
+        if odd
+        else "; none stands out from the others"
+    )
     text += f"; {len(unusable)} cannot be used: {list_in_words(unusable)}" if unusable else ""
     yield text
     others = [f"{one.episode} ({min(one.figures, key=_check_rank)})" for one in differing]
@@ -422,7 +438,10 @@ def _camera_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
     """True frame rates, and cameras of whose pictures a share is lost to a learner."""
     for figure in _list_median_figures(evidence):
         kind, _, camera = figure.partition("/")
-        if kind == "repeated" and (share := _median_over_episodes(figure, evidence)) >= REPORTED_SHARE:
+        if (
+            kind == "repeated"
+            and (share := _median_over_episodes(figure, evidence)) >= REPORTED_SHARE
+        ):
             stored = [
                 one["cameras"][camera]["stored_hz"]
                 for one in evidence.values()
@@ -444,7 +463,8 @@ def _camera_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
 
 
 def _delay_sentence(figure: str, one: PooledDelay) -> str:
-    mean, std = one.mean, one.std
+    mean = one.mean
+    std = one.std
     size = f"{1e3 * abs(mean):.0f} ± {1e3 * std:.0f} ms"
     between = f", jitter {1e3 * one.jitter:.0f} ms between episodes" if one.jitter > 0.0 else ""
     if one.shared_std > one.own_std:

@@ -9,8 +9,8 @@ import numpy as np
 
 from ..errors import BoundError
 from ..evaluation import bounds as score_bounds
-from ..io.atomic_files import replace_atomically
 from ..io.atomic_files import read_limited_text as read_text
+from ..io.atomic_files import replace_atomically
 from ..io.values import read_json
 from ..types import Array
 from .files import dataset_findings
@@ -50,12 +50,16 @@ def read_evidence(out: Path, rows: Sequence[Row]) -> dict[str, Evidence]:
 def dataset_row(judged: DatasetJudgement, bounds: Sequence[str]) -> Row:
     """The row of the whole: its verdict, scores with standard errors, outliers; a bound on these
     may be broken."""
-    code, error = 0, None
+    code = 0
+    error = None
     known = [score_bounds.parse_bound(text) for text in bounds]
     try:
-        score_bounds.check_bounds({DATASET: judged.scores}, score_bounds.select_measured_bounds(judged.scores, known))
+        score_bounds.check_bounds(
+            {DATASET: judged.scores}, score_bounds.select_measured_bounds(judged.scores, known)
+        )
     except BoundError as problem:
-        code, error = problem.exit_code, str(problem)
+        code = problem.exit_code
+        error = str(problem)
     return {
         "name": DATASET,
         "log": "",

@@ -96,7 +96,9 @@ def read_episode(log: Path, settings: Settings) -> EpisodeReading:
             for name, film in films.items()
         }
     found = whole.joints
-    joints = None if found is None else StoredNumbers(found.t, found.values, found.names, found.unit)
+    joints = (
+        None if found is None else StoredNumbers(found.t, found.values, found.names, found.unit)
+    )
     reading = EpisodeReading(joints, None, films, whole, 0 if joints is None else len(joints.t))
     if episode is not None:
         reading = _with_stored_rows(reading, episode)
@@ -111,7 +113,9 @@ def _films_of_log(read: Recording) -> dict[str, CameraFilm]:
         if film is not None:
             frames = _CountedFrames(film())
             seen = measure_grid_flow(frames)
-            found[name or first] = CameraFilm(seen, None, frames.count, frames.count - _seen_count(seen))
+            found[name or first] = CameraFilm(
+                seen, None, frames.count, frames.count - _seen_count(seen)
+            )
     return found
 
 
@@ -196,7 +200,10 @@ def _stored_numbers(signal: "EpisodeSignal", start_ns: int) -> StoredNumbers:
     from ..logs.joint_units import joint_unit
 
     known = joint_unit(signal.metadata, "rad")
-    t, values, shown = (signal.ns - start_ns) / 1e9, signal.values, known.read
+    t = (signal.ns - start_ns) / 1e9
+    values = signal.values
+    shown = known.read
     if known.read == "counts" and known.unit == "rad":
-        values, shown = np.rad2deg((values - known.zero) * known.factor), "deg"
+        values = np.rad2deg((values - known.zero) * known.factor)
+        shown = "deg"
     return StoredNumbers(t, values, signal.names, shown)

@@ -62,9 +62,7 @@ def choose_remedies(
             for camera, feature in features.items()
             if (delay := _delay(row["name"], camera, judged)) is not None
         }
-        repeating = [
-            feature for camera, feature in features.items() if _repeats(camera, judged)
-        ]
+        repeating = [feature for camera, feature in features.items() if _repeats(camera, judged)]
         found.append(Remedy(number, "", delays, tuple(repeating)))
     return folder, tuple(sorted(found, key=lambda one: one.number))
 
@@ -108,9 +106,7 @@ def _copies(judged: DatasetJudgement) -> Iterator[tuple[str, str]]:
             first[digest] = row["name"]
 
 
-def _reason(
-    row: Row, judged: DatasetJudgement, copies: Mapping[str, str], exclude: str
-) -> str:
+def _reason(row: Row, judged: DatasetJudgement, copies: Mapping[str, str], exclude: str) -> str:
     """Why an episode is left out; "" if it is kept."""
     if row["exit_code"] not in _SOUND or row["name"] not in judged.evidence:
         lost = [text for severity, text in row["findings"] if severity == "lost"]

@@ -74,7 +74,9 @@ def pool_values(values: Array, std: Array) -> PooledFigure:
     return PooledFigure(mean, float(np.sqrt(scale / information)), float(np.sqrt(jitter2)))
 
 
-def _weighted_squared_errors(values: Array, std: Array, jitter2: float) -> tuple[float, float, float]:
+def _weighted_squared_errors(
+    values: Array, std: Array, jitter2: float
+) -> tuple[float, float, float]:
     """Squared errors over their variances, the weighted mean, and its information."""
     weights = 1.0 / np.maximum(std**2 + jitter2, 1e-24)
     mean = float((weights * values).sum() / weights.sum())
@@ -102,7 +104,10 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
     count = 0
     for _ in range(max(1, int(LARGEST_SHARE * len(rest)))):
         student = float(-stdtrit(len(rest) - 2, tail))
-        found = [_compare_with_others(values, std, rest, int(k), resolution, student, normal) for k in rest]
+        found = [
+            _compare_with_others(values, std, rest, int(k), resolution, student, normal)
+            for k in rest
+        ]
         farthest = max(found, key=lambda one: one.z / one.bound)
         removed.append(farthest)
         if farthest.z > farthest.bound:
@@ -112,7 +117,9 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
     sound = np.setdiff1d(np.flatnonzero(np.isfinite(values)), outliers)
     student = float(-stdtrit(max(len(sound) - 1, 1), tail))
     # distances beside further outliers are short: each is reported as it is farthest
-    alone = [_compare_with_others(values, std, sound, k, resolution, student, normal) for k in outliers]
+    alone = [
+        _compare_with_others(values, std, sound, k, resolution, student, normal) for k in outliers
+    ]
     pairs = zip(removed[:count], alone, strict=True)
     return [max(pair, key=lambda one: one.z / one.bound) for pair in pairs]
 
@@ -126,17 +133,21 @@ def find_step(values: Array, resolution: float, looks: int) -> Step | None:
     from scipy.special import ndtri, stdtrit
 
     known = np.flatnonzero(np.isfinite(values))
-    y, count = values[known], len(known)
+    y = values[known]
+    count = len(known)
     if count < LEAST_EPISODES:
         return None
     tail = 0.5 * FALSE_ALARMS / max(looks, 1) / (count - 3)
-    student, normal = float(-stdtrit(count - 2, tail)), float(-ndtri(tail))
+    student = float(-stdtrit(count - 2, tail))
+    normal = float(-ndtri(tail))
     best: Step | None = None
     for k in range(2, count - 1):
-        before, after = y[:k], y[k:]
+        before = y[:k]
+        after = y[k:]
         squares = np.square(before - before.mean()).sum() + np.square(after - after.mean()).sum()
         wide = (1.0 / k + 1.0 / (count - k)) ** 0.5
-        spread, least = wide * float(np.sqrt(squares / (count - 2))), wide * resolution
+        spread = wide * float(np.sqrt(squares / (count - 2)))
+        least = wide * resolution
         scale = float(np.hypot(spread, least))
         size = float(after.mean() - before.mean())
         bound = float(np.hypot(student * spread, normal * least)) / scale
@@ -147,9 +158,14 @@ def find_step(values: Array, resolution: float, looks: int) -> Step | None:
 
 
 def _compare_with_others(
-    values: Array, std: Array, rest: Array, number: int, resolution: float, student: float,
+    values: Array,
+    std: Array,
+    rest: Array,
+    number: int,
+    resolution: float,
+    student: float,
     normal: float,
-) -> Outlier:  # fmt: skip
+) -> Outlier:
     """One value against the others among `rest`: Student's bound for their spread, the normal one
     for known errors."""
     others = values[rest[rest != number]]

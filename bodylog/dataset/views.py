@@ -1,4 +1,6 @@
-"""Whether a camera stands where it stood in other episodes, by the part of its picture that rests."""
+"""Whether a camera stands where it stood in other
+episodes, by the part of its picture that rests.
+"""
 
 import base64
 from collections.abc import Iterator, Mapping, Sequence
@@ -127,7 +129,8 @@ def _compare_camera(known: Sequence[Mapping[str, Any]]) -> Views | None:
     if 2 * np.isfinite(best[:, 0]).sum() < len(usable) + 1:
         return None
     first = usable[0]
-    size, picture = sizes[first], pictures[first]
+    size = sizes[first]
+    picture = pictures[first]
     px = size[0] / picture.shape[1] if size is not None and picture is not None else 1.0
     best *= px
     moved = np.linalg.norm(best - np.nanmedian(best, axis=0), axis=1)
@@ -165,7 +168,8 @@ def _measure_move(one: Array | None, other: Array | None) -> Array:
     if corners is None or len(corners) < LEAST_AGREEING:
         return unknown
     begin = np.asarray(corners)
-    guess, window = np.zeros_like(begin), (13, 13)
+    guess = np.zeros_like(begin)
+    window = (13, 13)
     there, seen, _ = map(
         np.asarray, cv2.calcOpticalFlowPyrLK(one, other, begin, guess.copy(), winSize=window)
     )
@@ -185,7 +189,8 @@ def _measure_move(one: Array | None, other: Array | None) -> Array:
     height, width = one.shape
     centre = np.array([0.5 * width, 0.5 * height])
     shift = matrix @ np.append(centre, 1.0) - centre
-    turn, scale = matrix[1, 0], matrix[0, 0] - 1.0
+    turn = matrix[1, 0]
+    scale = matrix[0, 0] - 1.0
     return np.array([*shift, 0.5 * width * turn, 0.5 * width * scale])
 
 

@@ -1,4 +1,6 @@
-"""Estimation: from features and a learned body to a belief about the joint angles, one file per method."""
+"""Estimation: from features and a learned body to a
+belief about the joint angles, one file per method.
+"""
 
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -12,20 +14,24 @@ from .common_cause import infer_common_causes
 from .faults.consistency import consistency_findings
 from .inference import kernel
 from .measurements import gather
-from .methods.finite import require_finite_estimate, report_numerical_errors
+from .methods.finite import report_numerical_errors, require_finite_estimate
 from .methods.table import METHODS, ignored_settings
 from .noise import typed
 from .noise.angle_unit import JOINT_UNIT_KEY, as_angles, in_units, unit_of
 from .poses.estimate import estimate_still_poses as still_poses
-from .timing.correction import add_delay_uncertainty, restore_stamps, correct_camera_delays
+from .timing.correction import add_delay_uncertainty, correct_camera_delays, restore_stamps
 
 __all__ = ["METHODS", "check_estimation_settings", "estimate_from_features"]
 
 
 def estimate_from_features(
-    features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float] = "auto"
+    features: Features,
+    body: BodyModel,
+    settings: EstimationSettings,
+    delay: str | Mapping[str, float] = "auto",
 ) -> Estimate:
-    """Estimate by `settings.method` after each camera's `delay` is corrected (see `correct_camera_delays`).
+    """Estimate by `settings.method` after each camera's `delay` is corrected (see
+    `correct_camera_delays`).
 
     All its numbers are finite; otherwise ModelError, EvidenceError or UsageError.
     """
@@ -43,10 +49,17 @@ def estimate_from_features(
             found = _estimate_with_corrected_times(features, body, settings, delay)
     used = {**found.settings, **({} if unit == "rad" else {JOINT_UNIT_KEY: unit})}
     found = replace(found, can=method.can, settings=used)
-    return replace(found, findings=(*found.findings, *consistency_findings(found, settings, unit, size)))
+    return replace(
+        found, findings=(*found.findings, *consistency_findings(found, settings, unit, size))
+    )
 
 
-def _estimate_with_corrected_times(features: Features, body: BodyModel, settings: EstimationSettings, delay: str | Mapping[str, float]) -> Estimate:
+def _estimate_with_corrected_times(
+    features: Features,
+    body: BodyModel,
+    settings: EstimationSettings,
+    delay: str | Mapping[str, float],
+) -> Estimate:
     """The method's estimate from images at the time when they were taken."""
     timely = correct_camera_delays(features, body, delay)
 
@@ -71,7 +84,8 @@ def _estimate_with_corrected_times(features: Features, body: BodyModel, settings
 
 
 def check_estimation_settings(body: BodyModel, settings: EstimationSettings) -> None:
-    """UsageError for a method, form of touch, preset or sense that does not exist or that the method cannot use.
+    """UsageError for a method, form of touch, preset or
+    sense that does not exist or that the method cannot use.
 
     Also without the compiled library, which is no fault of a log.
     """
@@ -81,9 +95,13 @@ def check_estimation_settings(body: BodyModel, settings: EstimationSettings) -> 
     method = METHODS[settings.method]
     if settings.touch == "literal" and not method.literal_touch:
         able = " or ".join(name for name, one in METHODS.items() if one.literal_touch)
-        raise UsageError(f"touch: 'literal' is the paper's form, for {able} alone; type --touch likelihood")
+        raise UsageError(
+            f"touch: 'literal' is the paper's form, for {able} alone; type --touch likelihood"
+        )
     if settings.preset == "paper" and not method.can.from_paper:
         able = " or --method ".join(name for name, one in METHODS.items() if one.can.from_paper)
         raise UsageError(f"preset: 'paper' is not for {settings.method}; type --method {able}")
     gather.choose_senses((), body, settings)
-    typed.check_typed_variances(settings, body.joints, [name for name in body.senses if name != "encoders"])
+    typed.check_typed_variances(
+        settings, body.joints, [name for name in body.senses if name != "encoders"]
+    )

@@ -1,7 +1,9 @@
-"""Whether a touch that is felt and a stroke that is seen have one cause, in place (Körding et al. 2007).
+"""Whether a touch that is felt and a stroke that is
+seen have one cause, in place (Körding et al. 2007).
 
-With one cause the hand is seen where the skin is touched, so its place o is N(g_v(x̂), J P Jᵀ + σ² I) by the belief of
-all other senses. With two causes it is anywhere in the image. Samad et al. (2015) explain the rubber hand so.
+With one cause the hand is seen where the skin is touched, so its place o is N(g_v(x̂), J P Jᵀ + σ²
+I) by the belief of all other senses. With two causes it is anywhere in the image. Samad et al.
+(2015) explain the rubber hand so.
 """
 
 from collections.abc import Callable
@@ -18,22 +20,32 @@ from .measurements.touch import place_of_cell
 
 
 def infer_common_causes(
-    features: Features, body: BodyModel, settings: EstimationSettings, solve: Callable[[Features, EstimationSettings], Estimate]
+    features: Features,
+    body: BodyModel,
+    settings: EstimationSettings,
+    solve: Callable[[Features, EstimationSettings], Estimate],
 ) -> Features:
-    """The features with each pair's probability of a common cause; unchanged without a prior or without touches.
+    """The features with each pair's probability of a common
+    cause; unchanged without a prior or without touches.
 
-    solve: the estimate that is made without touch. UsageError where touch is the only sense, or the image's size, over
-    which a hand of another cause is spread, is not known.
+    solve: the estimate that is made without touch. UsageError where touch is the only sense, or the
+    image's size, over which a hand of another cause is spread, is not known.
     """
     if settings.common_cause is None or not features.synchrony or features.hand is None:
         return features
     if features.picture_size is None:
         raise UsageError(
-            "common_cause: the log has no images, so their size is not known; leave common_cause out of [estimate]"
+            "common_cause: the log has no images, so their size is not known; leave "
+            "common_cause out of [estimate]"
         )
     alone = solve(features, _without_touch(settings))
     pairs = tuple(
-        replace(pair, common_cause=compute_common_cause_posterior(settings.common_cause, *_compute_cause_densities(features, body, alone, pair)))
+        replace(
+            pair,
+            common_cause=compute_common_cause_posterior(
+                settings.common_cause, *_compute_cause_densities(features, body, alone, pair)
+            ),
+        )
         for pair in features.synchrony
     )
     return replace(features, synchrony=pairs)
@@ -46,21 +58,31 @@ def _without_touch(settings: EstimationSettings) -> EstimationSettings:
     senses = tuple(name for name in settings.senses if name != "touch")
     if not senses:
         raise UsageError(
-            "common_cause: touch is the only sense, and nothing is left to compare it with; type --with encoders,touch"
+            "common_cause: touch is the only sense, and nothing is left to compare it with; "
+            "type --with encoders,touch"
         )
     return replace(settings, senses=senses, common_cause=None)
 
 
 def compute_common_cause_posterior(prior: float, one_cause: float, two_causes: float) -> float:
-    """Probability of a common cause, by Bayes' rule from its prior and the densities of either explanation."""
+    """Probability of a common cause, by Bayes' rule from
+    its prior and the densities of either explanation.
+    """
     both = prior * one_cause + (1.0 - prior) * two_causes
     return float(prior * one_cause / both) if both > 0.0 else 0.0
 
 
-def _compute_cause_densities(features: Features, body: BodyModel, alone: Estimate, pair: Synchrony) -> tuple[float, float]:
+def _compute_cause_densities(
+    features: Features, body: BodyModel, alone: Estimate, pair: Synchrony
+) -> tuple[float, float]:
     """Densities (1/px²) of where the hand is seen during a touch: with one cause, and with two."""
-    assert features.hand is not None and features.picture_size is not None and features.touches is not None
-    touch, hand = features.touches[pair.touch], features.hand
+    assert (
+        features.hand is not None
+        and features.picture_size is not None
+        and features.touches is not None
+    )
+    touch = features.touches[pair.touch]
+    hand = features.hand
     width, height = features.picture_size
     during = rows_seen(hand.values) & (hand.t >= touch.onset) & (hand.t <= touch.offset)
     if pair.stroke is None or not during.any():
@@ -70,12 +92,16 @@ def _compute_cause_densities(features: Features, body: BodyModel, alone: Estimat
     mean, variance = _predict_effector_place(body.senses["effector"], x, cov)
     off = (hand.values[during] - (u, v)).mean(axis=0) - mean
     total = variance + spread_variance * np.eye(2)
-    density = np.exp(-0.5 * off @ np.linalg.solve(total, off)) / (2.0 * np.pi * np.sqrt(np.linalg.det(total)))
+    density = np.exp(-0.5 * off @ np.linalg.solve(total, off)) / (
+        2.0 * np.pi * np.sqrt(np.linalg.det(total))
+    )
     return float(density), 1.0 / (width * height)
 
 
 def _read_belief_at(alone: Estimate, joints: tuple[str, ...], t: Array) -> tuple[Array, Array]:
-    """Angles (K,M) rad at times t (K,) s, and their covariance (M,M) rad² in the middle of these."""
+    """Angles (K,M) rad at times t (K,) s, and their
+    covariance (M,M) rad² in the middle of these.
+    """
     columns = [alone.joints.names.index(name) for name in joints]
     x = np.column_stack([np.interp(t, alone.joints.t, alone.joints.values[:, k]) for k in columns])
     middle = int(np.argmin(np.abs(alone.joints.t - np.median(t))))
@@ -83,7 +109,9 @@ def _read_belief_at(alone: Estimate, joints: tuple[str, ...], t: Array) -> tuple
 
 
 def _predict_effector_place(model: ForwardModel, x: Array, cov: Array) -> tuple[Array, Array]:
-    """Mean place (2,) px over angles x (K,M), and its covariance (2,2) px², the model's own included."""
+    """Mean place (2,) px over angles x (K,M), and its
+    covariance (2,2) px², the model's own included.
+    """
     mean, jac, own = model.predict(x)
     slope = jac.mean(axis=0)
     return mean.mean(axis=0), slope @ cov @ slope.T + np.diag(own.mean(axis=0))

@@ -1,4 +1,6 @@
-"""Bounds as typed after --fail-if: 'rmse/joint>0.02', 'faults>0', 'fault/encoder_offset/*>0.05', 'delay/*>0.05'."""
+"""Bounds as typed after --fail-if: 'rmse/joint>0.02',
+'faults>0', 'fault/encoder_offset/*>0.05', 'delay/*>0.05'.
+"""
 
 import operator
 import re
@@ -24,7 +26,9 @@ MAX_LISTED_NAMES = 12
 
 @dataclass(frozen=True)
 class ScoreBound:
-    """Fails when a figure that `name` matches, * and ? as in file names, compares so with `limit`."""
+    """Fails when a figure that `name` matches, * and
+    ? as in file names, compares so with `limit`.
+    """
 
     name: str
     sign: str
@@ -35,10 +39,15 @@ def parse_bound(text: str) -> ScoreBound:
     """A bound as typed; UsageError unless it is a name of today, a sign and a number."""
     found = re.fullmatch(r"\s*([^\s<>=]+)\s*(>=|<=|>|<)\s*([-+0-9.eE]+)\s*", text)
     if found and (now := current_score_name(found[1])):
-        raise UsageError(f"--fail-if {text!r}: {found[1]} is called {now} now; type {now}{found[2]}{found[3]}")
+        raise UsageError(
+            f"--fail-if {text!r}: {found[1]} is called {now} now; type {now}{found[2]}{found[3]}"
+        )
     if found and not _may_name_score(found[1]):
         near = find_nearest_name(found[1].partition("*")[0] or found[1], list(FIGURES))
-        raise UsageError(f"--fail-if {text!r}: no score is called {found[1]}; did you mean {near}? see docs/metrics.md")
+        raise UsageError(
+            f"--fail-if {text!r}: no score is called {found[1]}; did you mean {near}? see "
+            "docs/metrics.md"
+        )
     try:
         return ScoreBound(found[1], found[2], float(found[3])) if found else _refuse_bound(text)
     except ValueError:
@@ -55,18 +64,28 @@ def _may_name_score(name: str) -> bool:
 
 def _refuse_bound(text: str) -> ScoreBound:
     raise UsageError(
-        f"--fail-if {text!r}: not a bound; type a score, a sign and a number, e.g. 'rmse/joint>0.02' or 'faults>0'"
+        f"--fail-if {text!r}: not a bound; type a score, a sign and a number, e.g. "
+        "'rmse/joint>0.02' or 'faults>0'"
     )
 
 
 def check_bounds(figures: Mapping[str, Sequence[Score]], bounds: Sequence[ScoreBound]) -> None:
-    """BoundError naming each broken bound; UsageError when a log has no such figure. A NaN breaks its bound."""
-    broken = [text for path, found in figures.items() for bound in bounds for text in _list_broken_bounds(path, found, bound)]
+    """BoundError naming each broken bound; UsageError
+    when a log has no such figure. A NaN breaks its bound.
+    """
+    broken = [
+        text
+        for path, found in figures.items()
+        for bound in bounds
+        for text in _list_broken_bounds(path, found, bound)
+    ]
     if broken:
         raise BoundError("; ".join(broken))
 
 
-def select_measured_bounds(figures: Sequence[Score], bounds: Sequence[ScoreBound]) -> list[ScoreBound]:
+def select_measured_bounds(
+    figures: Sequence[Score], bounds: Sequence[ScoreBound]
+) -> list[ScoreBound]:
     """The bounds that name any of the figures."""
     names = [figure.name for figure in figures]
     return [
@@ -78,9 +97,15 @@ def select_measured_bounds(figures: Sequence[Score], bounds: Sequence[ScoreBound
 
 def _list_broken_bounds(path: str, figures: Sequence[Score], bound: ScoreBound) -> Iterator[str]:
     values = {figure.name: figure.value for figure in figures}
-    plain = [bound.name] if bound.name in values else [name for name in values if fnmatchcase(name, bound.name)]
+    plain = (
+        [bound.name]
+        if bound.name in values
+        else [name for name in values if fnmatchcase(name, bound.name)]
+    )
     if not plain:
-        raise UsageError(f"{path}: no score {bound.name!r} to bound; {_suggest_score_names(bound.name, values)}")
+        raise UsageError(
+            f"{path}: no score {bound.name!r} to bound; {_suggest_score_names(bound.name, values)}"
+        )
     for name in plain:
         value = values[name]
         if value != value or COMPARE[bound.sign](value, bound.limit):
@@ -90,7 +115,9 @@ def _list_broken_bounds(path: str, figures: Sequence[Score], bound: ScoreBound) 
 def _suggest_score_names(name: str, values: Mapping[str, float]) -> str:
     """Names like the one typed, else the kinds of names there are."""
     parts = name.strip("*").split("/")
-    near = get_close_matches(name, values, MAX_LISTED_NAMES, 0.6) or [one for one in values if parts[-1] and parts[-1] in one]
+    near = get_close_matches(name, values, MAX_LISTED_NAMES, 0.6) or [
+        one for one in values if parts[-1] and parts[-1] in one
+    ]
     if len(values) <= MAX_LISTED_NAMES:
         near = sorted(values)
     if near:

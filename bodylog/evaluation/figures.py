@@ -18,12 +18,16 @@ DISPLACED = "displaced"
 CAMERA = "camera"
 """Name of the first camera, whose tracks are named plainly."""
 MEASURED_DELAYS = "delay_measured"
-"""Key of an estimate's settings: {camera: seconds, std_error, doubt (why it is not applied, or ""), evident}."""
+"""Key of an estimate's settings: {camera: seconds,
+std_error, doubt (why it is not applied, or ""), evident}.
+"""
 LEAST_OFFSETS = "least_offsets"
-"""Key of an estimate's settings by the robot's surface: {joint: smallest offset, in `unit`, that it would show, or None
-where it shows none}."""
+"""Key of an estimate's settings by the robot's surface: {joint: smallest offset, in `unit`, that it
+would show, or None where it shows none}."""
 MISFIT = "misfit"
-"""Key of an estimate's settings where the log does not fit the body: text, share off, explanation or None."""
+"""Key of an estimate's settings where the log does not
+fit the body: text, share off, explanation or None.
+"""
 
 
 def list_figures(found: Estimate) -> tuple[Score, ...]:
@@ -32,19 +36,29 @@ def list_figures(found: Estimate) -> tuple[Score, ...]:
 
 
 def _fault_figures(found: Estimate) -> Iterator[Score]:
-    """The largest size per kind and joint or track; 1 for faults without a size, NaN where none can be found."""
+    """The largest size per kind and joint or track; 1 for
+    faults without a size, NaN where none can be found.
+    """
     yield Score("faults", float(len(found.faults)), "1")
     tracks = [name for name in found.used if name not in ("encoders", "touch")]
     sought = found.can.repairs and any(found.used[name].used for name in tracks)
     faults = [fault for fault in found.faults if fault.kind != DISPLACED]
-    for name in dict.fromkeys((*found.joints.names, *tracks, *(n for f in faults for n in _split_fault_names(f)))):
+    for name in dict.fromkeys(
+        (*found.joints.names, *tracks, *(n for f in faults for n in _split_fault_names(f)))
+    ):
         others = (f.kind for f in faults if name in _split_fault_names(f))
         for kind in dict.fromkeys((*KINDS, *others)):
-            own = [fault for fault in found.faults if name in _split_fault_names(fault) and kind in _list_fault_kinds(fault)]
+            own = [
+                fault
+                for fault in found.faults
+                if name in _split_fault_names(fault) and kind in _list_fault_kinds(fault)
+            ]
             unit = own[0].unit if own else "rad" if name in found.joints.names else "px"
             unit = "1" if kind in SIZELESS_KINDS and name in found.joints.names else unit
             open_ = not own and kind in KINDS_NEEDING_IMAGES and not sought
-            yield Score(f"fault/{kind}/{name}", float("nan") if open_ else _greatest_fault_size(own), unit)
+            yield Score(
+                f"fault/{kind}/{name}", float("nan") if open_ else _greatest_fault_size(own), unit
+            )
     cameras = [name.rpartition("/")[0] or CAMERA for name in tracks]
     for name in dict.fromkeys(cameras):
         own = [fault for fault in found.faults if (fault.kind, fault.name) == (DISPLACED, name)]
@@ -61,11 +75,17 @@ def _split_fault_names(fault: Fault) -> list[str]:
 
 
 def _list_fault_kinds(fault: Fault) -> tuple[str, ...]:
-    return (fault.kind, "encoder_offset") if fault.sense == "encoders" and fault.kind in OFFSET_KINDS else (fault.kind,)
+    return (
+        (fault.kind, "encoder_offset")
+        if fault.sense == "encoders" and fault.kind in OFFSET_KINDS
+        else (fault.kind,)
+    )
 
 
 def list_delays(found: Estimate) -> Iterator[Score]:
-    """Delay ± standard error of each camera where one was measured, applied or not; else the one that is applied."""
+    """Delay ± standard error of each camera where one was
+    measured, applied or not; else the one that is applied.
+    """
     applied, measured = (found.settings.get(key, {}) for key in ("delay", MEASURED_DELAYS))
     for name, one in measured.items() if isinstance(measured, Mapping) else ():
         yield Score(f"delay/{name}", float(one["seconds"]), "s", float(one["std_error"]))
@@ -87,7 +107,11 @@ def _delay_figures(found: Estimate) -> Iterator[Score]:
     applied = found.settings.get("delay", {})
     doubtful = {name: late for name, late, *_ in doubtful_delays(found)}
     known = {**(applied if isinstance(applied, Mapping) else {}), **doubtful}
-    cameras = [name.rpartition("/")[0] or "camera" for name in found.used if name not in ("encoders", "touch")]
+    cameras = [
+        name.rpartition("/")[0] or "camera"
+        for name in found.used
+        if name not in ("encoders", "touch")
+    ]
     for name in dict.fromkeys((*cameras, *known)):
         yield Score(f"delay/{name}", float(known.get(name, 0.0)), "s")
 

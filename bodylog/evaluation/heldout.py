@@ -13,11 +13,13 @@ WITHHELD_INTERVAL = 5
 
 
 def withhold_frames(features: Features) -> tuple[Features, Mapping[str, Series]]:
-    """The features with one in WITHHELD_INTERVAL frames of a track unseen, and those frames that did show something.
+    """The features with one in WITHHELD_INTERVAL frames of a
+    track unseen, and those frames that did show something.
 
     A track that would show nothing any more is left as it is.
     """
-    tracks, withheld = dict(features.tracks), {}
+    tracks = dict(features.tracks)
+    withheld = {}
     for name, track in features.tracks.items():
         rows = np.arange(len(track.t)) % WITHHELD_INTERVAL == WITHHELD_INTERVAL - 1
         shown = np.isfinite(track.values).all(axis=1)
@@ -25,14 +27,26 @@ def withhold_frames(features: Features) -> tuple[Features, Mapping[str, Series]]
         shown &= rows
         tracks[name] = replace(track, values=np.where(rows[:, None], np.nan, track.values))
         std = None if track.std is None else track.std[shown]
-        withheld[name] = Series(track.t[shown], track.values[shown], track.names, "px", track.source_ns[shown], std)
+        withheld[name] = Series(
+            track.t[shown], track.values[shown], track.names, "px", track.source_ns[shown], std
+        )
     return replace(features, tracks=tracks), withheld
 
 
-def score_withheld_frames(estimate: Estimate, withheld: Mapping[str, Series], body: BodyModel) -> tuple[Score, ...]:
-    """Mean log density (nats) per withheld frame of what the body can predict; nothing where no frame was withheld."""
-    nats = [_withheld_log_density(estimate, name, seen, body) for name, seen in withheld.items() if name in body.senses and len(seen.t)]
-    return (Score("log_density/held_out", float(np.concatenate(nats).mean()), "nats"),) if nats else ()
+def score_withheld_frames(
+    estimate: Estimate, withheld: Mapping[str, Series], body: BodyModel
+) -> tuple[Score, ...]:
+    """Mean log density (nats) per withheld frame of what the
+    body can predict; nothing where no frame was withheld.
+    """
+    nats = [
+        _withheld_log_density(estimate, name, seen, body)
+        for name, seen in withheld.items()
+        if name in body.senses and len(seen.t)
+    ]
+    return (
+        (Score("log_density/held_out", float(np.concatenate(nats).mean()), "nats"),) if nats else ()
+    )
 
 
 def _withheld_log_density(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> Array:
@@ -41,7 +55,9 @@ def _withheld_log_density(estimate: Estimate, name: str, seen: Series, body: Bod
         known = estimate.predicted[name]
         rows = np.minimum(np.searchsorted(known.t, seen.t), len(known.t) - 1)
         same = known.t[rows] == seen.t  # a frame whose time ran backwards was left out
-        values, mean, cov = seen.values[same], known.values[rows[same]], estimate.predicted_cov[name][rows[same]]
+        values = seen.values[same]
+        mean = known.values[rows[same]]
+        cov = estimate.predicted_cov[name][rows[same]]
     else:
         values, (mean, cov) = seen.values, _predict_by_angles(estimate, name, seen, body)
     apart = values - mean
@@ -49,8 +65,12 @@ def _withheld_log_density(estimate: Estimate, name: str, seen: Series, body: Bod
     return np.asarray(-0.5 * (squares + np.linalg.slogdet(2.0 * np.pi * cov)[1]))
 
 
-def _predict_by_angles(estimate: Estimate, name: str, seen: Series, body: BodyModel) -> tuple[Array, Array]:
-    """Mean (F,D) px and covariance (F,D,D) by the angles, of an estimate that did not use the track."""
+def _predict_by_angles(
+    estimate: Estimate, name: str, seen: Series, body: BodyModel
+) -> tuple[Array, Array]:
+    """Mean (F,D) px and covariance (F,D,D) by the
+    angles, of an estimate that did not use the track.
+    """
     columns = [estimate.joints.names.index(joint) for joint in body.joints]
     late = estimate.settings.get("delay", {}).get(name.rpartition("/")[0] or "camera", 0.0)
     x, cov = _interpolate_angles(estimate, seen.t - late)
@@ -64,9 +84,11 @@ def _predict_by_angles(estimate: Estimate, name: str, seen: Series, body: BodyMo
 
 
 def _interpolate_angles(estimate: Estimate, t: Array) -> tuple[Array, Array]:
-    """Angles (F,M) rad and their covariance (F,M,M) at t (F,), by the past alone unless the estimate knew the future.
+    """Angles (F,M) rad and their covariance (F,M,M) at t (F,), by the past alone unless the
+    estimate knew the future.
 
-    The last belief is carried on by its rate; what that rate is uncertain by within one step is left out.
+    The last belief is carried on by its rate; what that
+    rate is uncertain by within one step is left out.
     """
     joints = estimate.joints
     after = np.minimum(np.searchsorted(joints.t, t), len(joints.t) - 1)

@@ -1,4 +1,6 @@
-"""The paper's experiments, run in every reading and with our default, judged over seeds, on one page."""
+"""The paper's experiments, run in every reading and
+with our default, judged over seeds, on one page.
+"""
 
 from .claims import Claim
 from .records import Experiment

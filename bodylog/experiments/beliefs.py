@@ -33,19 +33,28 @@ class BeliefWithTruth:
         return np.column_stack([np.interp(t, self.t, column) for column in self.x.T])
 
 
-def believe_by_default(observed: ObservedLog, body: BodyModel, senses: tuple[str, ...] | None = None, **settings: Any) -> BeliefWithTruth:
+def believe_by_default(
+    observed: ObservedLog, body: BodyModel, senses: tuple[str, ...] | None = None, **settings: Any
+) -> BeliefWithTruth:
     """Our default's belief."""
-    return belief_with_truth(estimate_with_settings(observed, body, EstimationSettings(senses=senses, **settings)), observed)
+    return belief_with_truth(
+        estimate_with_settings(observed, body, EstimationSettings(senses=senses, **settings)),
+        observed,
+    )
 
 
-def estimate_with_settings(observed: ObservedLog, body: BodyModel, settings: EstimationSettings) -> Estimate:
+def estimate_with_settings(
+    observed: ObservedLog, body: BodyModel, settings: EstimationSettings
+) -> Estimate:
     """The estimate by these settings."""
     return pipeline.infer(observed.features, body, replace(Settings(), estimate=settings))
 
 
 def belief_with_truth(found: Estimate, observed: ObservedLog) -> BeliefWithTruth:
     """An estimate as a belief with the truth."""
-    return BeliefWithTruth(found.joints.t, found.joints.values, observed.true(found.joints.names, found.joints.t))
+    return BeliefWithTruth(
+        found.joints.t, found.joints.values, observed.true(found.joints.names, found.joints.t)
+    )
 
 
 def add_encoder_noise(observed: ObservedLog, std: float, seed: int) -> ObservedLog:
@@ -53,4 +62,7 @@ def add_encoder_noise(observed: ObservedLog, std: float, seed: int) -> ObservedL
     joints = observed.features.joints
     assert joints is not None
     noise = std * np.random.default_rng([seed, 11]).standard_normal(joints.values.shape)
-    return replace(observed, features=replace(observed.features, joints=replace(joints, values=joints.values + noise)))
+    return replace(
+        observed,
+        features=replace(observed.features, joints=replace(joints, values=joints.values + noise)),
+    )

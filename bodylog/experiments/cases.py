@@ -1,4 +1,6 @@
-"""Runs of the printed model in a reading: its map from 46 samples, units and touch, on a log's signals."""
+"""Runs of the printed model in a reading: its map
+from 46 samples, units and touch, on a log's signals.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -47,17 +49,27 @@ class ExplorationSamples:
         tried = readings.reading_value(reading, "sigma_n")
         if tried not in self.maps:
             self.maps[tried] = (
-                self._learned() if tried == "learned" else self._printed(readings.reading_number(reading, "sigma_n"))
+                self._learned()
+                if tried == "learned"
+                else self._printed(readings.reading_number(reading, "sigma_n"))
             )
         return self.maps[tried]
 
     def _printed(self, noise: float | None) -> Map:
-        """l as printed; the mean depends on noise and amplitude by their ratio alone, here that of deviations."""
+        """l as printed; the mean depends on noise and amplitude
+        by their ratio alone, here that of deviations.
+        """
         assert noise is not None
         apart = (self.x[:, None] - self.x) / SCALE
         k = np.exp(-0.5 * (apart**2).sum(axis=2)) + noise**2 * np.eye(len(self.x))
         mean = self.y.mean(axis=0)
-        return Map(self.x, np.full(self.x.shape[1], SCALE), np.linalg.solve(k, self.y - mean), mean, self.scatter)
+        return Map(
+            self.x,
+            np.full(self.x.shape[1], SCALE),
+            np.linalg.solve(k, self.y - mean),
+            mean,
+            self.scatter,
+        )
 
     def _learned(self) -> Map:
         from ..body.gp.fit import samples_without_noise, train_gp
@@ -75,51 +87,91 @@ def explore_by_preset(body: BodyModel) -> ExplorationSamples:
     return ExplorationSamples(model.samples, model.targets, {})
 
 
-def drawn_samples(seed: int, moving: tuple[bool, bool, bool] = (True, True, True), count: int = 46) -> ExplorationSamples:
-    """An exploration without a recording, for the notebooks: `count` drawn postures, noiseless encoders, places."""
+def drawn_samples(
+    seed: int, moving: tuple[bool, bool, bool] = (True, True, True), count: int = 46
+) -> ExplorationSamples:
+    """An exploration without a recording, for the notebooks:
+    `count` drawn postures, noiseless encoders, places.
+    """
     rng = np.random.default_rng([seed, 23])
-    x = np.array(ARM.home[:3]) + np.array(ARM.swing[:3]) * moving * rng.uniform(-1.0, 1.0, (count, 3))
+    x = np.array(ARM.home[:3]) + np.array(ARM.swing[:3]) * moving * rng.uniform(
+        -1.0, 1.0, (count, 3)
+    )
     seen = place_in_image(x) + PIXEL_STD * rng.standard_normal((count, 2))
     return ExplorationSamples(x + 0.003 * rng.standard_normal(x.shape), seen, {})
 
 
 def build_case(
-    known: ExplorationSamples, reading: Reading, senses: str, start: Array, touch: bool = False, square: bool = False
+    known: ExplorationSamples,
+    reading: Reading,
+    senses: str,
+    start: Array,
+    touch: bool = False,
+    square: bool = False,
 ) -> Case:
     """One run of senses such as "p1+p3+v" (p: all encoders) from a start (M,) rad."""
     parts = set(senses.split("+"))
     encoders = tuple("p" in parts or f"p{i + 1}" in parts for i in range(len(start)))
-    prior = {"belief": start, "home": known.home, "zero": np.zeros(len(start))}[readings.reading_value(reading, "mu_x")]
-    unit, integration = _unit_px(known, reading, "sigma_v"), readings.reading_value(reading, "integration")
+    prior = {"belief": start, "home": known.home, "zero": np.zeros(len(start))}[
+        readings.reading_value(reading, "mu_x")
+    ]
+    unit = _unit_px(known, reading, "sigma_v")
+    integration = readings.reading_value(reading, "integration")
     felt = _touch_constants(known, reading) if touch or "t" in parts else None
     rate = readings.reading_number(reading, "lambda")
     assert rate is not None
-    return Case(known.map(reading), encoders, "v" in parts, unit, integration, start, prior, felt, square, rate=rate)
+    return Case(
+        known.map(reading),
+        encoders,
+        "v" in parts,
+        unit,
+        integration,
+        start,
+        prior,
+        felt,
+        square,
+        rate=rate,
+    )
 
 
-def build_cases(known: ExplorationSamples, names: Sequence[str], off: Array | float = 0.0) -> Callable[[Reading, Signals], Cases]:
+def build_cases(
+    known: ExplorationSamples, names: Sequence[str], off: Array | float = 0.0
+) -> Callable[[Reading, Signals], Cases]:
     """For `run_study`: a run of each of some senses, from the true start plus `off` (M,) rad."""
-    return lambda reading, sensed: {name: build_case(known, reading, name, sensed.true[0] + off) for name in names}
+    return lambda reading, sensed: {
+        name: build_case(known, reading, name, sensed.true[0] + off) for name in names
+    }
 
 
 def _unit_px(known: ExplorationSamples, reading: Reading, name: str) -> float:
     """The unit (px) of a variance or b_1 in a reading."""
-    of_log = {"standardised": known.scatter, "half-widths": SIZE[0] / 2, "widths": float(SIZE[0]), "cm": px_per_cm()}
+    of_log = {
+        "standardised": known.scatter,
+        "half-widths": SIZE[0] / 2,
+        "widths": float(SIZE[0]),
+        "cm": px_per_cm(),
+    }
     found = readings.reading_number(reading, name)
     return of_log[readings.reading_value(reading, name)] if found is None else found
 
 
 def _touch_constants(known: ExplorationSamples, reading: Reading) -> Touching:
-    a_2, half, relative = (readings.reading_number(reading, name) for name in ("a_2", "b_2", "sigma_t"))
+    a_2, half, relative = (
+        readings.reading_number(reading, name) for name in ("a_2", "b_2", "sigma_t")
+    )
     assert a_2 is not None and half is not None
     a = A_1 * a_2
     sigma = 1.0 if relative is None else relative * a**2
     b_1 = _unit_px(known, reading, "b_1") ** -2.0
-    return Touching(a, b_1, float(np.log(2.0)) / half**2, sigma, readings.reading_value(reading, "s_t"))
+    return Touching(
+        a, b_1, float(np.log(2.0)) / half**2, sigma, readings.reading_value(reading, "s_t")
+    )
 
 
 def place_of_touched_skin(body: BodyModel) -> Array:
-    """The place of touched skin relative to the effector (2,) px, mean of all cells the body knows; 0 without cells."""
+    """The place of touched skin relative to the effector (2,)
+    px, mean of all cells the body knows; 0 without cells.
+    """
     places = np.array([place[:2] for place in body.cells.values()])
     return np.asarray(places.mean(axis=0)) if len(places) else np.zeros(2)
 
@@ -127,8 +179,8 @@ def place_of_touched_skin(body: BodyModel) -> Array:
 def place_hand(sensed: Signals, reading: Reading, by: Array, aside: float, seed: int) -> Signals:
     """The signals with the hand in this reading of o_v.
 
-    by (2,) px: where touched skin is seen beside the effector, in the mean · aside px: the image's displacement to the
-    right of the arm, 0 where the hand is seen where it touches.
+    by (2,) px: where touched skin is seen beside the effector, in the mean · aside px: the image's
+    displacement to the right of the arm, 0 where the hand is seen where it touches.
     """
     where = readings.reading_value(reading, "o_v")
     if where == "hand":
@@ -141,14 +193,19 @@ def place_hand(sensed: Signals, reading: Reading, by: Array, aside: float, seed:
 
 
 def sample_signals(observed: ObservedLog, joints: Sequence[str] = JOINTS) -> Signals:
-    """A log on the printed grid of 20 Hz: nearest encoder reading, interpolated place, current touch."""
-    features, encoders = observed.features, observed.features.joints
+    """A log on the printed grid of 20 Hz: nearest
+    encoder reading, interpolated place, current touch.
+    """
+    features = observed.features
+    encoders = observed.features.joints
     assert encoders is not None
     t = np.arange(encoders.t[0], encoders.t[-1], DT)
     columns = [encoders.names.index(name) for name in joints]
     hand, delay = _felt_hand(features, t)
     read = encoders.values[_nearest_reading(encoders.t, t)][:, columns]
-    return Signals(t, read, _interpolate_effector(features, t), hand, delay, observed.true(tuple(joints), t))
+    return Signals(
+        t, read, _interpolate_effector(features, t), hand, delay, observed.true(tuple(joints), t)
+    )
 
 
 def _nearest_reading(t: Array, at: Array) -> Array:
@@ -157,7 +214,9 @@ def _nearest_reading(t: Array, at: Array) -> Array:
 
 
 def _interpolate_effector(features: Features, t: Array) -> Array:
-    """The effector's place (N,2) px on the line between two frames no more than 0.1 s apart; NaN where unseen."""
+    """The effector's place (N,2) px on the line between
+    two frames no more than 0.1 s apart; NaN where unseen.
+    """
     track = features.effector
     if track is None or len(track.t) < 2:
         return np.full((len(t), 2), np.nan)
@@ -169,8 +228,11 @@ def _interpolate_effector(features: Features, t: Array) -> Array:
 
 
 def _felt_hand(features: Features, t: Array) -> tuple[Array, Array]:
-    """The hand (N,2) px during touches paired with a stroke, and the pair's delay (N,) s; NaN otherwise."""
-    hand, delay = np.full((len(t), 2), np.nan), np.full(len(t), np.nan)
+    """The hand (N,2) px during touches paired with a
+    stroke, and the pair's delay (N,) s; NaN otherwise.
+    """
+    hand = np.full((len(t), 2), np.nan)
+    delay = np.full(len(t), np.nan)
     if features.hand is None or not len(features.hand.t):
         return hand, delay
     rows = np.maximum(np.searchsorted(features.hand.t, t + 1e-9, "right") - 1, 0)
@@ -188,7 +250,9 @@ def _times_during_touch(features: Features, pair: Synchrony, t: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class StudyBeliefs:
-    """The beliefs of one reading's runs: signals · x {name: (N,M) rad} · errors {name: e_p, e_v (N,M+2)}."""
+    """The beliefs of one reading's runs: signals · x
+    {name: (N,M) rad} · errors {name: e_p, e_v (N,M+2)}.
+    """
 
     signals: Signals
     x: Mapping[str, Array]
@@ -200,13 +264,17 @@ class StudyBeliefs:
 
 
 def run_study(
-    tried: Sequence[Reading], log: Callable[[Reading], Signals], cases: Callable[[Reading, Signals], Cases]
+    tried: Sequence[Reading],
+    log: Callable[[Reading], Signals],
+    cases: Callable[[Reading, Signals], Cases],
 ) -> dict[str, StudyBeliefs]:
     """The beliefs of all readings' runs, by the reading's key; those on one log run together."""
     groups: dict[int, list[tuple[str, Signals, Cases]]] = {}
     for reading in tried:
         sensed = log(reading)
-        groups.setdefault(id(sensed), []).append((readings.reading_key(reading), sensed, cases(reading, sensed)))
+        groups.setdefault(id(sensed), []).append(
+            (readings.reading_key(reading), sensed, cases(reading, sensed))
+        )
     found: dict[str, StudyBeliefs] = {}
     for members in groups.values():
         sensed = members[0][1]
@@ -214,5 +282,7 @@ def run_study(
         runs = iter(zip(made.x, made.errors, strict=True))
         for name, _, of in members:
             mine = {run: next(runs) for run in of}
-            found[name] = StudyBeliefs(sensed, {k: x for k, (x, _) in mine.items()}, {k: e for k, (_, e) in mine.items()})
+            found[name] = StudyBeliefs(
+                sensed, {k: x for k, (x, _) in mine.items()}, {k: e for k, (_, e) in mine.items()}
+            )
     return found

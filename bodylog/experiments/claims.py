@@ -5,10 +5,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-KEPT, REFUTED, UNTESTED = "kept", "refuted", "not tested"
+KEPT = "kept"
+REFUTED = "refuted"
+UNTESTED = "not tested"
 """What a reading does to a claim, and a claim's verdict where all readings that test it agree."""
-DEPENDS, UNTESTABLE = "depends on", "not testable here"
-OWN_HOLDS, OWN_FAILS = "holds", "does not hold"
+DEPENDS = "depends on"
+UNTESTABLE = "not testable here"
+OWN_HOLDS = "holds"
+OWN_FAILS = "does not hold"
 
 
 @dataclass(frozen=True)
@@ -40,10 +44,11 @@ class Control:
 
 @dataclass(frozen=True)
 class Outcome:
-    """One reading's result: figures by seed, their median and its 95 % interval, and what they do to the claim.
+    """One reading's result: figures by seed, their median
+    and its 95 % interval, and what they do to the claim.
 
-    tested_seeds: seeds in which the model ran and every control holds · kept_seeds: those of them that keep the claim ·
-    state: kept, refuted or not tested · reason: why it is not kept.
+    tested_seeds: seeds in which the model ran and every control holds · kept_seeds: those of them
+    that keep the claim · state: kept, refuted or not tested · reason: why it is not kept.
     """
 
     figures: tuple[float, ...]
@@ -72,9 +77,10 @@ class Counts:
 class Claim:
     """One sentence judged. kind: paper, own, comparison or erratum.
 
-    outcomes {reading: Outcome} decide, counts are theirs, reasons say why readings do not keep the claim; sweeps
-    {constant: [(number, Outcome)]} show where the verdict changes; `turns` is that as text. For a claim of our own,
-    outcomes has one entry, of our default; of a comparison, the last entry decides and is counted.
+    outcomes {reading: Outcome} decide, counts are theirs, reasons say why readings do not keep the
+    claim; sweeps {constant: [(number, Outcome)]} show where the verdict changes; `turns` is that as
+    text. For a claim of our own, outcomes has one entry, of our default; of a comparison, the last
+    entry decides and is counted.
     """
 
     id: str

@@ -1,4 +1,6 @@
-"""The figures, as PNG and SVG: the paper's redrawn from one seed, every claim's outcomes by reading, and sweeps."""
+"""The figures, as PNG and SVG: the paper's redrawn from
+one seed, every claim's outcomes by reading, and sweeps.
+"""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -47,11 +49,15 @@ def _draw_panel_traces(axis: Any, shown: Mapping[str, Any]) -> None:
 
 
 def draw_spreads(claims: Sequence[Claim], out: Path) -> None:
-    """One strip per claim: a dot per reading with its interval, coloured by its state, and the bound."""
+    """One strip per claim: a dot per reading with its
+    interval, coloured by its state, and the bound.
+    """
     shown = [claim for claim in claims if claim.outcomes]
     heights = [0.55 + 0.11 * len(claim.outcomes) for claim in shown]
     with open_figure(out, 9.0, sum(heights) + 0.4, BOTH) as drawing:
-        axes = drawing.subplots(len(shown), 1, squeeze=False, gridspec_kw={"height_ratios": heights})
+        axes = drawing.subplots(
+            len(shown), 1, squeeze=False, gridspec_kw={"height_ratios": heights}
+        )
         for axis, claim in zip(axes.flat, shown, strict=True):
             _draw_claim_strip(axis, claim)
 
@@ -71,7 +77,9 @@ def _draw_claim_strip(axis: Any, claim: Claim) -> None:
 
 
 def draw_sweeps(claims: Sequence[Claim], out: Path) -> None:
-    """A panel per claim and constant it depends on: medians with intervals over the numbers swept, and the bound."""
+    """A panel per claim and constant it depends on: medians
+    with intervals over the numbers swept, and the bound.
+    """
     shown = [(claim, name, rows) for claim in claims for name, rows in claim.sweeps.items()]
     rows = -(-len(shown) // _ACROSS)
     with open_figure(out, 9.0, 2.2 * rows + 0.2, BOTH) as drawing:
@@ -82,7 +90,9 @@ def draw_sweeps(claims: Sequence[Claim], out: Path) -> None:
             axis.set_axis_off()
 
 
-def _draw_claim_sweep(axis: Any, claim: Claim, name: str, swept: Sequence[tuple[float, Outcome]]) -> None:
+def _draw_claim_sweep(
+    axis: Any, claim: Claim, name: str, swept: Sequence[tuple[float, Outcome]]
+) -> None:
     from .readings import CONSTANTS
 
     for number, one in swept:
@@ -103,7 +113,9 @@ def _outcome_colour(one: Outcome) -> str:
 
 
 def _scale_axis(axis: Any, values: Any) -> None:
-    """Logarithmic where the figures span more than LOG_AXIS_RATIO, linear around zero; ticks are plain numbers."""
+    """Logarithmic where the figures span more than
+    LOG_AXIS_RATIO, linear around zero; ticks are plain numbers.
+    """
     if _spans_wide_range(values):
         axis.set_xscale("symlog", linthresh=_linear_threshold(values))
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")

@@ -1,4 +1,5 @@
-"""Logs drawn without a renderer: features of the simulated arm at any speed, as perception would find them.
+"""Logs drawn without a renderer: features of the
+simulated arm at any speed, as perception would find them.
 
 A rendered minute takes a minute; only the motion matters here, and perception's error is known.
 """
@@ -16,7 +17,8 @@ from .lab import JOINTS, ObservedLog
 ARM = ARMS["ur5"]
 RADIUS = 0.025
 """m: the effector's ball."""
-ENCODER_HZ, CAMERA_HZ = 100.0, 30.0
+ENCODER_HZ = 100.0
+CAMERA_HZ = 30.0
 PIXEL_STD = 0.1
 """px: the 99th percentile of perception's error on rendered logs (docs/validation.md)."""
 SIZE = (320, 240)
@@ -53,32 +55,53 @@ def place_in_image(x: Array, size: tuple[int, int] = SIZE) -> Array:
 def px_per_cm() -> float:
     """Pixels per centimetre across the view at the effector's home."""
     seen = simulated_head_camera()
-    return float(seen.focal / (seen.rotation @ (effector_position(np.array([ARM.home[:3]]))[0] - seen.position))[2] / 100.0)
+    return float(
+        seen.focal
+        / (seen.rotation @ (effector_position(np.array([ARM.home[:3]]))[0] - seen.position))[2]
+        / 100.0
+    )
 
 
 def draw_swing(
-    period: float, seed: int, moving: tuple[bool, bool, bool], begins: float = 0.0, t: Array | None = None
+    period: float,
+    seed: int,
+    moving: tuple[bool, bool, bool],
+    begins: float = 0.0,
+    t: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Times (N,) s and true angles (N,3) rad of sines of this period (s) about home; at rest until `begins` s."""
+    """Times (N,) s and true angles (N,3) rad of sines of
+    this period (s) about home; at rest until `begins` s.
+    """
     t = np.arange(0.0, begins + SETTLING + period, 1.0 / ENCODER_HZ) if t is None else t
     phase = np.random.default_rng([seed, 21]).uniform(0.0, 2.0 * np.pi, 3) * (begins == 0.0)
     since = np.maximum(t - begins, 0.0)[:, None]
     swing = _SWING * np.array(moving)
-    return t, np.array(ARM.home[:3]) + swing * np.sin(2.0 * np.pi * since / (period * _RATIOS) + phase)
+    return t, np.array(ARM.home[:3]) + swing * np.sin(
+        2.0 * np.pi * since / (period * _RATIOS) + phase
+    )
 
 
 def draw_log(
-    period: float, noise: float, seed: int, moving: tuple[bool, bool, bool] = (True, True, True),
-    begins: float = 0.0, square: bool = False, seconds: float | None = None,
-) -> ObservedLog:  # fmt: skip
-    """A log of that motion: encoders with `noise` (rad) at 100 Hz, the effector at 30 Hz; `square`: they read x²."""
+    period: float,
+    noise: float,
+    seed: int,
+    moving: tuple[bool, bool, bool] = (True, True, True),
+    begins: float = 0.0,
+    square: bool = False,
+    seconds: float | None = None,
+) -> ObservedLog:
+    """A log of that motion: encoders with `noise` (rad) at
+    100 Hz, the effector at 30 Hz; `square`: they read x².
+    """
     rng = np.random.default_rng([seed, 22])
     end = begins + SETTLING + period if seconds is None else seconds
     t, x = draw_swing(period, seed, moving, begins, np.arange(0.0, end, 1.0 / ENCODER_HZ))
     frames, there = draw_swing(period, seed, moving, begins, np.arange(0.0, end, 1.0 / CAMERA_HZ))
     read = np.where(square, x**2, x) + noise * rng.standard_normal(x.shape)
     seen = place_in_image(there) + PIXEL_STD * rng.standard_normal((len(frames), 2))
-    track = Series(frames, seen, ("u", "v"), "px", _to_nanoseconds(frames), np.full(seen.shape, PIXEL_STD))
+    track = Series(
+        frames, seen, ("u", "v"), "px", _to_nanoseconds(frames), np.full(seen.shape, PIXEL_STD)
+    )
     joints = Series(t, read, JOINTS, "rad", _to_nanoseconds(t))
     features = Features(joints, {"effector": track}, None, (), (), {}, (), SIZE)
     return ObservedLog(features, Series(t, x, JOINTS, "rad", _to_nanoseconds(t)))

@@ -33,22 +33,35 @@ def _run_errata(lab: Lab, seed: int, tried: ExperimentReadings) -> Trial:
 
 
 def grow_belief(encoders: Array, as_printed: bool) -> float:
-    """log₁₀ of the largest belief (rad) in 60 s of Algorithm 1 on encoders, with μ̇ = μ + λe_x or μ̇ = λe_x."""
+    """log₁₀ of the largest belief (rad) in 60 s of Algorithm
+    1 on encoders, with μ̇ = μ + λe_x or μ̇ = λe_x.
+    """
     x = mu = s = encoders[0]
-    ex, ep, most = np.zeros(3), np.zeros(3), 0.0
+    ex = np.zeros(3)
+    ep = np.zeros(3)
+    most = 0.0
     for _ in range(int(LASTING_S / DT)):
         dmu = ex + mu if as_printed else ex
-        dx, dex, dep = ep - ex, x - mu - ex, s - x - ep
-        x, mu, ex, ep = x + DT * dx, mu + DT * dmu, ex + DT * dex, ep + DT * dep
+        dx = ep - ex
+        dex = x - mu - ex
+        dep = s - x - ep
+        x = x + DT * dx
+        mu = mu + DT * dmu
+        ex = ex + DT * dex
+        ep = ep + DT * dep
         most = max(most, float(np.abs(x).max()))
     return float(np.log10(most))
 
 
 def find_stable_step(model: Map, x: Array, unit_px: float) -> float:
-    """Largest Δt (s) at which one Euler step of Algorithm 1 with σ_v = 5 of this unit² shrinks every mode at x (M,)."""
-    m, slope = len(x), slope_by_differences(model, x) / unit_px
+    """Largest Δt (s) at which one Euler step of Algorithm 1
+    with σ_v = 5 of this unit² shrinks every mode at x (M,).
+    """
+    m = len(x)
+    slope = slope_by_differences(model, x) / unit_px
     a = np.zeros((4 * m + 2, 4 * m + 2))
-    eye, seen = np.eye(m), slice(4 * m, None)
+    eye = np.eye(m)
+    seen = slice(4 * m, None)
     belief, error_x, prior, error_p = (slice(k * m, (k + 1) * m) for k in range(4))
     a[belief, error_x], a[error_x, belief], a[error_x, prior] = -eye, eye, -eye
     a[error_x, error_x], a[prior, error_x] = -eye, eye
@@ -66,22 +79,40 @@ def slope_by_differences(model: Map, x: Array) -> Array:
 
 
 EQUATIONS: tuple[tuple[str, str, str, str, Bound, str], ...] = (
-    ("prior", "μ̇ = μ + λe_x keeps the belief within 10 rad for 60 s",
-     "log₁₀ of the largest belief", "log₁₀ rad", Bound("≤", 1.0),
-     "μ̇ = μ + λe_x has the solution e^t where e_x = 0; the algorithm's step μ ← μ + λe_x is meant; "
-     "as a rate that is μ̇ = λe_x"),
-    ("step", "explicit Euler is stable at Δt = 0.05 s with σ_v = [5, 5], which has no unit: read in px², "
-     "and run in squared scatters of the outputs",
-     "largest stable step", "s", Bound("≥", DT),
-     "Ẋ = AX with A from J, σ: an Euler step shrinks a mode a when Δt < −2 Re a/|a|²; for vision |a|² ≈ |J|², "
-     "Re a = −σ_v/2, so Δt < σ_v/|J|²; |J| is some 300 px/rad and 7 per scatter"),
-)  # fmt: skip
-"""Figure's name · the printed claim · what is measured, its unit and bound · derivation; numbered from 1."""
+    (
+        "prior",
+        "μ̇ = μ + λe_x keeps the belief within 10 rad for 60 s",
+        "log₁₀ of the largest belief",
+        "log₁₀ rad",
+        Bound("≤", 1.0),
+        "μ̇ = μ + λe_x has the solution e^t where e_x = 0; the algorithm's step μ ← μ + λe_x "
+        "is meant; "
+        "as a rate that is μ̇ = λe_x",
+    ),
+    (
+        "step",
+        "explicit Euler is stable at Δt = 0.05 s with σ_v = [5, 5], which has no unit: read "
+        "in px², "
+        "and run in squared scatters of the outputs",
+        "largest stable step",
+        "s",
+        Bound("≥", DT),
+        "Ẋ = AX with A from J, σ: an Euler step shrinks a mode a when Δt < −2 Re a/|a|²; for "
+        "vision |a|² ≈ |J|², "
+        "Re a = −σ_v/2, so Δt < σ_v/|J|²; |J| is some 300 px/rad and 7 per scatter",
+    ),
+)
+"""Figure's name · the printed claim · what is measured,
+its unit and bound · derivation; numbered from 1.
+"""
 
 
 def _claim_errata(trials: Sequence[Trial], tried: ExperimentReadings) -> tuple[Claim, ...]:
     def compared(name: str) -> dict[str, Sequence[float]]:
-        return {"as printed": figure_column(trials, f"printed {name}"), "as run": figure_column(trials, f"ours {name}")}
+        return {
+            "as printed": figure_column(trials, f"printed {name}"),
+            "as run": figure_column(trials, f"ours {name}"),
+        }
 
     return tuple(
         judge_erratum(f"Errata.{k}", text, measured, unit, bound, compared(name), derivation)

@@ -42,7 +42,9 @@ class ObservedLog:
 
 @dataclass(frozen=True)
 class Lab:
-    """A folder of recorded logs and learned bodies; image size (px), seconds of exploration per body."""
+    """A folder of recorded logs and learned bodies;
+    image size (px), seconds of exploration per body.
+    """
 
     folder: Path
     size: tuple[int, int] = (320, 240)
@@ -50,7 +52,9 @@ class Lab:
     markers: Mapping[str, str] = field(default_factory=dict)
 
     def observed(self, scenario: str, seed: int, **options: Any) -> ObservedLog:
-        """The features of a recording of `scenario` (options as `sim.record_scenario`), made unless it exists."""
+        """The features of a recording of `scenario` (options
+        as `sim.record_scenario`), made unless it exists.
+        """
         settings = self._settings()
         read, features = pipeline.observe(self.log(scenario, seed, **options), settings)
         assert read.truth is not None  # every simulated log carries it
@@ -66,22 +70,42 @@ class Lab:
                 pipeline.extract(whole, path, self._settings())
         return path
 
-    def body(self, preset: str, seed: int, scenario: str = "babble", joints: tuple[str, ...] = JOINTS,
-             touched: bool = False, **options: Any) -> BodyModel:  # fmt: skip
-        """The body learned by fit preset `preset` from an exploration, and from a log of touches when `touched`."""
+    def body(
+        self,
+        preset: str,
+        seed: int,
+        scenario: str = "babble",
+        joints: tuple[str, ...] = JOINTS,
+        touched: bool = False,
+        **options: Any,
+    ) -> BodyModel:
+        """The body learned by fit preset `preset` from an
+        exploration, and from a log of touches when `touched`.
+        """
         from ..body import storage
 
         options = {"duration": self.exploration, **options}
-        path = self._path(f"body-{scenario}-{preset}-{seed}", "npz", {**options, "joints": joints, "touched": touched})
+        path = self._path(
+            f"body-{scenario}-{preset}-{seed}",
+            "npz",
+            {**options, "joints": joints, "touched": touched},
+        )
         if not path.exists():
-            settings = replace(self._settings(), fit=FitSettings(preset=preset), body=BodySettings(joints=joints))
+            settings = replace(
+                self._settings(), fit=FitSettings(preset=preset), body=BodySettings(joints=joints)
+            )
             strokes = [self.log("touch", seed + OTHER_LOG_SEED)] if touched else []
             pipeline.fit([self.log(scenario, seed, **options), *strokes], path, settings)
         return storage.load_body(path)
 
     def key(self, options: Mapping[str, Any]) -> str:
         """Digest of a kept file's inputs, 12 hex digits."""
-        inputs = {**options, "size": self.size, "exploration": self.exploration, "version": __version__}
+        inputs = {
+            **options,
+            "size": self.size,
+            "exploration": self.exploration,
+            "version": __version__,
+        }
         inputs["markers"] = dict(self.markers)
         return sha256(json.dumps(inputs, sort_keys=True).encode()).hexdigest()[:12]
 

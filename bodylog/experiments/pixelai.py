@@ -1,4 +1,6 @@
-"""A comparison with PixelAI: four joints, vision only, a still arm, starts wrong at three levels."""
+"""A comparison with PixelAI: four joints, vision
+only, a still arm, starts wrong at three levels.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -22,14 +24,18 @@ EXPLORATION_FACTOR = 3
 STARTS = 3
 """Wrong starts per seed and level."""
 PUBLISHED = {"one": (0.26, 0.94), "all": (0.39, 1.57), "elsewhere": (5.0, 18.0)}
-"""Degrees: mean absolute error per joint, best and worst joint, of PixelAI (simulated Nao) at its three levels."""
+"""Degrees: mean absolute error per joint, best and worst
+joint, of PixelAI (simulated Nao) at its three levels.
+"""
 SETTLED_S = 1.5
 """s: errors count from here."""
 CONVERGED_DEG = 2.0
 """Degrees: a start whose every joint ends this near has converged."""
 SIDES = ("printed", "ours")
 IN_USE = {"sigma_n": "learned", "sigma_v": "pixels", "integration": "implicit"}
-"""The reading with the printed model's least error: vision has the largest weight, its map is learned."""
+"""The reading with the printed model's least error:
+vision has the largest weight, its map is learned.
+"""
 _LEAST, _MOST = np.deg2rad([5.0, 10.0])
 _BOX = 0.7 * np.array(ARMS["ur5"].swing[:4])
 
@@ -46,23 +52,42 @@ def _draw_other_posture_error(rng: np.random.Generator) -> Array:
     return np.asarray((rng.uniform(-1.0, 1.0, 4) - rng.uniform(-1.0, 1.0, 4)) * _BOX)
 
 
-LEVELS: dict[str, Callable[[np.random.Generator], Array]] = {"one": _draw_one_joint_error, "all": _draw_all_joint_errors, "elsewhere": _draw_other_posture_error}
+LEVELS: dict[str, Callable[[np.random.Generator], Array]] = {
+    "one": _draw_one_joint_error,
+    "all": _draw_all_joint_errors,
+    "elsewhere": _draw_other_posture_error,
+}
 
 
 def _run_pixelai(lab: Lab, seed: int, tried: ExperimentReadings) -> Trial:
-    # vision is the only sense: at half size, a still disc's centre error would become the joints' error
+    # vision is the only sense: at half size, a still
+    # disc's centre error would become the joints' error
     lab = replace(lab, markers={"marker": "blue"}, size=(640, 480))
     observed = lab.observed("wrong-start", seed, duration=2.0, variant="all", marker=True)
-    options: dict[str, Any] = {"variant": "four", "marker": True, "duration": EXPLORATION_FACTOR * lab.exploration, "joints": FOUR}
-    known, body = explore_by_preset(lab.body("paper", seed, **options)), lab.body("default", seed, **options)
-    truth, rng = observed.true(FOUR, observed.truth.t[:1])[0], np.random.default_rng([seed, 77])
+    options: dict[str, Any] = {
+        "variant": "four",
+        "marker": True,
+        "duration": EXPLORATION_FACTOR * lab.exploration,
+        "joints": FOUR,
+    }
+    known = explore_by_preset(lab.body("paper", seed, **options))
+    body = lab.body("default", seed, **options)
+    truth = observed.true(FOUR, observed.truth.t[:1])[0]
+    rng = np.random.default_rng([seed, 77])
     starts = {(level, k): truth + off(rng) for level, off in LEVELS.items() for k in range(STARTS)}
     log = sample_signals(observed, FOUR)
-    made = run_printed_model(log, [build_case(known, IN_USE, "v", start) for start in starts.values()]).x
+    made = run_printed_model(
+        log, [build_case(known, IN_USE, "v", start) for start in starts.values()]
+    ).x
     late = log.t >= SETTLED_S
-    errors = {("printed", *at): _mean_error_degrees((x - log.true)[late]) for at, x in zip(starts, made, strict=True)}
+    errors = {
+        ("printed", *at): _mean_error_degrees((x - log.true)[late])
+        for at, x in zip(starts, made, strict=True)
+    }
     for at, start in starts.items():
-        belief = believe_by_default(observed, body, ("vision",), start=tuple(start.tolist()), rate=20.0)
+        belief = believe_by_default(
+            observed, body, ("vision",), start=tuple(start.tolist()), rate=20.0
+        )
         errors["ours", *at] = _mean_error_degrees(belief.error(SETTLED_S))
     return {"figures": _pixelai_figures(errors), "panels": []}
 
@@ -72,7 +97,9 @@ def _pixelai_figures(errors: Mapping[tuple[str, str, int], Array]) -> dict[str, 
     for side in SIDES:
         for level in LEVELS:
             found = np.array([errors[side, level, k] for k in range(STARTS)])
-            figures |= {f"{side} {level} joint {j + 1}": float(v) for j, v in enumerate(found.mean(axis=0))}
+            figures |= {
+                f"{side} {level} joint {j + 1}": float(v) for j, v in enumerate(found.mean(axis=0))
+            }
             figures[f"{side} {level} converged"] = float((found < CONVERGED_DEG).all(axis=1).mean())
     return figures
 
@@ -87,9 +114,13 @@ def mean_joint_errors(trials: Sequence[Trial], side: str, level: str) -> list[fl
     return [float(np.mean(figure_column(trials, f"{side} {level} joint {j}"))) for j in range(1, 5)]
 
 
-SHARED_SETUP = "four joints of an arm, vision alone, an arm at rest, starts 5 to 10° off or elsewhere, forward model learned"
+SHARED_SETUP = (
+    "four joints of an arm, vision alone, an arm at rest, starts 5 to 10° off or elsewhere, "
+    "forward model learned"
+)
 DIFFERENT_SETUP = (
-    "a UR5 here, a simulated Nao there; places of two coloured balls here, the whole image there; a Gaussian process "
+    "a UR5 here, a simulated Nao there; places of two coloured balls here, the whole image "
+    "there; a Gaussian process "
     "here, a deconvolutional network there"
 )
 
@@ -97,13 +128,27 @@ DIFFERENT_SETUP = (
 def _claim_pixelai(trials: Sequence[Trial], tried: ExperimentReadings) -> tuple[Claim, ...]:
     def claim(number: int, level: str, what: str, which: int) -> Claim:
         limit = PUBLISHED[level][which]
-        text = f"{what}: every joint's mean error is below {limit:g}°, the {('best', 'worst')[which]} joint published"
+        text = (
+            f"{what}: every joint's mean error is below {limit:g}°, the "
+            f"{('best', 'worst')[which]} joint published"
+        )
         figures = {f"{side}, by joint": mean_joint_errors(trials, side, level) for side in SIDES}
         return judge_comparison(
-            f"PixelAI.{number}", text, "mean absolute error by joint", "°", Bound("≤", limit), figures, SHARED_SETUP, DIFFERENT_SETUP
+            f"PixelAI.{number}",
+            text,
+            "mean absolute error by joint",
+            "°",
+            Bound("≤", limit),
+            figures,
+            SHARED_SETUP,
+            DIFFERENT_SETUP,
         )
 
-    levels = {"one": "one joint 5 to 10° off", "all": "all four 5 to 10° off", "elsewhere": "another random pose"}
+    levels = {
+        "one": "one joint 5 to 10° off",
+        "all": "all four 5 to 10° off",
+        "elsewhere": "another random pose",
+    }
     rows = [(level, what, which) for level, what in levels.items() for which in (1, 0)]
     return tuple(claim(number, *row) for number, row in enumerate(rows, 1))
 
@@ -119,4 +164,6 @@ def _tabulate_pixelai(trials: Sequence[Trial]) -> tuple[TextTable, ...]:
     return (TextTable("Mean absolute error, degrees", head, tuple(rows)),)
 
 
-EXPERIMENT = Experiment("PixelAI", "Vision only, wrong starts", _run_pixelai, _claim_pixelai, (), _tabulate_pixelai)
+EXPERIMENT = Experiment(
+    "PixelAI", "Vision only, wrong starts", _run_pixelai, _claim_pixelai, (), _tabulate_pixelai
+)

@@ -27,12 +27,18 @@ class ExperimentReadings:
     @property
     def all(self) -> tuple[Reading, ...]:
         """Both kinds, each reading once."""
-        found = {reading_key(reading): reading for reading in (*self.decide, *(r for _, _, r in self.sweep))}
+        found = {
+            reading_key(reading): reading
+            for reading in (*self.decide, *(r for _, _, r in self.sweep))
+        }
         return tuple(found.values())
 
     def restricted(self, *names: str) -> "ExperimentReadings":
         """The readings of these constants alone."""
-        return ExperimentReadings(restrict_readings(self.decide, names), tuple(row for row in self.sweep if row[0] in names))
+        return ExperimentReadings(
+            restrict_readings(self.decide, names),
+            tuple(row for row in self.sweep if row[0] in names),
+        )
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -47,9 +53,11 @@ class ExperimentReadings:
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment: name, title, function that runs one seed in some readings, and claims over all seeds.
+    """An experiment: name, title, function that runs one
+    seed in some readings, and claims over all seeds.
 
-    concerned: the open constants that its claims may depend on; () if it does not run the paper's model.
+    concerned: the open constants that its claims may
+    depend on; () if it does not run the paper's model.
     """
 
     name: str
@@ -92,13 +100,28 @@ def figure_column(trials: Sequence[Trial], name: str) -> tuple[float, ...]:
 
 
 def build_panel(
-    title: str, unit: str, t: Any, lines: Mapping[str, Any], figure: str = "", axis: str = "s", most: int = 240
+    title: str,
+    unit: str,
+    t: Any,
+    lines: Mapping[str, Any],
+    figure: str = "",
+    axis: str = "s",
+    most: int = 240,
 ) -> dict[str, Any]:
     """A plot over t (N,) for the page: lines {label: (N,)}, thinned to at most `most` points.
 
     figure: the number of the paper's figure it redraws, such as "4a"; axis: what t is.
     """
     rows = np.unique(np.linspace(0, len(t) - 1, min(len(t), most)).astype(int))
-    drawn = {name: [round(float(v), 6) for v in np.asarray(line)[rows]] for name, line in lines.items()}
+    drawn = {
+        name: [round(float(v), 6) for v in np.asarray(line)[rows]] for name, line in lines.items()
+    }
     shown = [round(float(v), 4) for v in np.asarray(t)[rows]]
-    return {"title": title, "unit": unit, "axis": axis, "figure": figure, "t": shown, "lines": drawn}
+    return {
+        "title": title,
+        "unit": unit,
+        "axis": axis,
+        "figure": figure,
+        "t": shown,
+        "lines": drawn,
+    }

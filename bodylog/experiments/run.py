@@ -1,4 +1,6 @@
-"""Run every experiment on every seed in its readings, in parallel; keep results, judge them, write a page."""
+"""Run every experiment on every seed in its readings,
+in parallel; keep results, judge them, write a page.
+"""
 
 import multiprocessing
 import os
@@ -13,7 +15,7 @@ from typing import Any
 from ..errors import PartError, UsageError
 from ..io.atomic_files import ensure_dir
 from ..io.temporary import remove_killed
-from ..runtime.workers import end_children_on_failure, become_worker, block_interrupts
+from ..runtime.workers import become_worker, block_interrupts, end_children_on_failure
 from ..sim import how_to_install
 from . import page, readings, real, rubber_hand
 from .claims import Claim
@@ -21,7 +23,7 @@ from .drawn import SIZE
 from .lab import EXPLORATION_S, Lab, load_or_make
 from .readings import Reading
 from .records import ExperimentReadings, Trial
-from .table import RUN_ONLY_WHEN_NAMED, EXPERIMENTS, UNSEEDED
+from .table import EXPERIMENTS, RUN_ONLY_WHEN_NAMED, UNSEEDED
 
 Task = tuple[str, int]
 """An experiment's name and a seed."""
@@ -34,7 +36,8 @@ Progress = Callable[[str, int, int], None]
 class Reproduction:
     """A reproduction's options: output, experiments by name, seeds, processes, exploration s.
 
-    reading: judge in this one alone · setting: the rubber hand's sweeps · data: real robots' folder.
+    reading: judge in this one alone · setting: the
+    rubber hand's sweeps · data: real robots' folder.
     """
 
     out: Path
@@ -51,7 +54,11 @@ class Reproduction:
         concerned = EXPERIMENTS[name].concerned
         if self.reading is not None:
             return ExperimentReadings((self.reading,))
-        return ExperimentReadings(readings.design_readings(concerned), readings.list_sweeps(concerned)) if concerned else ExperimentReadings(({},))
+        return (
+            ExperimentReadings(readings.design_readings(concerned), readings.list_sweeps(concerned))
+            if concerned
+            else ExperimentReadings(({},))
+        )
 
     def run(self, name: str, seed: int) -> Trial:
         """One seed of an experiment."""
@@ -64,9 +71,15 @@ class Reproduction:
 
     def key(self, name: str) -> str:
         """Digest of a kept trial's inputs."""
-        inputs: dict[str, Any] = {"readings": [readings.reading_key(reading) for reading in self.readings_of(name).all]}
+        inputs: dict[str, Any] = {
+            "readings": [readings.reading_key(reading) for reading in self.readings_of(name).all]
+        }
         inputs |= {"setting": repr(self.setting)} if name == "Rubber-hand" else {}
-        inputs |= {"data": real.digest_tables(self.data)} if name == "Real" and self.data is not None else {}
+        inputs |= (
+            {"data": real.digest_tables(self.data)}
+            if name == "Real" and self.data is not None
+            else {}
+        )
         return self.lab.key(inputs)
 
     def seeds_of(self, name: str) -> range:
@@ -80,7 +93,9 @@ class Reproduction:
 
 
 def run_reproduction(wish: Reproduction, progress: Progress | None = None) -> tuple[Claim, ...]:
-    """Run missing trials, write index.html, claims.json, data and figures to `out`, return the claims."""
+    """Run missing trials, write index.html, claims.json,
+    data and figures to `out`, return the claims.
+    """
     names = choose_experiments(wish.names)
     _check_requirements(names, wish.data)
     tasks = [(name, seed) for name in names for seed in wish.seeds_of(name)]
@@ -88,18 +103,26 @@ def run_reproduction(wish: Reproduction, progress: Progress | None = None) -> tu
     for done, (name, seed) in enumerate(_iterate_finished(wish, tasks), 1):
         if progress:
             progress(f"{name} seed {seed}", done, len(tasks))
-    trials = {name: [load_or_run_trial(wish, name, seed) for seed in wish.seeds_of(name)] for name in names}
+    trials = {
+        name: [load_or_run_trial(wish, name, seed) for seed in wish.seeds_of(name)]
+        for name in names
+    }
     tried = {name: wish.readings_of(name) for name in names}
     return page.write_reproduction_page(wish.out, trials, tried, wish.seeds, f"{SIZE[0]}×{SIZE[1]}")
 
 
 def choose_experiments(names: Sequence[str]) -> tuple[str, ...]:
-    """The experiments named, in the table's order, or all that need no data; UsageError for an unknown one."""
+    """The experiments named, in the table's order, or
+    all that need no data; UsageError for an unknown one.
+    """
     known = {name.lower(): name for name in EXPERIMENTS}
     for name in names:
         if name.lower() not in known:
             possible = ", ".join(EXPERIMENTS)
-            raise UsageError(f"experiment {name!r}: it must be one of {possible}; type: bodylog reproduce E1 -o out")
+            raise UsageError(
+                f"experiment {name!r}: it must be one of {possible}; type: bodylog reproduce "
+                "E1 -o out"
+            )
     wanted = {known[name.lower()] for name in names} or set(EXPERIMENTS) - set(RUN_ONLY_WHEN_NAMED)
     return tuple(name for name in EXPERIMENTS if name in wanted)
 
@@ -109,7 +132,8 @@ def _check_requirements(names: Sequence[str], data: Path | None) -> None:
     if "Real" in names:
         if data is None:
             raise UsageError(
-                "reproduce real: --data is not given; possible: the measurements' folder; type: --data DIR"
+                "reproduce real: --data is not given; possible: the measurements' folder; "
+                "type: --data DIR"
             )
         real.digest_tables(data)
     needed = [("pybullet", how_to_install())] if set(names) - {"Real"} else []
@@ -143,7 +167,9 @@ def _iterate_finished(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
 
 
 def _run_in_worker(wish: Reproduction, name: str, seed: int) -> Trial:
-    """Run a trial in a worker. SystemExit ends the process: the pool would take it for a result and send the next."""
+    """Run a trial in a worker. SystemExit ends the process:
+    the pool would take it for a result and send the next.
+    """
     try:
         return load_or_run_trial(wish, name, seed)
     except SystemExit as ending:
@@ -162,7 +188,8 @@ def _run_in_pool(wish: Reproduction, tasks: list[Task]) -> Iterator[Task]:
                 yield futures[future]
     except BrokenProcessPool as problem:
         raise PartError(
-            f"{wish.out}: a worker process was killed, perhaps for want of memory; finished runs are kept; "
+            f"{wish.out}: a worker process was killed, perhaps for want of memory; finished "
+            "runs are kept; "
             "type the same command again with --jobs 1"
         ) from problem
     finally:

@@ -1,4 +1,6 @@
-"""The page's tables: claims of the paper, our own, comparisons and errata, and the readings they were judged in."""
+"""The page's tables: claims of the paper, our own,
+comparisons and errata, and the readings they were judged in.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -21,7 +23,12 @@ STATES = (KEPT, REFUTED, UNTESTED)
 
 def claim_tables(claims: Sequence[Claim]) -> str:
     """The claims as tables, one for each kind there is."""
-    makers = {"paper": _paper_table, "own": _own_table, "comparison": _comparison_table, "erratum": _erratum_table}
+    makers = {
+        "paper": _paper_table,
+        "own": _own_table,
+        "comparison": _comparison_table,
+        "erratum": _erratum_table,
+    }
     parts = []
     for kind, title in KINDS.items():
         found = [claim for claim in claims if claim.kind == kind]
@@ -32,13 +39,29 @@ def claim_tables(claims: Sequence[Claim]) -> str:
 
 def _paper_table(title: str, claims: Sequence[Claim]) -> str:
     head = ("", "claim", "measured", "must be", *STATES, "at the first reading", "verdict")
-    rows = [(*_claim_cells(claim), *_state_counts(claim), _first_outcome_text(claim), _verdict_text(claim)) for claim in claims]
+    rows = [
+        (
+            *_claim_cells(claim),
+            *_state_counts(claim),
+            _first_outcome_text(claim),
+            _verdict_text(claim),
+        )
+        for claim in claims
+    ]
     return _html_cells_table(title, head, rows)
 
 
 def _own_table(title: str, claims: Sequence[Claim]) -> str:
     head = ("", "claim", "measured", "must be", "ours", *STATES, "verdict")
-    rows = [(*_claim_cells(claim), _first_outcome_text(claim), *_state_counts(claim), _verdict_text(claim)) for claim in claims]
+    rows = [
+        (
+            *_claim_cells(claim),
+            _first_outcome_text(claim),
+            *_state_counts(claim),
+            _verdict_text(claim),
+        )
+        for claim in claims
+    ]
     return _html_cells_table(title, head, rows)
 
 
@@ -63,7 +86,14 @@ def _comparison_table(title: str, claims: Sequence[Claim]) -> str:
 
 def _erratum_table(title: str, claims: Sequence[Claim]) -> str:
     head = ("", "printed", "measured", "must be", "figures", "derivation")
-    rows = [(*_claim_cells(replace(claim, explanation="")), _all_outcomes_text(claim), escape(claim.explanation)) for claim in claims]
+    rows = [
+        (
+            *_claim_cells(replace(claim, explanation="")),
+            _all_outcomes_text(claim),
+            escape(claim.explanation),
+        )
+        for claim in claims
+    ]
     return _html_cells_table(title, head, rows)
 
 
@@ -72,7 +102,9 @@ def readings_table() -> str:
     head = ("constant", "name", "printed", "where", "readings, the centre first", "why the centre")
     rows = []
     for name, constant in CONSTANTS.items():
-        meanings = "<br>".join(f"<b>{escape(v)}</b>: {escape(text)}" for v, text in constant.values.items())
+        meanings = "<br>".join(
+            f"<b>{escape(v)}</b>: {escape(text)}" for v, text in constant.values.items()
+        )
         words = (constant.symbol, name, constant.printed, constant.place)
         rows.append((*map(escape, words), meanings, escape(constant.why)))
     return _html_cells_table("What the paper leaves open", head, rows)
@@ -83,16 +115,33 @@ def outcomes_table(claim: Claim) -> str:
     rows = [(escape(key), *_outcome_cells(one)) for key, one in claim.outcomes.items()]
     for name, swept in claim.sweeps.items():
         rows += [
-            (f"{CONSTANTS[name].symbol} = {number:g} ({escape(CONSTANTS[name].unit)})", *_outcome_cells(one))
+            (
+                f"{CONSTANTS[name].symbol} = {number:g} ({escape(CONSTANTS[name].unit)})",
+                *_outcome_cells(one),
+            )
             for number, one in swept
         ]
-    head = ("reading", "median", "95 % interval", "seeds that test it", "seeds that keep it", "", "why")
-    return _html_cells_table(f"{escape(claim.id)}: {escape(claim.measured)}, must be {escape(claim.bound)}", head, rows)
+    head = (
+        "reading",
+        "median",
+        "95 % interval",
+        "seeds that test it",
+        "seeds that keep it",
+        "",
+        "why",
+    )
+    return _html_cells_table(
+        f"{escape(claim.id)}: {escape(claim.measured)}, must be {escape(claim.bound)}", head, rows
+    )
 
 
 def plain_table(table: TextTable) -> str:
     """A table of an experiment."""
-    return _html_cells_table(escape(table.caption), tuple(map(escape, table.head)), [tuple(map(escape, row)) for row in table.rows])
+    return _html_cells_table(
+        escape(table.caption),
+        tuple(map(escape, table.head)),
+        [tuple(map(escape, row)) for row in table.rows],
+    )
 
 
 def _outcome_cells(one: Outcome) -> tuple[str, ...]:
@@ -113,7 +162,9 @@ def _claim_cells(claim: Claim) -> tuple[str, ...]:
 
 def _claim_text(claim: Claim) -> str:
     soft = [claim.explanation, *(f"control: {control}" for control in claim.controls)]
-    return escape(claim.text) + "".join(f'<br><span class="soft">{escape(line)}</span>' for line in soft if line)
+    return escape(claim.text) + "".join(
+        f'<br><span class="soft">{escape(line)}</span>' for line in soft if line
+    )
 
 
 def _measured_text(claim: Claim) -> str:
@@ -130,7 +181,9 @@ def _first_outcome_text(claim: Claim) -> str:
 
 
 def _all_outcomes_text(claim: Claim) -> str:
-    return "<br>".join(f"{escape(who)}: {_outcome_figure_text(one)}" for who, one in claim.outcomes.items())
+    return "<br>".join(
+        f"{escape(who)}: {_outcome_figure_text(one)}" for who, one in claim.outcomes.items()
+    )
 
 
 def _outcome_figure_text(one: Outcome) -> str:
@@ -140,7 +193,9 @@ def _outcome_figure_text(one: Outcome) -> str:
 
 def _verdict_text(claim: Claim) -> str:
     soft = [line for line in (claim.turns, *claim.reasons) if line]
-    return f"<b>{escape(claim.verdict)}</b>" + "".join(f'<br><span class="soft">{escape(line)}</span>' for line in soft)
+    return f"<b>{escape(claim.verdict)}</b>" + "".join(
+        f'<br><span class="soft">{escape(line)}</span>' for line in soft
+    )
 
 
 def _html_cells_table(caption: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

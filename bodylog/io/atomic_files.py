@@ -19,11 +19,12 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 @contextmanager
 def replace_atomically(path: Path) -> Iterator[Path]:
-    """An empty file beside `path` to write to; on success it is synced and replaces `path`, else it is removed.
+    """An empty file beside `path` to write to; on success
+    it is synced and replaces `path`, else it is removed.
 
-    A symlink's target is replaced, or created; permissions are kept. Left-overs of killed runs in the folder are
-    removed first. OutputError when `path` has no folder, is not a file, or is not writable; WriteError when the disk is
-    full or fails.
+    A symlink's target is replaced, or created; permissions are kept. Left-overs of killed runs in
+    the folder are removed first. OutputError when `path` has no folder, is not a file, or is not
+    writable; WriteError when the disk is full or fails.
     """
     path = require_writable(path)
     try:
@@ -36,7 +37,9 @@ def replace_atomically(path: Path) -> Iterator[Path]:
             sync_to_disk(path.parent)
     except OSError as problem:
         ours = str(problem.filename).endswith(temporary.PART)
-        failed = problem.errno in FULL or (problem.errno == errno.EIO and (ours or problem.filename is None))
+        failed = problem.errno in FULL or (
+            problem.errno == errno.EIO and (ours or problem.filename is None)
+        )
         if not (failed or ours or problem.errno == errno.EROFS):
             raise
         text = f"{path}: {problem.strerror}; give another name with -o"
@@ -48,7 +51,8 @@ def require_writable(path: Path, folder: bool = False) -> Path:
 
     For a `folder`, which may not exist yet: whether files may be written into it.
     """
-    if path.is_symlink() and (folder or path.is_file() or not path.exists()):  # /dev/stdout has no target path
+    if path.is_symlink() and (folder or path.is_file() or not path.exists()):
+        # /dev/stdout has no target path
         path = _resolve_symlink(path)
     if folder:
         place = next(one for one in (path, *path.absolute().parents) if one.exists())
@@ -56,7 +60,10 @@ def require_writable(path: Path, folder: bool = False) -> Path:
             raise OutputError(f"{path}: is write-protected; give another folder")
         return path
     if path.exists() and not path.is_file():
-        raise OutputError(f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a file with -o")
+        raise OutputError(
+            f"{path}: is a {'folder' if path.is_dir() else 'device'}; give the name of a "
+            "file with -o"
+        )
     if not path.parent.is_dir():
         raise OutputError(f"{path}: there is no folder {path.parent}; type: mkdir -p {path.parent}")
     if not all(os.access(place, os.W_OK) for place in (path, path.parent) if place.exists()):
@@ -102,14 +109,17 @@ def read_limited_text(path: Path, most: int) -> str:
 
     Waits PATIENCE s for a pipe that nobody writes to.
     """
-    data, until = bytearray(), time.monotonic() + PATIENCE
+    data = bytearray()
+    until = time.monotonic() + PATIENCE
     handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK)
     try:
         ready = select.poll()
         ready.register(handle, select.POLLIN)
         while len(data) <= most:
             if not ready.poll(max(0.0, until - time.monotonic()) * 1000.0):
-                raise OSError(errno.ETIMEDOUT, f"a pipe that did not come to its end in {PATIENCE:g} s")
+                raise OSError(
+                    errno.ETIMEDOUT, f"a pipe that did not come to its end in {PATIENCE:g} s"
+                )
             with suppress(BlockingIOError):
                 piece = os.read(handle, most + 1 - len(data))
                 if not piece:
@@ -131,7 +141,9 @@ def is_archive(path: Path) -> bool:
 def require_regular(path: Path) -> None:
     """LogError for a pipe or device: it can be read only once, and opening it may block."""
     if path.exists() and not path.is_file() and not path.is_dir():
-        raise LogError(f"{path}: is a pipe or device, and the input is read twice; save it to a file first")
+        raise LogError(
+            f"{path}: is a pipe or device, and the input is read twice; save it to a file first"
+        )
 
 
 def hash_files(*paths: Path) -> str:
@@ -147,10 +159,12 @@ def hash_files(*paths: Path) -> str:
 
 
 def iter_mapped(path: Path, size: int) -> Iterator[tuple[memoryview, Callable[[], None]]]:
-    """The bytes of a file, or of a folder's files in name order, `size` at a time; only a file's last is shorter.
+    """The bytes of a file, or of a folder's files in name
+    order, `size` at a time; only a file's last is shorter.
 
-    Each is a view of the page cache, without copies, with a function that unmaps its pages after use; it begins at a
-    page if `size` is a number of pages. Bytes cut off or appended meanwhile are missing.
+    Each is a view of the page cache, without copies, with a function
+    that unmaps its pages after use; it begins at a page if `size` is a
+    number of pages. Bytes cut off or appended meanwhile are missing.
     """
     require_regular(path)
     for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
@@ -159,7 +173,9 @@ def iter_mapped(path: Path, size: int) -> Iterator[tuple[memoryview, Callable[[]
                 yield from _iterate_file_maps(stream.fileno(), whole, size)
 
 
-def _iterate_file_maps(handle: int, whole: int, size: int) -> Iterator[tuple[memoryview, Callable[[], None]]]:
+def _iterate_file_maps(
+    handle: int, whole: int, size: int
+) -> Iterator[tuple[memoryview, Callable[[], None]]]:
     data = mmap.mmap(handle, whole, access=mmap.ACCESS_READ)
     data.madvise(mmap.MADV_SEQUENTIAL)
     for at in range(0, whole, size):

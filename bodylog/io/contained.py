@@ -1,14 +1,18 @@
-"""Files that stand in a folder once links are followed: what a dataset names may be no other file of its reader."""
+"""Files that stand in a folder once links are followed:
+what a dataset names may be no other file of its reader.
+"""
 
 from pathlib import Path
 
-_SNAPSHOTS, _BLOBS = "snapshots", "blobs"
+_SNAPSHOTS = "snapshots"
+_BLOBS = "blobs"
 
 
 def is_inside(path: Path, folder: Path) -> bool:
     """Whether a file stands in a folder once every link is followed.
 
-    A snapshot in Hugging Face's cache is a folder of links to `blobs` beside `snapshots`: these count as inside.
+    A snapshot in Hugging Face's cache is a folder of links
+    to `blobs` beside `snapshots`: these count as inside.
     """
     try:
         behind, home = path.resolve(), folder.resolve()

@@ -1,4 +1,6 @@
-"""Names of episodes: DATASET#N is episode N of a dataset (a folder or a file), DATASET#A-B are several."""
+"""Names of episodes: DATASET#N is episode N of a
+dataset (a folder or a file), DATASET#A-B are several.
+"""
 
 import re
 from pathlib import Path
@@ -32,12 +34,16 @@ def expand_episode_range(path: Path) -> tuple[Path, ...]:
     if first is None or last is None or first == last:
         return (path,)
     if not 0 <= last - first < MOST:
-        raise UsageError(f"{path}: a range runs from the smaller number, over at most {MOST} episodes, e.g. #0-9")
+        raise UsageError(
+            f"{path}: a range runs from the smaller number, over at most {MOST} episodes, e.g. #0-9"
+        )
     return tuple(name_episode(dataset, number) for number in range(first, last + 1))
 
 
 def _parse_episode_name(path: Path) -> tuple[Path, int | None, int | None]:
-    """Dataset, first and last episode; (path, None, None) for the name of a file, or without a dataset."""
+    """Dataset, first and last episode; (path, None,
+    None) for the name of a file, or without a dataset.
+    """
     match = _NAME.fullmatch(path.name)
     if match is None or path.exists():
         return path, None, None

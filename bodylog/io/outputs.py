@@ -32,12 +32,15 @@ class Output:
 
 
 def guard_outputs(inputs: Iterable[Path], outputs: Iterable[Output]) -> None:
-    """UsageError when an output is an input, lies inside one or contains one, or when two outputs are the same.
+    """UsageError when an output is an input, lies inside
+    one or contains one, or when two outputs are the same.
 
-    Paths are compared on disk (links, hard links, case, mounts), not by name. A folder as input includes its content
-    and targets of links in it; a file of a rosbag2 folder includes the whole recording.
+    Paths are compared on disk (links, hard links, case, mounts), not by
+    name. A folder as input includes its content and targets of links in
+    it; a file of a rosbag2 folder includes the whole recording.
     """
-    outputs, inputs = list(outputs), list(inputs)
+    outputs = list(outputs)
+    inputs = list(inputs)
     for output in outputs:
         place = _Place(output)
         for given in map(episodes.dataset_path, inputs):
@@ -45,8 +48,14 @@ def guard_outputs(inputs: Iterable[Path], outputs: Iterable[Output]) -> None:
                 place.refuse(part, given)
     for first in outputs:
         for second in outputs:
-            if first is not second and not first.folder and _paths_behind(first.path) in _symlink_chain(_paths_behind(second.path)):
-                raise UsageError(f"{second} and {first} are the same; give each output its own path")
+            if (
+                first is not second
+                and not first.folder
+                and _paths_behind(first.path) in _symlink_chain(_paths_behind(second.path))
+            ):
+                raise UsageError(
+                    f"{second} and {first} are the same; give each output its own path"
+                )
 
 
 class _Place:
@@ -55,11 +64,17 @@ class _Place:
     def __init__(self, output: Output) -> None:
         self._output, self._real = output, _paths_behind(output.path)
         self._key = path_identity(self._real)
-        self._above = {found for path in _symlink_chain(self._real) if (found := path_identity(path)) is not None}
+        self._above = {
+            found
+            for path in _symlink_chain(self._real)
+            if (found := path_identity(path)) is not None
+        }
         self._within = set(_folder_link_targets(self._real)) if output.folder else set()
 
     def refuse(self, part: Path, given: Path) -> None:
-        """UsageError when this output is `part`, which belongs to the input `given`, or inside or around it."""
+        """UsageError when this output is `part`, which
+        belongs to the input `given`, or inside or around it.
+        """
         found = path_identity(part)
         real = _paths_behind(part) if found is None or part is given or part.is_symlink() else None
         if real == self._real or (found is not None and found == self._key):
@@ -68,8 +83,14 @@ class _Place:
         if found is None:
             return
         if found in self._above:
-            raise UsageError(f"{self._output} lies inside an input ({given}); choose a place outside of it")
-        around = self._key is not None and real is not None and self._key in map(path_identity, real.parents)
+            raise UsageError(
+                f"{self._output} lies inside an input ({given}); choose a place outside of it"
+            )
+        around = (
+            self._key is not None
+            and real is not None
+            and self._key in map(path_identity, real.parents)
+        )
         if around or found in self._within:
             raise UsageError(f"{self._output} holds an input ({given}); choose another folder")
 
@@ -92,7 +113,9 @@ def _symlink_chain(path: Path) -> tuple[Path, ...]:
 
 
 def _folder_link_targets(folder: Path) -> Iterator[Key]:
-    """Targets of the names in a folder: an output may be a link, or one of several names of a file."""
+    """Targets of the names in a folder: an output
+    may be a link, or one of several names of a file.
+    """
     try:
         names = list(folder.iterdir())
     except OSError:
@@ -109,12 +132,17 @@ def _input_parts(given: Path) -> Iterator[Path]:
     yield from (given.with_name(given.name + end) for end in BESIDE if given.suffix == ".db3")
     for folder in {given.parent, _paths_behind(given).parent}:
         if given.name.endswith(RECORDED) and (folder / METADATA).is_file():
-            yield from (path for path in folder.iterdir() if path.name == METADATA or path.name.endswith(RECORDED))
+            yield from (
+                path
+                for path in folder.iterdir()
+                if path.name == METADATA or path.name.endswith(RECORDED)
+            )
 
 
 def _walk_folder(folder: Path) -> Iterator[Path]:
     """Everything in a folder, links followed; each folder once."""
-    seen, left = set[Key | None]((None,)), [folder]
+    seen = set[Key | None]((None,))
+    left = [folder]
     while left:
         found = path_identity(path := left.pop())
         if found in seen:

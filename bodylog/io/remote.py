@@ -1,4 +1,6 @@
-"""Logs behind URLs (s3://, http://, file://, memory:// and others of fsspec): list, measure, fetch."""
+"""Logs behind URLs (s3://, http://, file://,
+memory:// and others of fsspec): list, measure, fetch.
+"""
 
 import posixpath
 import re
@@ -20,7 +22,9 @@ _SLOWEST = 10_000
 """Bytes a second: a server that sends less is given up."""
 _LONGEST_PAGE = 16 << 20
 _MOST_PAGES = 1000
-"""Folders of a web server that are searched for logs; each is a page of links, which may go on for ever."""
+"""Folders of a web server that are searched for logs;
+each is a page of links, which may go on for ever.
+"""
 _PAGES_S = 10.0
 """Times the longest wait for one answer that a list of many pages may take."""
 _LARGEST = 1 << 50
@@ -34,13 +38,17 @@ def is_url(text: str) -> bool:
 
 
 def expand_url(url: str, suffixes: tuple[str, ...], wait_s: float = WAIT_S) -> tuple[str, ...]:
-    """The URLs of logs under a URL: itself, or the matches of its pattern or folder; LogError without any."""
+    """The URLs of logs under a URL: itself, or the matches
+    of its pattern or folder; LogError without any.
+    """
     with _store_errors(url, wait_s):
         store, path = _open_remote_store(url, wait_s)
         if _is_web(url):
             if not any(sign in path for sign in "*[") and not store.isdir(path):
                 return (url,)
-            found = [entry for entry in _linked_files(store, path, wait_s) if entry.endswith(suffixes)]
+            found = [
+                entry for entry in _linked_files(store, path, wait_s) if entry.endswith(suffixes)
+            ]
         elif any(sign in path for sign in "*["):
             listed = _wait_for_answer(lambda: store.glob(path), _PAGES_S * wait_s)
             found = [entry for entry in listed if entry.endswith(suffixes)]
@@ -68,14 +76,18 @@ def _is_web(url: str) -> bool:
 
 
 def _linked_files(store: Any, top: str, wait_s: float) -> list[str]:
-    """The files that the pages below an address link to, or that match its pattern; LogError if there is no end."""
+    """The files that the pages below an address link to,
+    or that match its pattern; LogError if there is no end.
+    """
     import time
 
     from fsspec.utils import glob_translate
 
     begin = re.split(r"[*\[]", top)[0]
     pattern = re.compile(glob_translate(top)) if begin != top else None
-    left, seen, found = [begin.rpartition("/")[0] + "/" if pattern else top], set[str](), list[str]()
+    left = [begin.rpartition("/")[0] + "/" if pattern else top]
+    seen = set[str]()
+    found = list[str]()
     until = time.monotonic() + _PAGES_S * wait_s
     while left:
         page = left.pop()
@@ -83,7 +95,9 @@ def _linked_files(store: Any, top: str, wait_s: float) -> list[str]:
             continue
         seen.add(page)
         if len(seen) > _MOST_PAGES or time.monotonic() > until:
-            raise LogError(f"{top}: its pages of links have no end; name a folder nearer to the logs")
+            raise LogError(
+                f"{top}: its pages of links have no end; name a folder nearer to the logs"
+            )
         for entry in store.ls(page, detail=True):
             name = str(entry["name"])
             if name.endswith("/"):
@@ -121,22 +135,40 @@ def remote_identity(url: str, wait_s: float = WAIT_S) -> str:
     with _store_errors(url, wait_s):
         store, path = _open_remote_store(url, wait_s)
         details = _wait_for_answer(lambda: store.info(path), wait_s)
-    telling = ("size", "ETag", "etag", "mtime", "LastModified", "last_modified", "created", "md5", "sha256")
+    telling = (
+        "size",
+        "ETag",
+        "etag",
+        "mtime",
+        "LastModified",
+        "last_modified",
+        "created",
+        "md5",
+        "sha256",
+    )
     from hashlib import sha256
 
-    return sha256(repr([url, *((key, str(details.get(key))) for key in telling)]).encode()).hexdigest()
+    return sha256(
+        repr([url, *((key, str(details.get(key))) for key in telling)]).encode()
+    ).hexdigest()
 
 
 def read_range(url: str, start: int, end: int, wait_s: float = WAIT_S) -> bytes:
-    """The bytes of a file from `start` to before `end`, or fewer; LogError where a web server does not send a range."""
+    """The bytes of a file from `start` to before `end`, or
+    fewer; LogError where a web server does not send a range.
+    """
     with _store_errors(url, wait_s):
         store, path = _open_remote_store(url, wait_s)
         if not _is_web(url):
             patience = wait_s + (end - start) / _SLOWEST
-            return bytes(_wait_for_answer(lambda: store.cat_file(path, start=start, end=end), patience))
+            return bytes(
+                _wait_for_answer(lambda: store.cat_file(path, start=start, end=end), patience)
+            )
         found = bytearray()
         if not _stream_web_file(store, path, (start, end), wait_s, found.extend):
-            raise LogError(f"{url}: its server does not send parts of files; download it and give the file")
+            raise LogError(
+                f"{url}: its server does not send parts of files; download it and give the file"
+            )
         return bytes(found)
 
 
@@ -152,12 +184,18 @@ def read_first_bytes(url: str, count: int, wait_s: float = WAIT_S) -> tuple[byte
 
 
 def _stream_web_file(
-    store: Any, url: str, part: tuple[int, int], wait_s: float, take: Callable[[bytes], object], whole: bool = False
+    store: Any,
+    url: str,
+    part: tuple[int, int],
+    wait_s: float,
+    take: Callable[[bytes], object],
+    whole: bool = False,
 ) -> bool:
-    """Give the bytes of a web server's file to `take`, as many as asked for at most; whether they are that part.
+    """Give the bytes of a web server's file to `take`, as
+    many as asked for at most; whether they are that part.
 
-    A server may ignore which part is asked for, send more, or hardly anything. With `whole`, the beginning of the
-    whole file will do.
+    A server may ignore which part is asked for, send more, or hardly anything. With `whole`, the
+    beginning of the whole file will do.
     """
     from fsspec import asyn
 
@@ -187,7 +225,9 @@ def _stream_web_file(
 
 @contextmanager
 def local_copy(source: str, folder: Path, wait_s: float = WAIT_S) -> Iterator[Path]:
-    """A local path for a file or folder: its own, or for a URL a copy in `folder` that is removed afterwards."""
+    """A local path for a file or folder: its own, or for
+    a URL a copy in `folder` that is removed afterwards.
+    """
     if not is_url(source):
         yield Path(source)
         return
@@ -222,7 +262,10 @@ def _fetch_to_path(url: str, path: Path, wait_s: float) -> Path:
     inside = [entry for entry in entries if entry.rpartition("/")[0] == url.rstrip("/")]
     wanted = [entry for entry in inside if entry.endswith((*RECORDED, f"/{METADATA}"))]
     if not any(entry.endswith(f"/{METADATA}") for entry in wanted):
-        raise LogError(f"{url}: a folder or page without {METADATA}, so no rosbag2 log; give the address of a log")
+        raise LogError(
+            f"{url}: a folder or page without {METADATA}, so no rosbag2 log; give the "
+            "address of a log"
+        )
     path.mkdir()
     for entry in wanted:
         _fetch_file(entry, path / name_of(entry), wait_s)
@@ -235,25 +278,33 @@ def _fetch_file(url: str, path: Path, wait_s: float) -> Path:
     wanted = remote_size_bytes(url, wait_s)
     free = shutil.disk_usage(path.parent).free - _MARGIN
     if wanted > free:
-        raise LogError(f"{url}: {wanted} bytes, where {free} are free in {path.parent}; give a folder with more room")
+        raise LogError(
+            f"{url}: {wanted} bytes, where {free} are free in {path.parent}; give a folder "
+            "with more room"
+        )
     with _store_errors(url, wait_s), path.open("wb") as target:
         store, remote = _open_remote_store(url, wait_s)
         if not _is_web(url):
             how = {"block_size": _BLOCK, "cache_type": "readahead"}
             with _wait_for_answer(lambda: store.open(remote, "rb", **how), wait_s) as source:
-                while piece := _wait_for_answer(lambda: source.read(_BLOCK), wait_s + _BLOCK / _SLOWEST):
+                while piece := _wait_for_answer(
+                    lambda: source.read(_BLOCK), wait_s + _BLOCK / _SLOWEST
+                ):
                     target.write(piece)
         elif wanted:
             _stream_web_file(store, remote, (0, wanted), wait_s, target.write, whole=True)
     if path.stat().st_size != wanted:
-        raise LogError(f"{url}: {path.stat().st_size} bytes arrived, {wanted} were announced; try again")
+        raise LogError(
+            f"{url}: {path.stat().st_size} bytes arrived, {wanted} were announced; try again"
+        )
     return path
 
 
 def _wait_for_answer(call: Callable[[], T], wait_s: float) -> T:
     """What a store answers; TimeoutError where it takes more than `wait_s`.
 
-    Stores other than web servers know no common limit: one that does not answer is left behind in its thread.
+    Stores other than web servers know no common limit:
+    one that does not answer is left behind in its thread.
     """
     from contextvars import copy_context
     from queue import Empty, SimpleQueue
@@ -323,10 +374,16 @@ def _store_errors(url: str, wait_s: float) -> Iterator[None]:
         raise UsageError(f"{url}: {err}") from None
     except Exception as err:  # each store has its own exceptions, without a common base
         # a store may call a file missing because of any error, as no answer
-        cause = err.__cause__ if isinstance(err, FileNotFoundError) and err.__cause__ is not None else err
+        cause = (
+            err.__cause__
+            if isinstance(err, FileNotFoundError) and err.__cause__ is not None
+            else err
+        )
         if isinstance(cause, TimeoutError):
             asked = f"to wait longer, type in robot.toml: [input] max_wait_s = {round(10 * wait_s)}"
-            raise LogError(f"{url}: its server did not answer within {wait_s:g} s; {asked}") from None
+            raise LogError(
+                f"{url}: its server did not answer within {wait_s:g} s; {asked}"
+            ) from None
         if isinstance(cause, FileNotFoundError) or getattr(cause, "status", None) in (404, 410):
             raise LogError(f"{url}: there is no such file; check the address") from None
         text = " ".join(str(cause).split()) or type(cause).__name__

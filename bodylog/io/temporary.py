@@ -1,4 +1,6 @@
-"""Temporary files and folders: unique names, locked while in use, removed however the process ends."""
+"""Temporary files and folders: unique names, locked
+while in use, removed however the process ends.
+"""
 
 import _thread
 import os
@@ -16,7 +18,9 @@ PART = ".bodylog.part"
 SCRATCH = "bodylog-"
 """Prefix of scratch folders."""
 FOREIGN_S = 86400.0
-"""Left-overs of another machine, whose locks may be invisible here, are removed after so many s without a write."""
+"""Left-overs of another machine, whose locks may be
+invisible here, are removed after so many s without a write.
+"""
 
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 _live: set[Path] = set()
@@ -25,7 +29,9 @@ _registry = _thread.allocate_lock()
 
 @contextmanager
 def create_temporary_file(folder: Path) -> Iterator[Path]:
-    """An empty, locked file in `folder`, removed at the end if it exists; removes killed runs' left-overs first."""
+    """An empty, locked file in `folder`, removed at the end
+    if it exists; removes killed runs' left-overs first.
+    """
     remove_stale(folder, f".*{PART}")
     with _create_and_lock(lambda token: folder / f".{token}{PART}", _make_file) as path:
         yield path
@@ -33,7 +39,9 @@ def create_temporary_file(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def create_scratch_folder(folder: Path | None = None) -> Iterator[Path]:
-    """An empty, locked folder in `folder` or the default place; removed at the end with its content."""
+    """An empty, locked folder in `folder` or the
+    default place; removed at the end with its content.
+    """
     if folder is None:
         folder = _scratch_parent()
         remove_killed()
@@ -46,7 +54,9 @@ def create_scratch_folder(folder: Path | None = None) -> Iterator[Path]:
 
 
 def remove_stale(folder: Path, pattern: str) -> None:
-    """Remove this user's files and folders of that pattern that no process holds, here or on another machine."""
+    """Remove this user's files and folders of that pattern
+    that no process holds, here or on another machine.
+    """
     for left in folder.glob(pattern):
         with suppress(OSError), try_lock(left) as ours:
             if ours and _is_own_temporary(left):
@@ -54,15 +64,20 @@ def remove_stale(folder: Path, pattern: str) -> None:
 
 
 def remove_killed(*folders: Path) -> None:
-    """Remove left-overs of killed processes: half-written files in `folders`, and scratch folders."""
+    """Remove left-overs of killed processes:
+    half-written files in `folders`, and scratch folders.
+    """
     for folder in folders:
         remove_stale(folder, f".*{PART}")
-    remove_stale(_scratch_parent(), f"{SCRATCH}{'[0-9a-f]' * 8}-{'[0-9a-f]' * 16}")  # users may have folders of this name
+    # users may have folders of this name
+    remove_stale(_scratch_parent(), f"{SCRATCH}{'[0-9a-f]' * 8}-{'[0-9a-f]' * 16}")
 
 
 @contextmanager
 def try_lock(path: Path) -> Iterator[bool]:
-    """Lock a file or folder for the `with` block, at most for this process's life; False if another holds it."""
+    """Lock a file or folder for the `with` block, at most
+    for this process's life; False if another holds it.
+    """
     handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     try:
         yield lock_handle(handle, wait=False)
@@ -80,7 +95,9 @@ def remove_temporary_files() -> None:
 
 @cache
 def machine_id() -> str:
-    """Eight hex digits that identify the kernel, and so all processes and containers whose locks are visible here."""
+    """Eight hex digits that identify the kernel, and so all
+    processes and containers whose locks are visible here.
+    """
     with suppress(OSError):
         return _BOOT.read_text()[:8]
     from socket import gethostname
@@ -90,8 +107,12 @@ def machine_id() -> str:
 
 
 @contextmanager
-def _create_and_lock(name: Callable[[str], Path], make: Callable[[Path], int | None]) -> Iterator[Path]:
-    """Create and lock something before anyone can mistake it for a left-over; registered for `remove_temporary_files` before."""
+def _create_and_lock(
+    name: Callable[[str], Path], make: Callable[[Path], int | None]
+) -> Iterator[Path]:
+    """Create and lock something before anyone can mistake it for a left-over; registered for
+    `remove_temporary_files` before.
+    """
     while True:
         path = name(f"{machine_id()}-{os.urandom(8).hex()}")
         with _registry:
@@ -155,7 +176,10 @@ def _remove_path(path: Path) -> None:
     """Remove without further imports, which would wait for a thread that is importing."""
     if path.is_dir() and not path.is_symlink():
         for base, folders, files in os.walk(path, topdown=False):
-            for name in (*files, *(name for name in folders if os.path.islink(os.path.join(base, name)))):
+            for name in (
+                *files,
+                *(name for name in folders if os.path.islink(os.path.join(base, name))),
+            ):
                 os.unlink(os.path.join(base, name))
             os.rmdir(base)
     else:

@@ -1,4 +1,6 @@
-"""Read TOML files written by people as plain values, with limits on length, depth and number size."""
+"""Read TOML files written by people as plain values,
+with limits on length, depth and number size.
+"""
 
 import re
 from pathlib import Path
@@ -16,20 +18,28 @@ _TOKEN = re.compile(r"""(?s)[A-Za-z0-9_-]++|"(?:[^"\\\n]|\\.)*+"?|'[^'\n]*+'?|\.
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The content of a TOML file or pipe; ConfigError if it is unreadable, invalid or beyond the limits."""
+    """The content of a TOML file or pipe; ConfigError
+    if it is unreadable, invalid or beyond the limits.
+    """
     import tomllib
 
     try:
         content = read_limited_text(path, MOST_BYTES)
     except (OSError, UnicodeDecodeError) as err:
         why = err.strerror if isinstance(err, OSError) else err
-        raise ConfigError(f"{path}: cannot be read as TOML ({why}); give a file like that of: bodylog config") from err
+        raise ConfigError(
+            f"{path}: cannot be read as TOML ({why}); give a file like that of: bodylog config"
+        ) from err
     if _longest_key(content) > DEEPEST:
-        raise ConfigError(f"{path}: not TOML of bodylog's: a key has more than {DEEPEST} parts with dots between")
+        raise ConfigError(
+            f"{path}: not TOML of bodylog's: a key has more than {DEEPEST} parts with dots between"
+        )
     try:
         found = tomllib.loads(content)
     except RecursionError:
-        raise ConfigError(f"{path}: cannot be read as TOML: its tables or lists are too deep") from None
+        raise ConfigError(
+            f"{path}: cannot be read as TOML: its tables or lists are too deep"
+        ) from None
     except ValueError as err:  # covers TOMLDecodeError and numbers of too many digits
         raise ConfigError(f"{path}: cannot be read as TOML: {err}") from err
     _check_toml_value(found, str(path), 0)
@@ -48,9 +58,11 @@ def _longest_key(content: str) -> int:
             dotted = parts > 0
         elif token[0] in "\"'" or token[0] in "-_" or token[0].isalnum():
             parts = parts + 1 if dotted else 1
-            longest, dotted = max(longest, parts), False
+            longest = max(longest, parts)
+            dotted = False
         else:
-            parts, dotted = 0, False
+            parts = 0
+            dotted = False
     return longest
 
 

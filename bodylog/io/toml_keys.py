@@ -1,4 +1,6 @@
-"""Keys of a TOML table, declared as fields of a dataclass: meaning, values, default, and the check of a value."""
+"""Keys of a TOML table, declared as fields of a dataclass:
+meaning, values, default, and the check of a value.
+"""
 
 import math
 import re
@@ -15,9 +17,10 @@ from .toml_file import shorten_value
 class Key(NamedTuple):
     """The meaning of a key and the values it takes, in one line each.
 
-    `low` and `high` bound its numbers, in `unit`. Texts are one of `choices`; without choices, each names a `noun`.
-    A `distinct` list has at least one item and no item twice. `unset` describes the default where that is no value.
-    `accepts` replaces the check of choices; `form` then says what it accepts.
+    `low` and `high` bound its numbers, in `unit`. Texts are one of `choices`; without
+    choices, each names a `noun`. A `distinct` list has at least one item and no item
+    twice. `unset` describes the default where that is no value. `accepts` replaces the
+    check of choices; `form` then says what it accepts.
     """
 
     meaning: str
@@ -64,9 +67,14 @@ def declared_keys(table: type) -> Mapping[str, DeclaredKey]:
     }
 
 
-def check_values(table: type, values: Mapping[str, Any], where: str, section: str) -> dict[str, Any]:
-    """The given values by field, as the fields' types; ConfigError for an unknown, impossible or missing one."""
-    known, found = declared_keys(table), {}
+def check_values(
+    table: type, values: Mapping[str, Any], where: str, section: str
+) -> dict[str, Any]:
+    """The given values by field, as the fields' types;
+    ConfigError for an unknown, impossible or missing one.
+    """
+    known = declared_keys(table)
+    found = {}
     for name, value in values.items():
         label = f"{section}.{name}" if section else name
         require_known(name, list(known), where, f"key {label}")
@@ -82,7 +90,9 @@ def require_known(name: str, known: list[str], where: str, label: str) -> None:
     """ConfigError that names the nearest known name unless the name is known."""
     if name not in known:
         near = find_nearest_name(name, known)
-        raise ConfigError(f"{where}: unknown {label[:200]}; did you mean {near}? possible: {', '.join(known)}")
+        raise ConfigError(
+            f"{where}: unknown {label[:200]}; did you mean {near}? possible: {', '.join(known)}"
+        )
 
 
 def find_nearest_name(name: str, known: Sequence[str]) -> str:
@@ -95,14 +105,20 @@ def find_nearest_name(name: str, known: Sequence[str]) -> str:
 def describe_possible_values(about: DeclaredKey) -> str:
     """The values that a key takes, in words."""
     options = [option for option in _type_options(about.hint) if option is not types.NoneType]
-    return about.key.form or ", or ".join(_describe_type_values(option, about.key) for option in options)
+    return about.key.form or ", or ".join(
+        _describe_type_values(option, about.key) for option in options
+    )
 
 
 def default_text(about: DeclaredKey) -> str:
     """The default of a key, in words or as in TOML."""
     if about.default is MISSING:
         return "required"
-    return about.key.unset if about.default in (None, "", (), {}) and about.key.unset else toml_value(about.default)
+    return (
+        about.key.unset
+        if about.default in (None, "", (), {}) and about.key.unset
+        else toml_value(about.default)
+    )
 
 
 def toml_key(name: str) -> str:
@@ -127,7 +143,10 @@ _MISFIT = object()
 def _check_key_value(about: DeclaredKey, value: Any, label: str) -> Any:
     fitted = _first_fit(value, about.hint)
     if fitted is _MISFIT or not (fitted is None or _is_possible_value(about.key, fitted)):
-        raise ConfigError(f"{label} is {shorten_value(value)}; possible: {describe_possible_values(about)}; {_advise_on_value(about, value)}")
+        raise ConfigError(
+            f"{label} is {shorten_value(value)}; possible: "
+            f"{describe_possible_values(about)}; {_advise_on_value(about, value)}"
+        )
     return fitted
 
 
@@ -139,12 +158,22 @@ def _advise_on_value(about: DeclaredKey, value: Any) -> str:
     default = default_text(about)
     if about.default is MISSING:
         return "it is required"
-    return f"leave it out for: {default}" if default == about.key.unset else f"type: {spell_key(about.field)} = {default}"
+    return (
+        f"leave it out for: {default}"
+        if default == about.key.unset
+        else f"type: {spell_key(about.field)} = {default}"
+    )
 
 
 def _is_possible_value(key: Key, value: Any) -> bool:
     """Whether a value of the right type is one that the key takes."""
-    items = value.values() if isinstance(value, Mapping) else value if isinstance(value, tuple) else (value,)
+    items = (
+        value.values()
+        if isinstance(value, Mapping)
+        else value
+        if isinstance(value, tuple)
+        else (value,)
+    )
     numbers = [one for one in items if isinstance(one, int | float)]
     if not all(key.low <= one <= key.high for one in numbers):
         return False
@@ -160,11 +189,20 @@ def _type_options(hint: Any) -> tuple[Any, ...]:
 
 
 def _first_fit(value: Any, hint: Any) -> Any:
-    return next((fitted for one in _type_options(hint) if (fitted := _convert_to_type(value, one)) is not _MISFIT), _MISFIT)
+    return next(
+        (
+            fitted
+            for one in _type_options(hint)
+            if (fitted := _convert_to_type(value, one)) is not _MISFIT
+        ),
+        _MISFIT,
+    )
 
 
 def _convert_to_type(value: Any, option: Any) -> Any:
-    """The value as the type: lists become tuples, whole numbers become floats where floats are meant."""
+    """The value as the type: lists become tuples,
+    whole numbers become floats where floats are meant.
+    """
     origin = typing.get_origin(option)
     if option is types.NoneType:
         return None if value is None else _MISFIT
@@ -200,11 +238,20 @@ def _describe_type_values(option: Any, key: Key) -> str:
     """Values of one type, in words."""
     origin = typing.get_origin(option)
     if origin is tuple:
-        item = f"any of {', '.join(key.choices)}" if key.choices else _describe_type_values(typing.get_args(option)[0], key)
+        item = (
+            f"any of {', '.join(key.choices)}"
+            if key.choices
+            else _describe_type_values(typing.get_args(option)[0], key)
+        )
         return f"[{item}, …]{' without repeats' * key.distinct}"
     if origin is not None:
         value = typing.get_args(option)[1]
-        return "table" if value is Any else f"{{NAME = {' or '.join(_describe_type_values(one, key) for one in _type_options(value))}}}"
+        return (
+            "table"
+            if value is Any
+            else f"{{NAME = "
+            f"{' or '.join(_describe_type_values(one, key) for one in _type_options(value))}}}"
+        )
     if option in (int, float):
         bounds = "" if math.isinf(key.low) else f" from {key.low:g} to {key.high:g}"
         return f"{'whole ' * (option is int)}number{bounds}{' ' * bool(key.unit)}{key.unit}"

@@ -1,4 +1,6 @@
-"""Validate values from files: times and numbers in range, encodable texts, JSON of limited depth."""
+"""Validate values from files: times and numbers
+in range, encodable texts, JSON of limited depth.
+"""
 
 import json
 from typing import Any
@@ -7,7 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 LATEST_NS = 1 << 62
-"""ns, the year 2116: sums and differences of times up to here fit int64, and ROS can write all times below."""
+"""ns, the year 2116: sums and differences of times up
+to here fit int64, and ROS can write all times below.
+"""
 
 DEEPEST = 64
 """Levels of lists and tables: no message or header needs more, and recursion is safe up to here."""
@@ -61,14 +65,20 @@ def read_json(data: str | bytes) -> Any:
         value = json.loads(data)
     except RecursionError:
         raise ValueError("nested too deeply") from None
-    opened = data.count(b"[") + data.count(b"{") if isinstance(data, bytes) else data.count("[") + data.count("{")
+    opened = (
+        data.count(b"[") + data.count(b"{")
+        if isinstance(data, bytes)
+        else data.count("[") + data.count("{")
+    )
     if opened > DEEPEST and not _is_shallow(value):
         raise ValueError(f"nested more than {DEEPEST} deep")
     return value
 
 
 def _is_shallow(value: Any) -> bool:
-    """Whether lists and tables end within DEEPEST levels; checked level by level, without recursion."""
+    """Whether lists and tables end within DEEPEST
+    levels; checked level by level, without recursion.
+    """
     level = [value]
     for _ in range(DEEPEST + 1):
         inner = (item for one in level for item in (one.values() if isinstance(one, dict) else one))

@@ -11,7 +11,8 @@ MOST_VALUES = 100_000
 
 
 def parse_yaml_text(text: str, most: int = MOST_VALUES) -> Any:
-    """The value of a YAML text; ValueError if it is invalid, too deep, or has aliases or keys that are no scalars.
+    """The value of a YAML text; ValueError if it is invalid,
+    too deep, or has aliases or keys that are no scalars.
 
     `most`: values and keys that are read; ValueError where there are more.
 
@@ -35,7 +36,9 @@ def parse_yaml_text(text: str, most: int = MOST_VALUES) -> Any:
                 raise ValueError("a key is a list or a mapping; names are possible")
             self.count += 1
             if self.count > most:
-                raise ValueError(f"it has more than {most} values; to read them, raise [input] max_yaml_mb")
+                raise ValueError(
+                    f"it has more than {most} values; to read them, raise [input] max_yaml_mb"
+                )
             self.depth += 1
             if self.depth > DEEPEST:
                 raise ValueError(f"lists and mappings are more than {DEEPEST} deep")

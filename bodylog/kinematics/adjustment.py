@@ -1,4 +1,6 @@
-"""The unknowns that foretell images best by themselves, within the error bars of what is known of them."""
+"""The unknowns that foretell images best by themselves,
+within the error bars of what is known of them.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,8 +14,8 @@ from .rig import Rig, Sight
 JOINT_ERROR_STD = 1e-4
 """rad or m: how far a joint may be from its reading at one posture, beyond its zero.
 
-An arm's usual repeatability of 0.1 mm at a reach of 1 m. All corners of an image err with the arm: without this error
-they would count as so many independent ones.
+An arm's usual repeatability of 0.1 mm at a reach of 1 m. All corners of an image err with the arm:
+without this error they would count as so many independent ones.
 """
 _ROUNDS = 6
 _STEPS = 30
@@ -33,7 +35,8 @@ _BISECTIONS = 40
 class Posed:
     """Sightings of one sight: variance (N,M), rad² or m², of their angles · log (N,) of each image.
 
-    group (N,): images whose errors are correlated, over all sights: those of one posture, or of a stretch of a log.
+    group (N,): images whose errors are correlated, over all
+    sights: those of one posture, or of a stretch of a log.
     """
 
     sighted: Sighted
@@ -44,7 +47,9 @@ class Posed:
 
 @dataclass(frozen=True, eq=False)
 class Adjusted:
-    """theta (P,) of least error, and its covariance (P,P) · curvature (P,P): the loss's inverse second derivative."""
+    """theta (P,) of least error, and its covariance (P,P) ·
+    curvature (P,P): the loss's inverse second derivative.
+    """
 
     rig: Rig
     theta: Array
@@ -70,12 +75,14 @@ class _Prior:
 
 
 def adjust(rig: Rig, data: Sequence[Posed], theta: Array, noise: float, known: Known) -> Adjusted:
-    """Adjust θ from near the solution: the least error by θ alone within the error bars of what is known.
+    """Adjust θ from near the solution: the least error
+    by θ alone within the error bars of what is known.
 
-    noise: first value of the variance (px², per axis) of a point. A process of residuals beside θ takes up part of what
-    θ explains, so θ of such a model has not the least error by itself (Tuo & Wu 2015, "Efficient calibration for
-    imperfect computer models"); but θ of least error takes up part of what no θ explains, and is not where the camera
-    is. So θ has the least error of all that are within MOST_SIGMA of the former, `known`, whose covariance it keeps.
+    noise: first value of the variance (px², per axis) of a point. A process of residuals beside θ
+    takes up part of what θ explains, so θ of such a model has not the least error by itself (Tuo &
+    Wu 2015, "Efficient calibration for imperfect computer models"); but θ of least error takes up
+    part of what no θ explains, and is not where the camera is. So θ has the least error of all that
+    are within MOST_SIGMA of the former, `known`, whose covariance it keeps.
     """
     mean, std = rig.prior
     prior = _Prior(mean, np.eye(len(std)))
@@ -104,8 +111,12 @@ class _Solution:
     noise: float
 
 
-def _adjusted(rig: Rig, data: Sequence[Posed], theta: Array, noise: float, prior: _Prior) -> _Solution:
-    """Generalised least squares from a start, with false sightings weighed down and the noise learned."""
+def _adjusted(
+    rig: Rig, data: Sequence[Posed], theta: Array, noise: float, prior: _Prior
+) -> _Solution:
+    """Generalised least squares from a start, with
+    false sightings weighed down and the noise learned.
+    """
     for _ in range(_ROUNDS):
         weights = [_weights(_squares(rig, k, theta, one), noise) for k, one in enumerate(data)]
         theta, found = _descended(rig, data, weights, theta, noise, prior)
@@ -117,7 +128,8 @@ def _adjusted(rig: Rig, data: Sequence[Posed], theta: Array, noise: float, prior
 
 
 def _least_weight(free: _Solution, known: Known, std: Array) -> float:
-    """The least weight of what is known with which no unknown is farther from it than MOST_SIGMA; 0 if none is needed.
+    """The least weight of what is known with which no unknown
+    is farther from it than MOST_SIGMA; 0 if none is needed.
 
     Along the quadratic loss about the free solution.
     """
@@ -135,13 +147,17 @@ def _least_weight(free: _Solution, known: Known, std: Array) -> float:
     low, high = _WEIGHTS
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if farthest(float(np.exp(middle))) > MOST_SIGMA else (low, middle)
+        low, high = (
+            (middle, high) if farthest(float(np.exp(middle))) > MOST_SIGMA else (low, middle)
+        )
     return float(np.exp(high))
 
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """Normal matrix (P,P) and right side (P,), in prior deviations · twice the loss · each group's share of both."""
+    """Normal matrix (P,P) and right side (P,), in prior
+    deviations · twice the loss · each group's share of both.
+    """
 
     matrix: Array
     pull: Array
@@ -151,7 +167,12 @@ class _Normal:
 
 
 def _descended(
-    rig: Rig, data: Sequence[Posed], weights: Sequence[Array], theta: Array, noise: float, prior: _Prior
+    rig: Rig,
+    data: Sequence[Posed],
+    weights: Sequence[Array],
+    theta: Array,
+    noise: float,
+    prior: _Prior,
 ) -> tuple[Array, _Normal]:
     """Gauss-Newton with halved steps, for given weights (N,C) of the points."""
     std = rig.prior[1]
@@ -174,7 +195,12 @@ def _descended(
 
 
 def _normal(
-    rig: Rig, data: Sequence[Posed], weights: Sequence[Array], theta: Array, noise: float, prior: _Prior
+    rig: Rig,
+    data: Sequence[Posed],
+    weights: Sequence[Array],
+    theta: Array,
+    noise: float,
+    prior: _Prior,
 ) -> _Normal:
     std = rig.prior[1]
     names, group = np.unique(np.concatenate([one.group for one in data]), return_inverse=True)
@@ -188,18 +214,30 @@ def _normal(
     away = (prior.mean - theta) / std
     value = float(whole[-1, -1] + away @ prior.precision @ away)
     matrix = whole[:-1, :-1] + prior.precision
-    return _Normal(matrix, whole[:-1, -1] + prior.precision @ away, value, shares[:, :-1, :-1], shares[:, :-1, -1])
+    return _Normal(
+        matrix,
+        whole[:-1, -1] + prior.precision @ away,
+        value,
+        shares[:, :-1, :-1],
+        shares[:, :-1, -1],
+    )
 
 
-def _products(rig: Rig, sight: Sight, theta: Array, one: Posed, weight: Array, noise: float) -> Array:
-    """Products (N,P+1,P+1) of design and residual of each image, weighted by the inverse of its points' covariance.
+def _products(
+    rig: Rig, sight: Sight, theta: Array, one: Posed, weight: Array, noise: float
+) -> Array:
+    """Products (N,P+1,P+1) of design and residual of each
+    image, weighted by the inverse of its points' covariance.
 
-    That is W⁻¹ + J V Jᵀ: the points' own, and that of the angles V through the slopes J (Woodbury's identity).
+    That is W⁻¹ + J V Jᵀ: the points' own, and that of the
+    angles V through the slopes J (Woodbury's identity).
     """
     seen = rig.see(sight, theta, one.sighted.q, one.log)
     images = len(one.group)
     there = weight[..., None] > 0.0
-    precision = np.where(there, weight[..., None] / (noise + one.sighted.variance), 0.0).reshape(images, -1)
+    precision = np.where(there, weight[..., None] / (noise + one.sighted.variance), 0.0).reshape(
+        images, -1
+    )
     residual = np.where(there, one.sighted.image - seen.image, 0.0).reshape(images, -1, 1)
     design = (seen.design * rig.prior[1]).reshape(images, residual.shape[1], -1)
     both = np.concatenate([design, residual], axis=2)
@@ -213,7 +251,9 @@ def _products(rig: Rig, sight: Sight, theta: Array, one: Posed, weight: Array, n
 
 
 def _squares(rig: Rig, index: int, theta: Array, one: Posed) -> Array:
-    """Squared distance (N,C) px² of each point from where it is foretold; NaN where it was not seen."""
+    """Squared distance (N,C) px² of each point from
+    where it is foretold; NaN where it was not seen.
+    """
     seen = rig.see(rig.sights[index], theta, one.sighted.q, one.log)
     return np.asarray(np.square(one.sighted.image - seen.image).sum(axis=-1))
 
@@ -225,10 +265,16 @@ def _weights(square: Array, noise: float) -> Array:
 
 
 def _noise(
-    rig: Rig, data: Sequence[Posed], weights: Sequence[Array], theta: Array, found: _Normal, prior: _Prior
+    rig: Rig,
+    data: Sequence[Posed],
+    weights: Sequence[Array],
+    theta: Array,
+    found: _Normal,
+    prior: _Prior,
 ) -> float:
     """Variance (px², per axis) of a point about θ, over the degrees of freedom that θ leaves."""
-    total, count = 0.0, 0.0
+    total = 0.0
+    count = 0.0
     for k, (one, weight) in enumerate(zip(data, weights, strict=True)):
         total += float(np.nansum(weight * _squares(rig, k, theta, one)))
         count += 2.0 * float(weight.sum())
@@ -237,22 +283,27 @@ def _noise(
 
 
 def _covariance(found: _Normal, precision: Array, known: Known, std: Array) -> Array:
-    """Covariance (P,P) of θ in prior deviations: that of the known rows, and the rest about them by the jackknife."""
+    """Covariance (P,P) of θ in prior deviations: that of the
+    known rows, and the rest about them by the jackknife.
+    """
     rows = known.rows
     rest = np.setdiff1d(np.arange(len(std)), rows)
     follow = np.zeros((len(std), len(rows)))
     follow[rows] = np.eye(len(rows))
-    follow[rest] = -np.linalg.solve(found.matrix[np.ix_(rest, rest)], found.matrix[np.ix_(rest, rows)])
+    follow[rest] = -np.linalg.solve(
+        found.matrix[np.ix_(rest, rest)], found.matrix[np.ix_(rest, rows)]
+    )
     covariance = follow @ (known.covariance / std[rows] / std[rows, None]) @ follow.T
     covariance[np.ix_(rest, rest)] += _jackknife(found, precision, rest)
     return np.asarray(covariance)
 
 
 def _jackknife(found: _Normal, precision: Array, rows: Array) -> Array:
-    """Covariance of some rows (K,) of θ, the others held: how they scatter as each group is left out, and their prior.
+    """Covariance of some rows (K,) of θ, the others held: how
+    they scatter as each group is left out, and their prior.
 
-    It holds whatever the residuals' distribution and their correlation within a group (Bell & McCaffrey 2002 compare
-    such estimates; the jackknife errs to the wide side).
+    It holds whatever the residuals' distribution and their correlation within a group (Bell &
+    McCaffrey 2002 compare such estimates; the jackknife errs to the wide side).
     """
     own = np.ix_(rows, rows)
     inverse = np.linalg.inv(found.matrix[own])

@@ -1,4 +1,6 @@
-"""Estimate the unknowns θ from sightings: robust Levenberg-Marquardt from several starts, with θ's covariance."""
+"""Estimate the unknowns θ from sightings: robust
+Levenberg-Marquardt from several starts, with θ's covariance.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -24,7 +26,9 @@ _ANYWHERE = 600.0
 
 @dataclass(frozen=True, eq=False)
 class Sighted:
-    """Measurements of one sight: q (N,M) rad or m · image (N,C,2) px, NaN where unseen · variance (N,C,2) px²."""
+    """Measurements of one sight: q (N,M) rad or m · image
+    (N,C,2) px, NaN where unseen · variance (N,C,2) px².
+    """
 
     q: Array
     image: Array
@@ -40,7 +44,11 @@ class Sighted:
         """Root mean square motion of the points over both axes, px."""
         seen = self.seen[..., None]
         middle = np.where(seen, self.image, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
-        return float(np.sqrt(np.square(np.where(seen, self.image - middle, 0.0)).sum() / max(2 * seen.sum(), 1)))
+        return float(
+            np.sqrt(
+                np.square(np.where(seen, self.image - middle, 0.0)).sum() / max(2 * seen.sum(), 1)
+            )
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +70,10 @@ class Calibrated:
 
 def image_residuals(rig: Rig, theta: Array, data: Sequence[Sighted]) -> list[Array]:
     """Measured minus predicted (N,C,2) px of each sight; NaN where unseen."""
-    return [one.image - rig.see(sight, theta, one.q).image for sight, one in zip(rig.sights, data, strict=True)]
+    return [
+        one.image - rig.see(sight, theta, one.q).image
+        for sight, one in zip(rig.sights, data, strict=True)
+    ]
 
 
 def calibrate_rig(rig: Rig, data: Sequence[Sighted], starts: Sequence[Array]) -> Calibrated:
@@ -85,10 +96,14 @@ def scout_start(rig: Rig, data: Sequence[Sighted], start: Array) -> float:
 
 
 def thin_sightings(rig: Rig, data: Sequence[Sighted], count: int) -> tuple[Rig, list[Sighted]]:
-    """Keep at most `count` frames of each sight and _POINTS of its points, evenly spaced; θ keeps its meaning."""
-    sights, few = [], []
+    """Keep at most `count` frames of each sight and _POINTS
+    of its points, evenly spaced; θ keeps its meaning.
+    """
+    sights = []
+    few = []
     for sight, one in zip(rig.sights, data, strict=True):
-        rows, points = _evenly_spaced(len(one.q), count), _evenly_spaced(len(sight.points), _POINTS)
+        rows = _evenly_spaced(len(one.q), count)
+        points = _evenly_spaced(len(sight.points), _POINTS)
         sights.append(replace(sight, points=sight.points[points]))
         few.append(Sighted(one.q[rows], one.image[rows][:, points], one.variance[rows][:, points]))
     return replace(rig, sights=tuple(sights)), few
@@ -98,9 +113,14 @@ def _evenly_spaced(total: int, count: int) -> Array:
     return np.unique(np.linspace(0, total - 1, min(total, count)).round().astype(int))
 
 
-def refine_calibration(rig: Rig, data: Sequence[Sighted], theta: Array, rounds: int = 8) -> Calibrated:
-    """From near the solution, alternate θ, noise and weights of false sightings until the noise settles."""
-    noise, before = _variance_from_median(rig, theta, data), np.inf
+def refine_calibration(
+    rig: Rig, data: Sequence[Sighted], theta: Array, rounds: int = 8
+) -> Calibrated:
+    """From near the solution, alternate θ, noise and
+    weights of false sightings until the noise settles.
+    """
+    noise = _variance_from_median(rig, theta, data)
+    before = np.inf
     for _ in range(rounds):
         weigh = mixture(noise)
         theta, _ = descend_robustly(rig, data, theta, weigh, noise)
@@ -112,7 +132,9 @@ def refine_calibration(rig: Rig, data: Sequence[Sighted], theta: Array, rounds: 
 
 
 Loss = Callable[[Array], tuple[Array, Array]]
-"""From squared residuals over their variance (…,): the loss of each (2 × nats) and its derivative, the weight."""
+"""From squared residuals over their variance (…,): the
+loss of each (2 × nats) and its derivative, the weight.
+"""
 
 
 def _soft_l1_loss(scale: float) -> Loss:
@@ -131,14 +153,18 @@ def _arsinh_loss(scale: float) -> Loss:
     def loss(square: Array) -> tuple[Array, Array]:
         ratio = np.sqrt(square) / scale
         curve = np.arcsinh(ratio)
-        weight = np.where(ratio > 1e-6, curve / np.maximum(ratio * np.sqrt(1.0 + ratio**2), 1e-6), 1.0)
+        weight = np.where(
+            ratio > 1e-6, curve / np.maximum(ratio * np.sqrt(1.0 + ratio**2), 1e-6), 1.0
+        )
         return scale**2 * curve**2, weight
 
     return loss
 
 
 def mixture(noise: float) -> Loss:
-    """A Gaussian of one px² (times the noise) mixed with uniform false sightings: −2 ln((1 − ε) e^{−s/2} + ε')."""
+    """A Gaussian of one px² (times the noise) mixed with
+    uniform false sightings: −2 ln((1 − ε) e^{−s/2} + ε').
+    """
     floor = _FALSE * 2.0 * np.pi * noise / _ANYWHERE**2
 
     def loss(square: Array) -> tuple[Array, Array]:
@@ -151,12 +177,17 @@ def mixture(noise: float) -> Loss:
 def descend_robustly(
     rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float, steps: int = STEPS
 ) -> tuple[Array, float]:
-    """θ (P,) of least loss from a start, and that loss; Levenberg-Marquardt with weights renewed at each step."""
-    damping, found = 1e-3, _normal_equations(rig, data, theta, loss, noise)
+    """θ (P,) of least loss from a start, and that loss;
+    Levenberg-Marquardt with weights renewed at each step.
+    """
+    damping = 1e-3
+    found = _normal_equations(rig, data, theta, loss, noise)
     std = rig.prior[1]
     for _ in range(steps):
         scaled = found.matrix * std * std[:, None]
-        step = std * _solve_or_least_squares(scaled + damping * np.diag(np.diag(scaled)), found.pull * std)
+        step = std * _solve_or_least_squares(
+            scaled + damping * np.diag(np.diag(scaled)), found.pull * std
+        )
         after = _normal_equations(rig, data, theta + step, loss, noise)
         if not after.value < found.value:
             damping *= 6.0
@@ -164,7 +195,9 @@ def descend_robustly(
                 break
             continue
         gain = found.value - after.value
-        theta, found, damping = theta + step, after, max(damping / 6.0, 1e-12)
+        theta = theta + step
+        found = after
+        damping = max(damping / 6.0, 1e-12)
         if gain < _SETTLED * (1e-3 * found.value + 1.0) and damping < 1e-2:
             break
     return theta, found.value
@@ -186,14 +219,18 @@ class _Normal:
     value: float
 
 
-def _normal_equations(rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float) -> _Normal:
+def _normal_equations(
+    rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float
+) -> _Normal:
     mean, std = rig.prior
-    matrix, pull = np.diag(std**-2.0), (mean - theta) / std**2
+    matrix = np.diag(std**-2.0)
+    pull = (mean - theta) / std**2
     value = float(np.square((theta - mean) / std).sum())
     for sight, one in zip(rig.sights, data, strict=True):
         seen = rig.see(sight, theta, one.q)
         valid = np.isfinite(one.image).all(axis=-1)
-        residual, design = (one.image - seen.image)[valid], seen.design[valid]
+        residual = (one.image - seen.image)[valid]
+        design = seen.design[valid]
         precision = 1.0 / (noise + one.variance[valid])
         cost, weight = loss((np.square(residual) * precision).sum(axis=-1))
         scaled = design * (weight[:, None] * precision)[..., None]
@@ -205,30 +242,42 @@ def _normal_equations(rig: Rig, data: Sequence[Sighted], theta: Array, loss: Los
 
 def _variance_from_median(rig: Rig, theta: Array, data: Sequence[Sighted]) -> float:
     """Variance (px², per axis) from the median residual."""
-    sizes = np.concatenate([np.square(r).sum(axis=-1).ravel() for r in image_residuals(rig, theta, data)])
+    sizes = np.concatenate(
+        [np.square(r).sum(axis=-1).ravel() for r in image_residuals(rig, theta, data)]
+    )
     return max(float(np.nanmedian(sizes)) / float(2.0 * np.log(2.0)), _LEAST)
 
 
-def _variance_of_true_sightings(rig: Rig, theta: Array, data: Sequence[Sighted], loss: Loss) -> float:
+def _variance_of_true_sightings(
+    rig: Rig, theta: Array, data: Sequence[Sighted], loss: Loss
+) -> float:
     """Variance (px², per axis) of true sightings, over the degrees of freedom that θ leaves."""
-    total, count, noise = 0.0, 0.0, _variance_from_median(rig, theta, data)
+    total = 0.0
+    count = 0.0
+    noise = _variance_from_median(rig, theta, data)
     for residual in image_residuals(rig, theta, data):
         square = np.square(residual).sum(axis=-1)
         square = square[np.isfinite(square)]
         weight = loss(square / noise)[1]
-        total, count = total + float(weight @ square), count + 2.0 * float(weight.sum())
+        total = total + float(weight @ square)
+        count = count + 2.0 * float(weight.sum())
     matrix = _normal_equations(rig, data, theta, loss, noise).matrix
-    known = float(np.trace(np.eye(len(theta)) - np.linalg.solve(matrix, np.diag(rig.prior[1] ** -2.0))))
+    known = float(
+        np.trace(np.eye(len(theta)) - np.linalg.solve(matrix, np.diag(rig.prior[1] ** -2.0)))
+    )
     return max(total / max(count - known, 0.1 * count, 1.0), _LEAST)
 
 
-def _finish_calibration(rig: Rig, data: Sequence[Sighted], theta: Array, noise: float) -> Calibrated:
+def _finish_calibration(
+    rig: Rig, data: Sequence[Sighted], theta: Array, noise: float
+) -> Calibrated:
     weigh = mixture(noise)
     found = _normal_equations(rig, data, theta, weigh, noise)
     std = rig.prior[1]
     scaled = found.matrix * std * std[:, None]
     covariance = np.linalg.inv(scaled) * std * std[:, None]
-    weights, entropy = [], 0.0
+    weights = []
+    entropy = 0.0
     for residual, one in zip(image_residuals(rig, theta, data), data, strict=True):
         precision = 1.0 / (noise + one.variance)
         square = (np.square(residual) * precision).sum(axis=-1)

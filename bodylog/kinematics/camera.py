@@ -9,12 +9,16 @@ NEAREST = 0.02
 
 
 def lens_without_distortion(focal: float, width: float, height: float) -> Array:
-    """Parameters (6,) of a lens without distortion: ln f (px), ln of fv over fu, centre (px), k1, k2."""
+    """Parameters (6,) of a lens without distortion:
+    ln f (px), ln of fv over fu, centre (px), k1, k2.
+    """
     return np.array([np.log(focal), 0.0, width / 2.0, height / 2.0, 0.0, 0.0])
 
 
 def project_points(points: Array, numbers: Array) -> tuple[Array, Array, Array]:
-    """Project points (…,3) m: image (…,2) px · derivative by point (…,2,3) · by the lens (…,2,6)."""
+    """Project points (…,3) m: image (…,2) px ·
+    derivative by point (…,2,3) · by the lens (…,2,6).
+    """
     depth = np.maximum(points[..., 2], NEAREST)
     x, y = points[..., 0] / depth, points[..., 1] / depth
     fu = np.exp(numbers[0])
@@ -25,7 +29,10 @@ def project_points(points: Array, numbers: Array) -> tuple[Array, Array, Array]:
     plain = np.stack([x, y], axis=-1)
     image = focal * plain * bend[..., None] + numbers[2:4]
     # d(x bend, y bend) / d(x, y): bend I + rise [x y]ᵀ[x y]
-    inner = bend[..., None, None] * np.eye(2) + rise[..., None, None] * plain[..., :, None] * plain[..., None, :]
+    inner = (
+        bend[..., None, None] * np.eye(2)
+        + rise[..., None, None] * plain[..., :, None] * plain[..., None, :]
+    )
     shrink = np.zeros((*points.shape[:-1], 2, 3))
     shrink[..., 0, 0] = shrink[..., 1, 1] = 1.0 / depth
     shrink[..., 2] = -plain / depth[..., None] * (points[..., 2] > NEAREST)[..., None]

@@ -8,15 +8,16 @@ import numpy as np
 from ..errors import ModelError
 from ..types import Array
 from .robot import MOVING, Joint, Robot
-from .rotations import rotation_from_z, invert_transform, make_transform
+from .rotations import invert_transform, make_transform, rotation_from_z
 
 
 @dataclass(frozen=True, eq=False)
 class Chain:
     """Steps from a start link to an end link; step k turns about, or slides along, its own z axis.
 
-    joints (M,): names in the order of q · fixed (K+1,4,4): before each step and after the last, m · column (K,): each
-    step's column in q · scale, zero (K,): its angle is scale · q + zero (rad, or m where `slides` (K,)).
+    joints (M,): names in the order of q · fixed (K+1,4,4): before each step
+    and after the last, m · column (K,): each step's column in q · scale,
+    zero (K,): its angle is scale · q + zero (rad, or m where `slides` (K,)).
     """
 
     start: str
@@ -46,7 +47,9 @@ class Chain:
         return ChainPoses(rotation, place, axes, origins, strides[:, :-1])
 
     def slopes(self, poses: "ChainPoses", points: Array) -> Array:
-        """Derivatives (N,C,3,M), m per rad or m, of points (N,C,3) in the start link by the joints."""
+        """Derivatives (N,C,3,M), m per rad or m, of
+        points (N,C,3) in the start link by the joints.
+        """
         result = np.zeros((*points.shape, len(self.joints)))
         for k, slides in enumerate(self.slides):
             axis = poses.axes[:, None, k]
@@ -55,14 +58,19 @@ class Chain:
         return result
 
     def holding(self, still: Mapping[str, float]) -> "Chain":
-        """Return the chain with the named joints fixed at their angles (rad or m) and removed from its joints."""
+        """Return the chain with the named joints fixed at
+        their angles (rad or m) and removed from its joints.
+        """
         kept = [m for m, name in enumerate(self.joints) if name not in still]
-        fixed, steps = [self.fixed[0]], []
+        fixed = [self.fixed[0]]
+        steps = []
         for k, column in enumerate(self.column):
             name = self.joints[column]
             if name in still:
                 angle = float(self.scale[k] * still[name] + self.zero[k])
-                fixed[-1] = fixed[-1] @ _step_transform(angle, bool(self.slides[k])) @ self.fixed[k + 1]
+                fixed[-1] = (
+                    fixed[-1] @ _step_transform(angle, bool(self.slides[k])) @ self.fixed[k + 1]
+                )
             else:
                 steps.append(k)
                 fixed.append(self.fixed[k + 1])
@@ -80,7 +88,8 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class ChainPoses:
-    """rotation (N,3,3) and place (N,3) m of the end link in the start link · axes, origins (N,K,3) of the steps there.
+    """rotation (N,3,3) and place (N,3) m of the end link in
+    the start link · axes, origins (N,K,3) of the steps there.
 
     strides (N,K−1,3) m: from each step to the next, there.
     """
@@ -93,14 +102,18 @@ class ChainPoses:
 
 
 def chain_between(robot: Robot, start: str, end: str) -> Chain:
-    """Return the chain between two links; its joints are those with an encoder of their own, from start to end.
+    """Return the chain between two links; its joints are
+    those with an encoder of their own, from start to end.
 
     ModelError for an unknown link, or for a joint on the path of an unsupported kind.
     """
     for link in (start, end):
         if link not in robot.links:
-            raise ModelError(f"{robot.source}: no link {link!r}; possible: {', '.join(robot.links[:30])}")
-    down, up = _joints_above(robot, end), _joints_above(robot, start)
+            raise ModelError(
+                f"{robot.source}: no link {link!r}; possible: {', '.join(robot.links[:30])}"
+            )
+    down = _joints_above(robot, end)
+    up = _joints_above(robot, start)
     shared = {joint.name for joint in down} & {joint.name for joint in up}
     ways = [(joint, -1) for joint in up if joint.name not in shared]
     ways += [(joint, 1) for joint in reversed(down) if joint.name not in shared]
@@ -116,10 +129,13 @@ def _joints_above(robot: Robot, link: str) -> list[Joint]:
 
 
 def _chain_joints(robot: Robot, start: str, end: str, ways: Sequence[tuple[Joint, int]]) -> Chain:
-    fixed, steps = [np.eye(4)], list[tuple[int, float, float, bool]]()
+    fixed = [np.eye(4)]
+    steps = list[tuple[int, float, float, bool]]()
     names: dict[str, int] = {}
     for joint, way in ways:
-        before, after = (joint.origin, np.eye(4)) if way > 0 else (np.eye(4), invert_transform(joint.origin))
+        before, after = (
+            (joint.origin, np.eye(4)) if way > 0 else (np.eye(4), invert_transform(joint.origin))
+        )
         if joint.kind in MOVING:
             tilt = make_transform(rotation_from_z(joint.axis), np.zeros(3))
             name, scale, zero = robot.driven[joint.name]
@@ -130,11 +146,20 @@ def _chain_joints(robot: Robot, start: str, end: str, ways: Sequence[tuple[Joint
         elif joint.kind == "fixed":
             fixed[-1] = fixed[-1] @ before @ after
         else:
-            what = f"joint {joint.name!r} between {start} and {end} is {joint.kind}, which is not supported"
+            what = (
+                f"joint {joint.name!r} between {start} and {end} is {joint.kind}, which is not "
+                "supported"
+            )
             raise ModelError(f"{robot.source}: {what}; possible: {', '.join(MOVING)}, fixed")
     columns = [np.array(part) for part in zip(*steps, strict=True)] or [np.empty(0)] * 4
     kinds = (np.int64, float, float, bool)
-    return Chain(start, end, tuple(names), np.array(fixed), *(c.astype(k) for c, k in zip(columns, kinds, strict=True)))
+    return Chain(
+        start,
+        end,
+        tuple(names),
+        np.array(fixed),
+        *(c.astype(k) for c, k in zip(columns, kinds, strict=True)),
+    )
 
 
 def _cross_product(a: Array, b: Array) -> Array:
@@ -148,7 +173,8 @@ def _cross_product(a: Array, b: Array) -> Array:
 
 def _turn_about_z(rotation: Array, angle: Array) -> Array:
     """rotation (N,3,3) · Rz(angle (N,))."""
-    cos, sin = np.cos(angle)[:, None], np.sin(angle)[:, None]
+    cos = np.cos(angle)[:, None]
+    sin = np.sin(angle)[:, None]
     x, y = rotation[:, :, 0], rotation[:, :, 1]
     return np.stack([cos * x + sin * y, cos * y - sin * x, rotation[:, :, 2]], axis=2)
 
@@ -156,5 +182,8 @@ def _turn_about_z(rotation: Array, angle: Array) -> Array:
 def _step_transform(angle: float, slides: bool) -> Array:
     if slides:
         return make_transform(np.eye(3), np.array([0.0, 0.0, angle]))
-    cos, sin = np.cos(angle), np.sin(angle)
-    return make_transform(np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
+    cos = np.cos(angle)
+    sin = np.sin(angle)
+    return make_transform(
+        np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3)
+    )

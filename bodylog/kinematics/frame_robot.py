@@ -1,4 +1,6 @@
-"""A robot that is known by the poses of one frame alone: six joints without zeros carry the frame."""
+"""A robot that is known by the poses of one frame
+alone: six joints without zeros carry the frame.
+"""
 
 from collections.abc import Sequence
 
@@ -12,7 +14,8 @@ BASE = "base"
 
 
 def frame_robot(frame: str, coordinates: Sequence[str]) -> Robot:
-    """A robot whose last link is `frame`; its joints are the coordinates NAME.x, .y, .z (m), .rz, … (rad), in order.
+    """A robot whose last link is `frame`; its joints are the
+    coordinates NAME.x, .y, .z (m), .rz, … (rad), in order.
 
     Each joint slides along, or turns about, the axis that its name ends with.
     """

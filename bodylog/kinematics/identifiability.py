@@ -1,4 +1,6 @@
-"""Which joint zeros and scales the sightings identify, and which other unknowns the rest are correlated with."""
+"""Which joint zeros and scales the sightings identify,
+and which other unknowns the rest are correlated with.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -20,7 +22,8 @@ _ALONG = 0.9
 
 @dataclass(frozen=True)
 class Offset:
-    """One joint's zero: value ± std in `unit`, rad or m · beforehand: prior std · confused: correlated unknowns.
+    """One joint's zero: value ± std in `unit`, rad or m ·
+    beforehand: prior std · confused: correlated unknowns.
 
     A scale has the unit "1": the joint moves by 1 + value times its reading.
     """
@@ -52,13 +55,18 @@ class Offset:
 def joint_zeros(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
     """Each joint's zero for θ (P,) ± covariance (P,P)."""
     units = ["m" if rig.slides(m) else "rad" for m in range(len(rig.joints))]
-    return tuple(_zero_or_scale(rig, theta, covariance, rig.of_joints.start + m, units[m]) for m in range(len(rig.joints)))
+    return tuple(
+        _zero_or_scale(rig, theta, covariance, rig.of_joints.start + m, units[m])
+        for m in range(len(rig.joints))
+    )
 
 
 def joint_scales(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
     """Each joint's scale for θ (P,) ± covariance (P,P); empty where scales are fixed."""
     part = rig.of_scales
-    return tuple(_zero_or_scale(rig, theta, covariance, index, "1") for index in range(part.start, part.stop))
+    return tuple(
+        _zero_or_scale(rig, theta, covariance, index, "1") for index in range(part.start, part.stop)
+    )
 
 
 def _zero_or_scale(rig: Rig, theta: Array, covariance: Array, index: int, unit: str) -> Offset:
@@ -71,7 +79,9 @@ def _zero_or_scale(rig: Rig, theta: Array, covariance: Array, index: int, unit: 
 
 
 def describe_unidentified(found: Sequence[Offset]) -> Iterator[str]:
-    """Yield a line for each joint whose zero or scale was estimated and is not identifiable, and why."""
+    """Yield a line for each joint whose zero or scale
+    was estimated and is not identifiable, and why.
+    """
     for one in found:
         if not one.identifiable and one.beforehand > GIVEN:
             others = " and ".join(one.confused)
@@ -90,7 +100,9 @@ def _correlated_unknowns(rig: Rig, covariance: Array, index: int) -> Iterator[st
             groups.append((float(np.abs(together[rows]).max()), words, rows))
     for size, words, rows in sorted(groups, key=lambda group: -group[0]):
         if size > _TOGETHER:
-            yield words + (_rotation_axis(rig, rows, covariance[rows, index]) if words.endswith("turn") else "")
+            yield words + (
+                _rotation_axis(rig, rows, covariance[rows, index]) if words.endswith("turn") else ""
+            )
 
 
 def _groups_of_unknowns(rig: Rig) -> Iterator[tuple[int, int, str]]:
@@ -106,18 +118,26 @@ def _groups_of_unknowns(rig: Rig) -> Iterator[tuple[int, int, str]]:
             yield part.start + 3, part.stop, f"{carrier.name}'s turn"
     for m, name in enumerate(rig.joints):
         yield rig.of_joints.start + m, rig.of_joints.start + m + 1, f"{name}'s zero"
-    for name, index in zip(rig.joints, range(rig.of_scales.start, rig.of_scales.stop), strict=False):
+    for name, index in zip(
+        rig.joints, range(rig.of_scales.start, rig.of_scales.stop), strict=False
+    ):
         yield index, index + 1, f"{name}'s scale"
 
 
 def _rotation_axis(rig: Rig, rows: Sequence[int], lean: Array) -> str:
-    """The axis of its link about which a rotation is correlated with another unknown, if it is one axis."""
+    """The axis of its link about which a rotation is
+    correlated with another unknown, if it is one axis.
+    """
     for k, camera in enumerate(rig.cameras):
         if rows[0] == rig.of_camera(k).start + 3:
-            turn, link = camera.anchor[:3, :3].T @ lean, camera.link
+            turn = camera.anchor[:3, :3].T @ lean
+            link = camera.link
             break
     else:
-        carriers = (one for k, one in enumerate(rig.carriers) if rows[0] == rig.of_carrier(k).start + 3)
-        turn, link = lean, next(carriers).link
+        carriers = (
+            one for k, one in enumerate(rig.carriers) if rows[0] == rig.of_carrier(k).start + 3
+        )
+        turn = lean
+        link = next(carriers).link
     share = np.abs(turn) / max(float(np.linalg.norm(turn)), 1e-300)
     return f" about the {'xyz'[int(share.argmax())]} axis of {link}" if share.max() > _ALONG else ""

@@ -1,4 +1,6 @@
-"""A rig's prediction at one posture in plain floats, twenty times faster than NumPy for single points."""
+"""A rig's prediction at one posture in plain floats,
+twenty times faster than NumPy for single points.
+"""
 
 from collections.abc import Callable, Sequence
 from math import cos, exp, sin
@@ -9,18 +11,21 @@ import numpy as np
 from ..types import Array
 from .camera import NEAREST
 from .rig import Rig
-from .rotations import left_jacobian, cross_product_matrix
+from .rotations import cross_product_matrix, left_jacobian
 
 Row = tuple[float, float, float]
 Turn = tuple[float, float, float, float]
 Lens = tuple[float, float, float, float, float, float]
 Instant = Callable[[Array], tuple[Array, Array, Array]]
-"""From joint angles (M,) rad or m: image (2,) px · slope (2,M) by the joints · design (2,P) by θ, as of `Rig.see`."""
+"""From joint angles (M,) rad or m: image (2,) px · slope
+(2,M) by the joints · design (2,P) by θ, as of `Rig.see`.
+"""
 
 
 class _Constants(NamedTuple):
-    """A rig at fixed θ: poses between steps · (column, scale, zero, slides) of each step · the point on the last link ·
-    left Jacobians of the camera's and the marker's rotation · the camera's shift · lens · number of joints.
+    """A rig at fixed θ: poses between steps · (column, scale, zero, slides) of each step · the
+    point on the last link · left Jacobians of the camera's and the marker's rotation · the camera's
+    shift · lens · number of joints.
     """
 
     fixed: list[tuple[float, ...]]
@@ -34,14 +39,21 @@ class _Constants(NamedTuple):
 
 
 def compile_predictor(rig: Rig, theta: Array) -> Instant:
-    """Return a function from one posture to the image point of the rig's first sight, for unknowns theta (P,)."""
-    known, gain, joints, scaled = _collect_constants(rig, theta), rig.gain(theta), rig.of_joints, len(rig.scale_doubt) > 0
+    """Return a function from one posture to the image point
+    of the rig's first sight, for unknowns theta (P,).
+    """
+    known = _collect_constants(rig, theta)
+    gain = rig.gain(theta)
+    joints = rig.of_joints
+    scaled = len(rig.scale_doubt) > 0
 
     def at(x: Array) -> tuple[Array, Array, Array]:
         (px, py, pz), turned = _forward_kinematics(known, (gain * x if scaled else x).tolist())
         image, rows, by_lens = _project_point(px, py, pz, known.lens)
         arm = px - known.shift[0], py - known.shift[1], pz - known.shift[2]
-        design = np.array([_design_row(known, arm, turned, *both) for both in zip(rows, by_lens, strict=True)])
+        design = np.array(
+            [_design_row(known, arm, turned, *both) for both in zip(rows, by_lens, strict=True)]
+        )
         if scaled:
             by_angle = design[:, joints]
             return np.array(image), by_angle * gain, np.concatenate([design, by_angle * x], axis=1)
@@ -53,7 +65,8 @@ def compile_predictor(rig: Rig, theta: Array) -> Instant:
 def _collect_constants(rig: Rig, theta: Array) -> _Constants:
     """What does not change with the posture."""
     sight = rig.sights[0]
-    own, mine = theta[rig.of_camera(0)], theta[rig.of_carrier(0)]
+    own = theta[rig.of_camera(0)]
+    mine = theta[rig.of_carrier(0)]
     first = rig.camera_pose(0, theta) @ sight.chain.fixed[0]
     fixed = [_pose_numbers(first), *(_pose_numbers(one) for one in sight.chain.fixed[1:])]
     place = rig.carrier_pose(0, theta)
@@ -61,32 +74,56 @@ def _collect_constants(rig: Rig, theta: Array) -> _Constants:
     zeros = sight.chain.zero + sight.chain.scale * theta[rig.of_joints][sight.chain.column]
     each = (sight.chain.column, sight.chain.scale, zeros, sight.chain.slides)
     steps = list(zip(*(part.tolist() for part in each), strict=True))
-    by_turn, turn = placed - mine[:3], tuple(left_jacobian(own[3:6]).T.reshape(-1).tolist())
-    marker = tuple((-cross_product_matrix(by_turn) @ left_jacobian(mine[3:])).T.reshape(-1).tolist()) if len(mine) == 6 else None
-    return _Constants(fixed, steps, placed.tolist(), turn, marker, own[:3].tolist(), own[6:].tolist(), len(rig.joints))
+    by_turn = placed - mine[:3]
+    turn = tuple(left_jacobian(own[3:6]).T.reshape(-1).tolist())
+    marker = (
+        tuple((-cross_product_matrix(by_turn) @ left_jacobian(mine[3:])).T.reshape(-1).tolist())
+        if len(mine) == 6
+        else None
+    )
+    return _Constants(
+        fixed,
+        steps,
+        placed.tolist(),
+        turn,
+        marker,
+        own[:3].tolist(),
+        own[6:].tolist(),
+        len(rig.joints),
+    )
 
 
 def _forward_kinematics(known: _Constants, angles: list[float]) -> tuple[Row, list[Turn]]:
-    """The point in the camera, m, and cosine, sine and place (x, y) of it after each step's turn."""
+    """The point in the camera, m, and cosine, sine
+    and place (x, y) of it after each step's turn.
+    """
     turned = [(1.0, 0.0, 0.0, 0.0)] * len(known.steps)
     px, py, pz = _apply_pose(known.fixed[-1], known.point)
     for k in range(len(known.steps) - 1, -1, -1):
         column, scale, zero, slides = known.steps[k]
         angle = scale * angles[column] + zero
         if slides:
-            c, s, pz = 1.0, 0.0, pz + angle
+            c = 1.0
+            s = 0.0
+            pz = pz + angle
         else:
-            c, s = cos(angle), sin(angle)
+            c = cos(angle)
+            s = sin(angle)
             px, py = c * px - s * py, s * px + c * py
         turned[k] = (c, s, px, py)
         px, py, pz = _apply_pose(known.fixed[k], (px, py, pz))
     return (px, py, pz), turned
 
 
-def _design_row(known: _Constants, arm: Row, turned: list[Turn], row: Row, by_lens: Lens) -> tuple[float, ...]:
+def _design_row(
+    known: _Constants, arm: Row, turned: list[Turn], row: Row, by_lens: Lens
+) -> tuple[float, ...]:
     """One row of the design (P,), for the derivative `row` of u or v by the point in the camera."""
-    slope, g = [0.0] * known.joints, _derivative_before_pose(known.fixed[0], row)
-    for (column, scale, _, slides), (c, s, x, y), after in zip(known.steps, turned, known.fixed[1:], strict=True):
+    slope = [0.0] * known.joints
+    g = _derivative_before_pose(known.fixed[0], row)
+    for (column, scale, _, slides), (c, s, x, y), after in zip(
+        known.steps, turned, known.fixed[1:], strict=True
+    ):
         slope[column] += scale * (g[2] if slides else g[1] * x - g[0] * y)
         g = _derivative_before_pose(after, (c * g[0] + s * g[1], c * g[1] - s * g[0], g[2]))
     (a, b, e), (ix, iy, iz) = row, arm
@@ -108,7 +145,11 @@ def _apply_pose(pose: tuple[float, ...], p: "Row | list[float]") -> Row:
 
 def _row_times_matrix(m: Sequence[float], x: float, y: float, z: float) -> Row:
     """A row (3,) times a matrix of nine numbers, column by column."""
-    return m[0] * x + m[1] * y + m[2] * z, m[3] * x + m[4] * y + m[5] * z, m[6] * x + m[7] * y + m[8] * z
+    return (
+        m[0] * x + m[1] * y + m[2] * z,
+        m[3] * x + m[4] * y + m[5] * z,
+        m[6] * x + m[7] * y + m[8] * z,
+    )
 
 
 def _derivative_before_pose(pose: tuple[float, ...], g: Row) -> Row:
@@ -122,20 +163,24 @@ def _project_point(
     px: float, py: float, pz: float, lens: list[float]
 ) -> tuple[tuple[float, float], tuple[Row, Row], tuple[Lens, Lens]]:
     """`camera.project_points` for one point."""
-    depth, far = max(pz, NEAREST), pz > NEAREST
+    depth = max(pz, NEAREST)
+    far = pz > NEAREST
     x, y = px / depth, py / depth
     fu = exp(lens[0])
     fv = fu * exp(lens[1])
     square = x * x + y * y
     bend = 1.0 + square * (lens[4] + lens[5] * square)
     rise = 2.0 * (lens[4] + 2.0 * lens[5] * square)
-    xx, xy, yy = bend + rise * x * x, rise * x * y, bend + rise * y * y
+    xx = bend + rise * x * x
+    xy = rise * x * y
+    yy = bend + rise * y * y
     one = 1.0 / depth
     rows = (
         (fu * xx * one, fu * xy * one, -fu * (xx * x + xy * y) * one if far else 0.0),
         (fv * xy * one, fv * yy * one, -fv * (xy * x + yy * y) * one if far else 0.0),
     )
     u, v = fu * x * bend, fv * y * bend
-    ku, kv = fu * x * square, fv * y * square
+    ku = fu * x * square
+    kv = fv * y * square
     by_lens = (u, 0.0, 1.0, 0.0, ku, ku * square), (v, v, 0.0, 1.0, kv, kv * square)
     return (u + lens[2], v + lens[3]), rows, by_lens

@@ -1,4 +1,6 @@
-"""Joints of a log and of a URDF that spell the same name differently: kLeftElbow and left_elbow_joint."""
+"""Joints of a log and of a URDF that spell the same
+name differently: kLeftElbow and left_elbow_joint.
+"""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -9,13 +11,17 @@ _EMPTY_WORDS = frozenset({"joint", "j", "k", "pos", "position", "state", "motor"
 
 
 def telling_words(name: str) -> tuple[str, ...]:
-    """The telling words of a joint's name, sorted: ('elbow', 'left') of kLeftElbow and left_elbow_joint."""
+    """The telling words of a joint's name, sorted:
+    ('elbow', 'left') of kLeftElbow and left_elbow_joint.
+    """
     found = [word.lower() for word in _WORDS.findall(name)]
     return tuple(sorted(word for word in found if word not in _EMPTY_WORDS))
 
 
 def match_joints(names: Sequence[str], known: Iterable[str]) -> dict[str, str]:
-    """The known joint of each name: the same name, or else the only one with the same words; others are left out."""
+    """The known joint of each name: the same name, or else
+    the only one with the same words; others are left out.
+    """
     joints = list(known)
     by_words: dict[tuple[str, ...], list[str]] = {}
     for joint in joints:

@@ -1,4 +1,6 @@
-"""Gauss-Newton over what landmarks share, with their places eliminated (Schur complement), and their triangulation."""
+"""Gauss-Newton over what landmarks share, with their places
+eliminated (Schur complement), and their triangulation.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -11,12 +13,16 @@ _KNEE_SIGMA = 2.0
 """Innovations, in standard deviations, beyond which a row loses weight (Huber)."""
 RESIDUAL_STD_PX = 0.8
 RESIDUAL_TIME_S = 1.1
-"""A corner's error wanders: an Ornstein-Uhlenbeck process with this deviation, per axis, and correlation time.
+"""A corner's error wanders: an Ornstein-Uhlenbeck process
+with this deviation, per axis, and correlation time.
 
-Measured on rendered and real robots: 0.8 px and 15 frames at 12 to 15 Hz; highlights and silhouettes slide slowly.
+Measured on rendered and real robots: 0.8 px and 15 frames at 12 to 15 Hz; highlights and
+silhouettes slide slowly.
 """
 DATA_SHARE = 1.0 / 6.0
-"""Weight of sightings against priors: about this share of them errs independently, as a link's landmarks err alike."""
+"""Weight of sightings against priors: about this share of
+them errs independently, as a link's landmarks err alike.
+"""
 _STEPS = 15
 _SETTLED = 1e-4
 """Prior standard deviations by which the largest step of a settled descent moves an unknown."""
@@ -28,7 +34,8 @@ _NEAREST_M = 0.05
 
 @dataclass(frozen=True, eq=False)
 class PlacePrior:
-    """Where earlier logs place landmarks, given what all share: centres (K,3) m + slopes (K,3,P) (φ − at (P,)).
+    """Where earlier logs place landmarks, given what all
+    share: centres (K,3) m + slopes (K,3,P) (φ − at (P,)).
 
     precision (K,3,3) 1/m²: of places about that, independent between landmarks.
     """
@@ -40,13 +47,16 @@ class PlacePrior:
 
     def take(self, landmarks: Array) -> "PlacePrior":
         """The prior of the landmarks with these numbers (k,)."""
-        centres, precision = self.centres[landmarks], self.precision[landmarks]
+        centres = self.centres[landmarks]
+        precision = self.precision[landmarks]
         return PlacePrior(centres, precision, self.slopes[landmarks], self.at)
 
 
 @dataclass(frozen=True, eq=False)
 class Landmarks:
-    """Places (K,3) m of the pieces on bodies with numbers (K,), and their prior; without one that of their bodies."""
+    """Places (K,3) m of the pieces on bodies with numbers
+    (K,), and their prior; without one that of their bodies.
+    """
 
     body: Array
     places: Array
@@ -62,10 +72,10 @@ class Landmarks:
 class Reduced:
     """The normal equations of the shared unknowns with all places eliminated.
 
-    matrix (P,P) · pull (P,) · cost: Huber loss of innovations and priors, twice the nats · place_matrix (K,3,3) ·
-    cross (K,3,P) · place_pull (K,3) · from_prior (P,P): what the places' prior tells, places eliminated ·
-    rows (R,2,P): whitened design with places eliminated · innovation (R,2): whitened residuals, in standard
-    deviations · residual (R,2) px · weight (R,).
+    matrix (P,P) · pull (P,) · cost: Huber loss of innovations and priors, twice the nats ·
+    place_matrix (K,3,3) · cross (K,3,P) · place_pull (K,3) · from_prior (P,P): what the places'
+    prior tells, places eliminated · rows (R,2,P): whitened design with places eliminated ·
+    innovation (R,2): whitened residuals, in standard deviations · residual (R,2) px · weight (R,).
     """
 
     matrix: Array
@@ -82,9 +92,11 @@ class Reduced:
 
 
 def whiten_residuals(values: Array, seen: LandmarkSightings, std_px: float) -> Array:
-    """Residuals or designs (R,…) as innovations of the pieces' error processes, in standard deviations.
+    """Residuals or designs (R,…) as innovations of the
+    pieces' error processes, in standard deviations.
 
-    r̃_i = (r_i − ρ_i r_{i−1}) / (σ √(1 − ρ_i²)), ρ_i = exp(−(t_i − t_{i−1}) / ℓ), ρ = 0 at the first row of a piece.
+    r̃_i = (r_i − ρ_i r_{i−1}) / (σ √(1 − ρ_i²)), ρ_i = exp(−(t_i
+    − t_{i−1}) / ℓ), ρ = 0 at the first row of a piece.
     """
     gaps = np.diff(seen.t, prepend=-np.inf)
     gaps[seen.begins] = np.inf
@@ -97,9 +109,15 @@ def whiten_residuals(values: Array, seen: LandmarkSightings, std_px: float) -> A
 
 
 def reduce_normal(
-    model: LandmarkModel, phi: Array, seen: LandmarkSightings, landmarks: Landmarks, std_px: float = RESIDUAL_STD_PX
+    model: LandmarkModel,
+    phi: Array,
+    seen: LandmarkSightings,
+    landmarks: Landmarks,
+    std_px: float = RESIDUAL_STD_PX,
 ) -> Reduced:
-    """Normal equations at φ; errors of a piece have the deviation std_px, places have their bodies' priors."""
+    """Normal equations at φ; errors of a piece have the
+    deviation std_px, places have their bodies' priors.
+    """
     predicted = model.predict(phi, seen, landmarks.body, landmarks.places)
     residual = seen.uv - predicted.image
     innovation = whiten_residuals(residual, seen, std_px)
@@ -125,7 +143,9 @@ def reduce_normal(
     matrix += _gram(prior.slopes, sloping)
     pull = scaled.T @ innovation.reshape(-1) - prior_pull
     pull -= prior.slopes.reshape(-1, len(phi)).T @ pulled.reshape(-1)
-    eliminated = np.linalg.solve(place_matrix, np.concatenate([cross, place_pull[..., None]], axis=2))
+    eliminated = np.linalg.solve(
+        place_matrix, np.concatenate([cross, place_pull[..., None]], axis=2)
+    )
     flat = cross.reshape(-1, len(phi))
     matrix -= flat.T @ eliminated[..., :-1].reshape(-1, len(phi))
     pull -= flat.T @ eliminated[..., -1].reshape(-1)
@@ -134,8 +154,18 @@ def reduce_normal(
     from_prior = _gram(left, prior.precision @ left)
     cost = float(DATA_SHARE * loss.sum() + beyond @ prior_pull + (off * pulled).sum())
     return Reduced(
-        matrix, pull, cost, place_matrix, cross, place_pull, from_prior, rows, innovation, residual, weight
-    )  # fmt: skip
+        matrix,
+        pull,
+        cost,
+        place_matrix,
+        cross,
+        place_pull,
+        from_prior,
+        rows,
+        innovation,
+        residual,
+        weight,
+    )
 
 
 def _gram(left: Array, right: Array) -> Array:
@@ -153,12 +183,18 @@ def expected_places(model: LandmarkModel, body: Array, phi: Array) -> PlacePrior
 
 
 def adjust_landmarks(
-    model: LandmarkModel, phi: Array, seen: LandmarkSightings, landmarks: Landmarks, free: Array,
-    std_px: float = RESIDUAL_STD_PX, steps: int = _STEPS,
-) -> tuple[Array, Landmarks, Reduced]:  # fmt: skip
+    model: LandmarkModel,
+    phi: Array,
+    seen: LandmarkSightings,
+    landmarks: Landmarks,
+    free: Array,
+    std_px: float = RESIDUAL_STD_PX,
+    steps: int = _STEPS,
+) -> tuple[Array, Landmarks, Reduced]:
     """Descend from φ over its `free` (P,) unknowns and all places, by Levenberg-Marquardt."""
     std = model.prior[1][free]
-    here, damping = reduce_normal(model, phi, seen, landmarks, std_px), 1e-4
+    here = reduce_normal(model, phi, seen, landmarks, std_px)
+    damping = 1e-4
     for _ in range(steps):
         scaled = here.matrix[np.ix_(free, free)] * std * std[:, None]
         right = here.pull[free] * std
@@ -166,7 +202,10 @@ def adjust_landmarks(
             step = np.zeros(len(phi))
             step[free] = std * np.linalg.solve(scaled + damping * np.diag(np.diag(scaled)), right)
             right_place = here.place_pull - here.cross @ step
-            moved = landmarks.places + np.linalg.solve(here.place_matrix, right_place[..., None])[..., 0]
+            moved = (
+                landmarks.places
+                + np.linalg.solve(here.place_matrix, right_place[..., None])[..., 0]
+            )
             there = replace(landmarks, places=moved)
             after = reduce_normal(model, phi + step, seen, there, std_px)
             if after.cost < here.cost or damping > _MOST_DAMPING:
@@ -174,22 +213,31 @@ def adjust_landmarks(
             damping *= 10.0
         if not after.cost < here.cost:
             break
-        phi, landmarks, here, damping = phi + step, there, after, max(damping / 10.0, 1e-9)
+        phi = phi + step
+        landmarks = there
+        here = after
+        damping = max(damping / 10.0, 1e-9)
         if np.abs(step[free] / std).max(initial=0.0) < _SETTLED:
             break
     return phi, landmarks, here
 
 
-def triangulate_pieces(model: LandmarkModel, phi: Array, seen: LandmarkSightings, body: int) -> tuple[Array, Array]:
-    """Places (K,3) m of all pieces on one body, for given shared unknowns, and their rows' residuals (R,) px.
+def triangulate_pieces(
+    model: LandmarkModel, phi: Array, seen: LandmarkSightings, body: int
+) -> tuple[Array, Array]:
+    """Places (K,3) m of all pieces on one body, for given
+    shared unknowns, and their rows' residuals (R,) px.
 
-    The first place is nearest to all rays; Gauss-Newton on the image then refines it, with the body's prior.
+    The first place is nearest to all rays; Gauss-Newton
+    on the image then refines it, with the body's prior.
     """
     from .camera import project_points
     from .starts import normalised_directions
 
     rotation, place = model.frames(phi, seen, body)
-    rays = np.concatenate([normalised_directions(seen.uv, phi[6:12]), np.ones((len(seen.uv), 1))], axis=1)
+    rays = np.concatenate(
+        [normalised_directions(seen.uv, phi[6:12]), np.ones((len(seen.uv), 1))], axis=1
+    )
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     across = np.eye(3) - rays[:, :, None] * rays[:, None]
     part = model.bodies[body]
@@ -197,8 +245,13 @@ def triangulate_pieces(model: LandmarkModel, phi: Array, seen: LandmarkSightings
     depth = max(float(np.linalg.norm(place + rotation @ part.centre, axis=1).mean()), _NEAREST_M)
     precision = 1.0 / part.size**2
     beyond = across @ rotation
-    matrix = seen.sums(rotation.transpose(0, 2, 1) @ beyond) * (focal / depth) ** 2 + precision * np.eye(3)
-    right = -seen.sums(np.einsum("nji,nj->ni", beyond, place)) * (focal / depth) ** 2 + precision * part.centre
+    matrix = seen.sums(rotation.transpose(0, 2, 1) @ beyond) * (
+        focal / depth
+    ) ** 2 + precision * np.eye(3)
+    right = (
+        -seen.sums(np.einsum("nji,nj->ni", beyond, place)) * (focal / depth) ** 2
+        + precision * part.centre
+    )
     places = np.linalg.solve(matrix, right[..., None])[..., 0]
     for turn in range(_PLACE_STEPS + 1):
         inside = np.einsum("nij,nj->ni", rotation, places[seen.piece]) + place
@@ -210,7 +263,9 @@ def triangulate_pieces(model: LandmarkModel, phi: Array, seen: LandmarkSightings
         by_place = by_point @ rotation
         weighted = by_place * np.minimum(1.0, 4.0 / np.maximum(length, 1e-9))[:, None, None]
         matrix = seen.sums(np.einsum("nip,niq->npq", weighted, by_place)) + precision * np.eye(3)
-        right = seen.sums(np.einsum("nip,ni->np", weighted, residual)) + precision * (part.centre - places)
+        right = seen.sums(np.einsum("nip,ni->np", weighted, residual)) + precision * (
+            part.centre - places
+        )
         places = places + np.linalg.solve(matrix, right[..., None])[..., 0]
     length[inside[:, 2] < _NEAREST_M] = 1e3
     return places, length
@@ -218,10 +273,11 @@ def triangulate_pieces(model: LandmarkModel, phi: Array, seen: LandmarkSightings
 
 @dataclass(frozen=True, eq=False)
 class Assignment:
-    """Which body explains each piece best: body (K,) · places (K,3) m on it · error (K,) px, root mean square.
+    """Which body explains each piece best: body (K,) ·
+    places (K,3) m on it · error (K,) px, root mean square.
 
-    errors (B,K) px: on every body, infinite where it was not tried or cannot be · still (K,) px: of a point at rest in
-    the image.
+    errors (B,K) px: on every body, infinite where it was not tried or cannot be · still (K,) px: of
+    a point at rest in the image.
     """
 
     body: Array
@@ -235,7 +291,9 @@ _BOX_SIGMAS = 2.5
 """Sizes of a body beyond which a point is not on it."""
 
 
-def assign_pieces(model: LandmarkModel, phi: Array, seen: LandmarkSightings, tried: Array | None = None) -> Assignment:
+def assign_pieces(
+    model: LandmarkModel, phi: Array, seen: LandmarkSightings, tried: Array | None = None
+) -> Assignment:
     """Try every piece on every body, or on those that `tried` (B,K) names: the least error wins."""
     errors = np.full((len(model.bodies), seen.count), np.inf)
     places = np.zeros((len(model.bodies), seen.count, 3))

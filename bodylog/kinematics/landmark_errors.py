@@ -1,4 +1,6 @@
-"""How far the shared unknowns may be off: errors that a link's landmarks share, and a block sandwich, the larger."""
+"""How far the shared unknowns may be off: errors that a
+link's landmarks share, and a block sandwich, the larger.
+"""
 
 import numpy as np
 
@@ -7,28 +9,36 @@ from .landmark_adjustment import RESIDUAL_STD_PX
 from .landmark_fit import LandmarkFit
 
 COMMON_STD_PX = 0.7
-"""Error that all landmarks of a link share at one instant: highlights and silhouettes move alike (0.5 to 1 px)."""
+"""Error that all landmarks of a link share at one instant:
+highlights and silhouettes move alike (0.5 to 1 px).
+"""
 BLOCK_S = 2.0
 """Blocks of the sandwich: one link's rows within this time."""
 ZERO_FLOOR_PX = 1.0
 """Systematic error of a link in the image, which bounds what is known of the zero that moves it."""
 
 DELAY_FLOOR_S = 0.001
-"""Systematic error of a delay: rendered logs whose delay is zero were given 0.2, 1.8 and -2.1 ms."""
+"""Systematic error of a delay: rendered logs whose
+delay is zero were given 0.2, 1.8 and -2.1 ms.
+"""
 ROW_TIME_FLOOR_S = 0.02
-"""Systematic error of the row time: a rendered camera without one was given -19 ms, sets of real episodes 57 to 88."""
+"""Systematic error of the row time: a rendered camera
+without one was given -19 ms, sets of real episodes 57 to 88.
+"""
 
 
 ZERO_SCATTER = 2.5
-"""Factor on the standard deviations of zeros: two real episodes differ by 2.1 to 3.4 of the model's, in 4 joints."""
+"""Factor on the standard deviations of zeros: two real
+episodes differ by 2.1 to 3.4 of the model's, in 4 joints.
+"""
 
 
 def unknowns_covariance(fit: LandmarkFit) -> Array:
     """Covariance (P,P) of φ; the prior's for unknowns that were not estimated.
 
-    The larger, for each unknown, of two: the residual model (each piece an Ornstein-Uhlenbeck process, and one that a
-    link's pieces share), and a sandwich over blocks of one link and BLOCK_S. Factors and floors from the scatter of
-    disjoint logs then widen zeros and row time.
+    The larger, for each unknown, of two: the residual model (each piece an Ornstein-Uhlenbeck
+    process, and one that a link's pieces share), and a sandwich over blocks of one link and
+    BLOCK_S. Factors and floors from the scatter of disjoint logs then widen zeros and row time.
     """
     part = np.ix_(fit.free, fit.free)
     inverse = np.linalg.inv(fit.reduced.matrix[part])
@@ -78,7 +88,9 @@ def _group_rows(fit: LandmarkFit, width_s: float) -> Array:
 
 
 def _with_floor(fit: LandmarkFit, covariance: Array) -> Array:
-    """Add the floors of delays and row time, and to each zero ZERO_FLOOR_PX by the pixels that a radian moves."""
+    """Add the floors of delays and row time, and to each
+    zero ZERO_FLOOR_PX by the pixels that a radian moves.
+    """
     predicted = fit.model.predict(fit.phi, fit.seen, fit.landmarks.body, fit.landmarks.places)
     moved = np.sqrt(np.square(predicted.by_joints).sum(axis=1))
     result = covariance.copy()
@@ -88,7 +100,9 @@ def _with_floor(fit: LandmarkFit, covariance: Array) -> Array:
     if fit.free[row]:  # what the row time is off by, the others follow
         along = result[:, row] / result[row, row]
         result += ROW_TIME_FLOOR_S**2 * np.outer(along, along)
-    for joint, index in enumerate(range(fit.model.rig.of_joints.start, fit.model.rig.of_joints.stop)):
+    for joint, index in enumerate(
+        range(fit.model.rig.of_joints.start, fit.model.rig.of_joints.stop)
+    ):
         seeing = moved[:, joint][moved[:, joint] > 0.0]
         if len(seeing):
             result[index, index] += (ZERO_FLOOR_PX / float(np.sqrt(np.square(seeing).mean()))) ** 2

@@ -8,10 +8,17 @@ import numpy as np
 from ..types import Array
 from .chain import chain_between
 from .joint_motion import JointCurve
-from .landmark_adjustment import RESIDUAL_STD_PX, Assignment, Landmarks, Reduced, adjust_landmarks, assign_pieces
+from .landmark_adjustment import (
+    RESIDUAL_STD_PX,
+    Assignment,
+    Landmarks,
+    Reduced,
+    adjust_landmarks,
+    assign_pieces,
+)
 from .landmarks import LandmarkBody, LandmarkModel, LandmarkSightings
 from .links import Space
-from .rig import RigCamera, Rig, Sight
+from .rig import Rig, RigCamera, Sight
 
 BODY_RADIUS_M = 0.1
 """What stands out beyond the origins of a link: half the prior size of a link of no length."""
@@ -36,13 +43,18 @@ def build_model(
 ) -> LandmarkModel:
     """The model of one camera and every rigid part of the robot that moves before it, and the base.
 
-    robot_space: the robot with its joints that move · zero_std: prior std of joint zeros, rad (m: a tenth).
+    robot_space: the robot with its joints that move ·
+    zero_std: prior std of joint zeros, rad (m: a tenth).
     """
     space = robot_space
     bodies = tuple(_landmark_bodies(space, camera.link))
     sights = tuple(Sight(body.link, 0, 0, body.chain) for body in bodies)
-    doubt = np.array([zero_std * (0.1 if space.robot.by_name[name].kind == "prismatic" else 1.0)
-                      for name in space.joints])  # fmt: skip
+    doubt = np.array(
+        [
+            zero_std * (0.1 if space.robot.by_name[name].kind == "prismatic" else 1.0)
+            for name in space.joints
+        ]
+    )
     rig = Rig((camera,), (), sights, space.joints, np.maximum(doubt, 1e-9))
     return LandmarkModel(rig, bodies, tuple(motions))
 
@@ -61,9 +73,11 @@ def _landmark_bodies(space: Space, camera_link: str) -> Iterator[LandmarkBody]:
         size = 0.5 * float(np.linalg.norm(high - low)) + BODY_RADIUS_M
         base = group == groups[0]
         yield LandmarkBody(
-            group, space.chain(camera_link, group), np.zeros(3) if base else 0.5 * (low + high),
+            group,
+            space.chain(camera_link, group),
+            np.zeros(3) if base else 0.5 * (low + high),
             WORLD_SIZE_M if base else size,
-        )  # fmt: skip
+        )
 
 
 def _uppermost_link(space: Space, link: str, groups: Sequence[str]) -> str:
@@ -81,9 +95,11 @@ def _link_origin(space: Space, start: str, link: str) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkFit:
-    """The unknowns φ (P,) after the last stage, the pieces in use with their landmarks, and their normal equations.
+    """The unknowns φ (P,) after the last stage, the pieces
+    in use with their landmarks, and their normal equations.
 
-    free (P,): which unknowns were estimated · used (k,): numbers of the pieces in use among those given.
+    free (P,): which unknowns were estimated · used (k,):
+    numbers of the pieces in use among those given.
     """
 
     model: LandmarkModel
@@ -98,17 +114,25 @@ class LandmarkFit:
     def error_px(self) -> float:
         """Root mean square residual per axis, px."""
         weight = self.reduced.weight
-        return float(np.sqrt((weight[:, None] * np.square(self.reduced.residual)).sum() / (2.0 * weight.sum())))
+        return float(
+            np.sqrt(
+                (weight[:, None] * np.square(self.reduced.residual)).sum() / (2.0 * weight.sum())
+            )
+        )
 
 
 def search_costs(model: LandmarkModel, phi: Array, seen: LandmarkSightings) -> Array:
-    """Square errors (K,), px², of the pieces on their best bodies, each at most _SEARCH_CAP_PX squared."""
+    """Square errors (K,), px², of the pieces on their
+    best bodies, each at most _SEARCH_CAP_PX squared.
+    """
     error = assign_pieces(model, phi, seen).error
     return np.asarray(np.square(np.minimum(error, _SEARCH_CAP_PX)))
 
 
 def search_delay(model: LandmarkModel, phi: Array, seen: LandmarkSightings) -> tuple[Array, float]:
-    """φ with each log's delay of least cost on a coarse grid, and the mean cost of all pieces with these."""
+    """φ with each log's delay of least cost on a coarse
+    grid, and the mean cost of all pieces with these.
+    """
     logs = seen.log[seen.begins]
     sums = np.empty((len(_DELAY_GRID_S), len(model.motions)))
     for number, delay in enumerate(_DELAY_GRID_S):
@@ -126,22 +150,32 @@ def choose_pieces(seen: LandmarkSightings, most: int) -> Array:
     chosen = []
     for log in np.unique(logs):
         own = np.flatnonzero(logs == log)
-        chosen.append(own[np.unique(np.linspace(0, len(own) - 1, min(len(own), most)).round().astype(int))])
+        chosen.append(
+            own[np.unique(np.linspace(0, len(own) - 1, min(len(own), most)).round().astype(int))]
+        )
     return np.concatenate(chosen)
 
 
 def staged_fit(
-    model: LandmarkModel, phi: Array, seen: LandmarkSightings, row_time: bool = True, wide: bool = False
+    model: LandmarkModel,
+    phi: Array,
+    seen: LandmarkSightings,
+    row_time: bool = True,
+    wide: bool = False,
 ) -> LandmarkFit | None:
-    """Adjust in stages from φ: delay, pose and focal length, then zeros, then the lens, then the row time.
+    """Adjust in stages from φ: delay, pose and focal
+    length, then zeros, then the lens, then the row time.
 
-    wide: the camera is not even known roughly. None where fewer than LEAST_PIECES moving pieces fit any body.
+    wide: the camera is not even known roughly. None where
+    fewer than LEAST_PIECES moving pieces fit any body.
     """
     pose, focal, lens, zeros, delays, row = _masks_of_unknowns(model)
     found: LandmarkFit | None = None
     tried: Array | None = None
     stages = [(-1, 40.0, 8.0), (-1, 24.0, 5.0)] if wide else []
-    stages += [(number, threshold, STDS_PX[number]) for number, threshold in enumerate(THRESHOLDS_PX)]
+    stages += [
+        (number, threshold, STDS_PX[number]) for number, threshold in enumerate(THRESHOLDS_PX)
+    ]
     for stage, threshold, std_px in stages:
         # the links are chosen twice at each threshold: a better camera changes them
         for _ in range(2):
@@ -162,7 +196,9 @@ def staged_fit(
 
 
 def explained_pieces(model: LandmarkModel, chosen: Assignment) -> Array:
-    """Which pieces (K,) a body explains much better than rest in the image does: a swaying picture moves no link."""
+    """Which pieces (K,) a body explains much better than
+    rest in the image does: a swaying picture moves no link.
+    """
     moves = np.array([len(body.chain.column) > 0 for body in model.bodies])[chosen.body]
     return np.asarray(~moves | (chosen.error < _EXPLAINED_SHARE * chosen.still))
 

@@ -1,7 +1,9 @@
-"""Which single change since earlier logs explains a log's landmarks: one joint's zero, a moved camera, or none.
+"""Which single change since earlier logs explains a log's
+landmarks: one joint's zero, a moved camera, or none.
 
-One fit with every joint free gives the log's information on φ, as a Gaussian. Each hypothesis is a prior of φ: the
-belief of earlier logs, widened along what it frees. Evidence and posterior follow in closed form:
+One fit with every joint free gives the log's information on φ, as a
+Gaussian. Each hypothesis is a prior of φ: the belief of earlier logs,
+widened along what it frees. Evidence and posterior follow in closed form:
 
     ln Z_h = ½ ln |Λ_h| − ½ ln |Λ_h + D| + ½ (b + Λ_h m)ᵀ (Λ_h + D)⁻¹ (b + Λ_h m) − ½ mᵀ Λ_h m
 """
@@ -34,7 +36,9 @@ class Information:
 
 @dataclass(frozen=True)
 class ChangeHypothesis:
-    """A hypothesis: its ln evidence, nats, and of a joint its offset δ ± std, rad or m, with its prior std."""
+    """A hypothesis: its ln evidence, nats, and of a joint
+    its offset δ ± std, rad or m, with its prior std.
+    """
 
     name: str
     nats: float
@@ -43,7 +47,9 @@ class ChangeHypothesis:
     beforehand: float = 0.0
 
 
-def widen_zero_belief(model: LandmarkModel, belief: LandmarkBelief, camera_may_move: bool = False) -> LandmarkModel:
+def widen_zero_belief(
+    model: LandmarkModel, belief: LandmarkBelief, camera_may_move: bool = False
+) -> LandmarkModel:
     """The model with a belief in which every joint may be off, and the camera moved if it may."""
     variance = np.zeros(len(belief.mean))
     for index, std in _offset_stds(model).values():
@@ -68,7 +74,9 @@ def _offset_stds(model: LandmarkModel) -> Mapping[str, tuple[int, float]]:
 
 
 def information_of_log(model: LandmarkModel, phi: Array, covariance: Array) -> Information:
-    """What the log alone tells, from a posterior φ (P,) ± covariance (P,P) and the model's belief."""
+    """What the log alone tells, from a posterior φ
+    (P,) ± covariance (P,P) and the model's belief.
+    """
     assert model.belief is not None
     std = model.prior[1]
     posterior = np.linalg.inv(covariance / std / std[:, None])
@@ -79,7 +87,9 @@ def information_of_log(model: LandmarkModel, phi: Array, covariance: Array) -> I
     return Information(log_information / std / std[:, None], pull / std)
 
 
-def weigh_hypotheses(model: LandmarkModel, belief: LandmarkBelief, told: Information, camera_may_move: bool = True) -> list[ChangeHypothesis]:
+def weigh_hypotheses(
+    model: LandmarkModel, belief: LandmarkBelief, told: Information, camera_may_move: bool = True
+) -> list[ChangeHypothesis]:
     """Every hypothesis with its evidence, the sound one first."""
     count = len(belief.mean)
     found = [_weigh_hypothesis(SOUND, belief, told, np.zeros(count), None)]
@@ -93,8 +103,12 @@ def weigh_hypotheses(model: LandmarkModel, belief: LandmarkBelief, told: Informa
     return found
 
 
-def _weigh_hypothesis(name: str, belief: LandmarkBelief, told: Information, added: Array, index: int | None) -> ChangeHypothesis:
-    """One hypothesis, whose prior has the variances `added` (P,) more; its offset at `index` of φ."""
+def _weigh_hypothesis(
+    name: str, belief: LandmarkBelief, told: Information, added: Array, index: int | None
+) -> ChangeHypothesis:
+    """One hypothesis, whose prior has the variances
+    `added` (P,) more; its offset at `index` of φ.
+    """
     std = np.sqrt(np.diag(belief.covariance) + added)
     covariance = (belief.covariance + np.diag(added)) / std / std[:, None]
     mean = belief.mean / std
@@ -103,12 +117,19 @@ def _weigh_hypothesis(name: str, belief: LandmarkBelief, told: Information, adde
     # relative to the prior's mean, so that no large numbers cancel
     pull = told.pull * std - (told.precision * std * std[:, None]) @ mean
     beyond = np.linalg.solve(precision, pull)
-    nats = -0.5 * (np.linalg.slogdet(precision)[1] + np.linalg.slogdet(covariance)[1]) + 0.5 * float(pull @ beyond)
+    nats = -0.5 * (
+        np.linalg.slogdet(precision)[1] + np.linalg.slogdet(covariance)[1]
+    ) + 0.5 * float(pull @ beyond)
     if index is None:
         return ChangeHypothesis(name, float(nats))
     variance = float(added[index])
     share = prior[index] / std[index]
     value = variance * float(share @ beyond)
-    spread = float(share @ np.linalg.solve(precision, share)) - float(prior[index, index]) / float(std[index]) ** 2
+    spread = (
+        float(share @ np.linalg.solve(precision, share))
+        - float(prior[index, index]) / float(std[index]) ** 2
+    )
     left = max(variance + variance**2 * spread, 0.0)
-    return ChangeHypothesis(name, float(nats), value, float(np.sqrt(left)), float(np.sqrt(variance)))
+    return ChangeHypothesis(
+        name, float(nats), value, float(np.sqrt(left)), float(np.sqrt(variance))
+    )

@@ -1,4 +1,6 @@
-"""Where a camera may stand before landmarks are known: on a link that bears its name, or anywhere around the arm."""
+"""Where a camera may stand before landmarks are known: on
+a link that bears its name, or anywhere around the arm.
+"""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
@@ -23,7 +25,9 @@ FINALISTS = 4
 
 
 def camera_links(robot: Robot) -> list[str]:
-    """Links that bear a camera's name, optical frames first: camera_link, d435_link, zed_left_camera_frame."""
+    """Links that bear a camera's name, optical frames
+    first: camera_link, d435_link, zed_left_camera_frame.
+    """
     named = [link for link in robot.links if is_optical(link) or _bears_camera_name(link)]
     return sorted(named, key=lambda link: (not is_optical(link), link.count("_")))
 
@@ -35,9 +39,13 @@ def _bears_camera_name(link: str) -> bool:
 
 
 def nominal_camera(name: str, link: str, hint: CameraHint, robot: Robot) -> RigCamera:
-    """A camera on a link that bears its name: the link is its optical frame, or its body frame with x forward."""
+    """A camera on a link that bears its name: the link is
+    its optical frame, or its body frame with x forward.
+    """
     camera = hinted_camera(name, link, replace(hint, link=None, pose=None), robot)
-    anchor = np.eye(4) if is_optical(link) else invert_transform(make_transform(_FORWARD_X, np.zeros(3)))
+    anchor = (
+        np.eye(4) if is_optical(link) else invert_transform(make_transform(_FORWARD_X, np.zeros(3)))
+    )
     return replace(camera, anchor=anchor, doubt=np.concatenate([FRAME_POSE, camera.doubt[6:]]))
 
 
@@ -48,7 +56,9 @@ def free_camera(name: str, hint: CameraHint, robot: Robot) -> RigCamera:
 
 
 def around_the_arm(camera: RigCamera, centre: Array) -> Iterator[RigCamera]:
-    """Yield the camera, upright, at 48 places on spheres around a centre (3,) m in its link, looking at it."""
+    """Yield the camera, upright, at 48 places on spheres
+    around a centre (3,) m in its link, looking at it.
+    """
     for distance in _DISTANCES_M:
         for elevation in _ELEVATIONS_RAD:
             for azimuth in _AZIMUTHS:

@@ -1,11 +1,14 @@
-"""Landmarks on links: natural points whose places are unknown, seen by one camera while the joints move.
+"""Landmarks on links: natural points whose places are
+unknown, seen by one camera while the joints move.
 
-Landmark j lies at the unknown place X_j of link l(j). A row of sightings at image time t in image row v shows it at
+Landmark j lies at the unknown place X_j of link l(j). A
+row of sightings at image time t in image row v shows it at
 
     (u, v) = π(lens, camera · FK_l(q(t − τ + ρ (v/H − ½)) + δ) · X_j)
 
-with the camera's delay τ of that log, its row time ρ (s from the first to the last row of an image, H px high), and the
-joints' zeros δ. The unknowns that landmarks share are the rig's θ, then one delay per log, then the row time.
+with the camera's delay τ of that log, its row time ρ (s from the first to the last row of an image,
+H px high), and the joints' zeros δ. The unknowns that landmarks share are the rig's θ, then one
+delay per log, then the row time.
 """
 
 from collections.abc import Sequence
@@ -19,7 +22,7 @@ from .camera import project_points
 from .chain import Chain
 from .joint_motion import JointCurve
 from .rig import Rig
-from .rotations import rotation_from_vector, left_jacobian, cross_product_matrix
+from .rotations import cross_product_matrix, left_jacobian, rotation_from_vector
 
 DELAY_STD_S = 0.3
 """Prior std of a camera's delay."""
@@ -29,9 +32,11 @@ ROW_TIME_STD_S = 0.04
 
 @dataclass(frozen=True, eq=False)
 class LandmarkBody:
-    """A rigid part of the robot that can bear landmarks: its uppermost link, and the chain to it from the camera's.
+    """A rigid part of the robot that can bear landmarks: its
+    uppermost link, and the chain to it from the camera's.
 
-    centre (3,) m and size m: where on it points are expected, from the origins of its links and of what hangs on it.
+    centre (3,) m and size m: where on it points are expected,
+    from the origins of its links and of what hangs on it.
     """
 
     link: str
@@ -42,9 +47,11 @@ class LandmarkBody:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkSightings:
-    """Pieces of corner tracks, or landmarks found again, all logs together, each one's rows by log and time.
+    """Pieces of corner tracks, or landmarks found again,
+    all logs together, each one's rows by log and time.
 
-    piece (R,) from 0, ascending · log (R,) · t (R,) s, image times in their log · uv (R,2) px · height of images, px.
+    piece (R,) from 0, ascending · log (R,) · t (R,) s, image
+    times in their log · uv (R,2) px · height of images, px.
     """
 
     piece: Array
@@ -77,13 +84,17 @@ class LandmarkSightings:
         number = np.full(self.count, -1)
         number[pieces] = np.arange(len(pieces))
         rows = number[self.piece] >= 0
-        return LandmarkSightings(number[self.piece[rows]], self.log[rows], self.t[rows], self.uv[rows], self.height)
+        return LandmarkSightings(
+            number[self.piece[rows]], self.log[rows], self.t[rows], self.uv[rows], self.height
+        )
 
     def thinned(self, every: int) -> "LandmarkSightings":
         """Every n-th row of each piece, beginning with its first."""
         place = np.arange(len(self.piece)) - self.begins[self.piece]
         rows = place % every == 0
-        return LandmarkSightings(self.piece[rows], self.log[rows], self.t[rows], self.uv[rows], self.height)
+        return LandmarkSightings(
+            self.piece[rows], self.log[rows], self.t[rows], self.uv[rows], self.height
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,11 +107,13 @@ class LandmarkBelief:
 
 @dataclass(frozen=True, eq=False)
 class LandmarkModel:
-    """A rig with one camera and no markers, the bodies that bear landmarks, and the motion of each log's joints.
+    """A rig with one camera and no markers, the bodies that
+    bear landmarks, and the motion of each log's joints.
 
-    Its unknowns φ (P,) are the rig's θ, one delay (s) per log, and the row time (s). belief: their prior where earlier
-    logs tell of them; else they are independent, as the rig doubts them. changes: whether 6 + M more follow, by which
-    the camera's pose and the joints' zeros differ from those of the logs that placed the landmarks.
+    Its unknowns φ (P,) are the rig's θ, one delay (s) per log, and the row time (s). belief: their
+    prior where earlier logs tell of them; else they are independent, as the rig doubts them.
+    changes: whether 6 + M more follow, by which the camera's pose and the joints' zeros differ from
+    those of the logs that placed the landmarks.
     """
 
     rig: Rig
@@ -161,11 +174,14 @@ class LandmarkModel:
         return theta
 
     def joints_at(self, phi: Array, seen: LandmarkSightings) -> tuple[Array, Array, Array]:
-        """Joint angles and speeds (R,M) when each row was exposed, and its row's share (R,) of the image, −½ to ½."""
+        """Joint angles and speeds (R,M) when each row was
+        exposed, and its row's share (R,) of the image, −½ to ½.
+        """
         share = seen.uv[:, 1] / seen.height - 0.5
         exposed = seen.t - phi[self.of_delays][seen.log] + phi[self.of_row_time] * share
         joints = len(self.rig.joints)
-        angles, speeds = np.empty((len(exposed), joints)), np.empty((len(exposed), joints))
+        angles = np.empty((len(exposed), joints))
+        speeds = np.empty((len(exposed), joints))
         for log, motion in enumerate(self.motions):
             rows = seen.log == log
             angles[rows], speeds[rows] = motion.at(exposed[rows])
@@ -175,14 +191,18 @@ class LandmarkModel:
         """Rotation (R,3,3) and place (R,3) m of a body in the camera at each row."""
         return _body_in_camera(self, phi, self.joints_at(phi, seen)[0], body)
 
-    def predict(self, phi: Array, seen: LandmarkSightings, body: Array, places: Array) -> "Prediction":
+    def predict(
+        self, phi: Array, seen: LandmarkSightings, body: Array, places: Array
+    ) -> "Prediction":
         """Predict the rows of pieces on the bodies with numbers (K,), at places (K,3) m on them."""
         return _predict_images(self, phi, seen, body, places)
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """image (R,2) px · by_place (R,2,3) px/m · by_shared (R,2,P) by φ · by_joints (R,2,M) px/rad · depth (R,) m."""
+    """image (R,2) px · by_place (R,2,3) px/m · by_shared
+    (R,2,P) by φ · by_joints (R,2,M) px/rad · depth (R,) m.
+    """
 
     image: Array
     by_place: Array
@@ -191,22 +211,30 @@ class Prediction:
     depth: Array
 
 
-def _body_in_camera(model: LandmarkModel, phi: Array, angles: Array, body: int) -> tuple[Array, Array]:
-    rig, theta = model.rig, model.changed(phi)
+def _body_in_camera(
+    model: LandmarkModel, phi: Array, angles: Array, body: int
+) -> tuple[Array, Array]:
+    rig = model.rig
+    theta = model.changed(phi)
     poses = model.bodies[body].chain.at(rig.angles(theta, angles))
     camera = rig.camera_pose(0, theta)
     return camera[:3, :3] @ poses.rotation, poses.place @ camera[:3, :3].T + camera[:3, 3]
 
 
-def _predict_images(model: LandmarkModel, phi: Array, seen: LandmarkSightings, body: Array, places: Array) -> Prediction:
-    rig, rows = model.rig, len(seen.piece)
+def _predict_images(
+    model: LandmarkModel, phi: Array, seen: LandmarkSightings, body: Array, places: Array
+) -> Prediction:
+    rig = model.rig
+    rows = len(seen.piece)
     theta = model.changed(phi)
     angles, speeds, share = model.joints_at(phi, seen)
-    image, depth = np.empty((rows, 2)), np.empty(rows)
+    image = np.empty((rows, 2))
+    depth = np.empty(rows)
     by_place = np.empty((rows, 2, 3))
     by_joints = np.empty((rows, 2, len(rig.joints)))
     by_shared = np.zeros((rows, 2, len(phi)))
-    anchor, pose = rig.cameras[0].anchor, theta[:6]
+    anchor = rig.cameras[0].anchor
+    pose = theta[:6]
     turn = rotation_from_vector(pose[3:])
     body_of_row = body[seen.piece]
     for number in np.unique(body):
@@ -238,7 +266,9 @@ def join_landmark_tracks(
     pieces: Sequence[tuple[Array, Array, Array]], height: float
 ) -> LandmarkSightings:
     """Join the logs' tracks: of each log (piece (R,), t (R,) s, uv (R,2) px)."""
-    numbers, logs, offset = [], [], 0
+    numbers = []
+    logs = []
+    offset = 0
     for log, (piece, _, _) in enumerate(pieces):
         numbers.append(piece + offset)
         logs.append(np.full(len(piece), log))

@@ -1,4 +1,6 @@
-"""Find the links of the camera and the marker: from the log, or by evidence over the URDF's links."""
+"""Find the links of the camera and the marker:
+from the log, or by evidence over the URDF's links.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +12,7 @@ from ..types import Array
 from .calibration import Calibrated, Sighted, calibrate_rig, scout_start
 from .camera import lens_without_distortion
 from .chain import Chain, chain_between
-from .rig import RigCamera, Carrier, Rig, Sight
+from .rig import Carrier, Rig, RigCamera, Sight
 from .robot import MOVING, Robot, is_optical
 from .rotations import invert_transform
 from .starts import find_starts
@@ -22,7 +24,9 @@ MARKER = 0.3
 FREE_LENS = np.array([0.4, 0.02, 30.0, 30.0, 0.2, 0.2])
 """Prior std of a lens known by its image size: fields of view from 35° to 80°, small distortion."""
 INFO_LENS = np.array([0.01, 0.002, 5.0, 5.0, 0.02, 0.02])
-"""Prior std of a lens from CameraInfo: a percent of the focal length, a few pixels of the centre."""
+"""Prior std of a lens from CameraInfo: a percent
+of the focal length, a few pixels of the centre.
+"""
 FRAME_POSE = np.array([0.02] * 3 + [np.radians(6.0)] * 3)
 """m, rad: prior std of a camera whose optical frame is in the URDF."""
 TF_POSE = np.array([0.02] * 3 + [np.radians(2.0)] * 3)
@@ -35,10 +39,12 @@ _PROMISING = 3
 
 @dataclass(frozen=True, eq=False)
 class CameraHint:
-    """A camera by the log: its link or None · pose (4,4) of camera in link, m, or None · lens (6,) or None.
+    """A camera by the log: its link or None · pose (4,4)
+    of camera in link, m, or None · lens (6,) or None.
 
-    size: of its images, (width, height) px, or None · extent: a likely size where it is not known · lens_std,
-    pose_std (6,): prior std of a lens and a pose that somebody gave; else INFO_LENS and TF_POSE.
+    size: of its images, (width, height) px, or None · extent: a likely
+    size where it is not known · lens_std, pose_std (6,): prior std of
+    a lens and a pose that somebody gave; else INFO_LENS and TF_POSE.
     """
 
     link: str | None = None
@@ -52,7 +58,9 @@ class CameraHint:
 
 @dataclass(frozen=True, eq=False)
 class MarkerTrack:
-    """Sightings of one marker in one camera, by name · points (C,3) m of a rigid board, or one at the origin."""
+    """Sightings of one marker in one camera, by name ·
+    points (C,3) m of a rigid board, or one at the origin.
+    """
 
     camera: str
     marker: str
@@ -73,22 +81,35 @@ class FoundLinks:
 
 
 def find_links(
-    robot: Robot, joints: Sequence[str], still: Mapping[str, float], tracks: Mapping[str, MarkerTrack],
-    hints: Mapping[str, CameraHint], doubt: float, scale: float = 0.0, carried: Mapping[str, str] | None = None,
-) -> FoundLinks:  # fmt: skip
-    """Find the most likely links of camera and marker for each track, then calibrate all tracks together.
+    robot: Robot,
+    joints: Sequence[str],
+    still: Mapping[str, float],
+    tracks: Mapping[str, MarkerTrack],
+    hints: Mapping[str, CameraHint],
+    doubt: float,
+    scale: float = 0.0,
+    carried: Mapping[str, str] | None = None,
+) -> FoundLinks:
+    """Find the most likely links of camera and marker
+    for each track, then calibrate all tracks together.
 
-    joints: names of the data's columns · still: angles of joints that did not move · doubt: prior std of joint zeros,
-    rad · scale: prior std of joint scales; 0 keeps them at 1 · carried: links of markers where they are known. Give the
-    most reliable tracks first.
+    joints: names of the data's columns · still: angles of joints that did not move · doubt: prior
+    std of joint zeros, rad · scale: prior std of joint scales; 0 keeps them at 1 · carried: links
+    of markers where they are known. Give the most reliable tracks first.
     """
     space = Space(robot, tuple(joints), still, doubt, scale)
-    placed: dict[str, str] = {name: hint.link for name, hint in hints.items() if hint.link is not None}
-    markers, margin, best = dict(carried or {}), None, None
+    placed: dict[str, str] = {
+        name: hint.link for name, hint in hints.items() if hint.link is not None
+    }
+    markers = dict(carried or {})
+    margin = None
+    best = None
     for track in tracks.values():
         if track.camera in placed and track.marker in markers:
             continue
-        best, least = _most_likely_links(space, track, placed.get(track.camera), markers.get(track.marker), hints)
+        best, least = _most_likely_links(
+            space, track, placed.get(track.camera), markers.get(track.marker), hints
+        )
         margin = least if margin is None or (least is not None and least < margin) else margin
         placed[track.camera] = best.rig.cameras[0].link
         markers[track.marker] = best.rig.carriers[0].link
@@ -102,29 +123,47 @@ def find_links(
 
 
 def _most_likely_links(
-    space: "Space", track: MarkerTrack, camera: str | None, marker: str | None, hints: Mapping[str, CameraHint]
+    space: "Space",
+    track: MarkerTrack,
+    camera: str | None,
+    marker: str | None,
+    hints: Mapping[str, CameraHint],
 ) -> tuple[Calibrated, float | None]:
-    """One track's calibration on its most likely links, chosen by few sightings, and the nats they win."""
-    rows = np.unique(np.linspace(0, len(track.data.q) - 1, min(len(track.data.q), _FEW)).round().astype(int))
+    """One track's calibration on its most likely links,
+    chosen by few sightings, and the nats they win.
+    """
+    rows = np.unique(
+        np.linspace(0, len(track.data.q) - 1, min(len(track.data.q), _FEW)).round().astype(int)
+    )
     part = Sighted(track.data.q[rows], track.data.image[rows], track.data.variance[rows])
-    few, found = replace(track, data=part), list[Calibrated]()
+    few = replace(track, data=part)
+    found = list[Calibrated]()
     for pairs in space.pairs(camera, marker):
         for a, b in _preselect_links(space, few, pairs, hints):
-            rig, first = find_starts(space.rig([few], {few.camera: a}, {few.marker: b}, hints), [part])
+            rig, first = find_starts(
+                space.rig([few], {few.camera: a}, {few.marker: b}, hints), [part]
+            )
             found.append(calibrate_rig(rig, [part], first))
         found.sort(key=lambda one: -one.evidence)
         if found and _explains_motion(found[0], part):
             break
     if not found:
-        raise ModelError(f"{space.robot.source}: no joint that moved lies between any two of its links")
+        raise ModelError(
+            f"{space.robot.source}: no joint that moved lies between any two of its links"
+        )
     margin = found[0].evidence - found[1].evidence if len(found) > 1 else None
     links = found[0].rig.cameras[0].link, found[0].rig.carriers[0].link
-    rig, first = find_starts(space.rig([track], {track.camera: links[0]}, {track.marker: links[1]}, hints), [track.data])
+    rig, first = find_starts(
+        space.rig([track], {track.camera: links[0]}, {track.marker: links[1]}, hints), [track.data]
+    )
     return calibrate_rig(rig, [track.data], first), margin
 
 
 def _preselect_links(
-    space: "Space", track: MarkerTrack, pairs: Sequence[tuple[str, str]], hints: Mapping[str, CameraHint]
+    space: "Space",
+    track: MarkerTrack,
+    pairs: Sequence[tuple[str, str]],
+    hints: Mapping[str, CameraHint],
 ) -> list[tuple[str, str]]:
     """The few pairs of links with the least loss after a short descent from one start."""
     drawn = [(a, b) for a, b in pairs if is_optical(a)]
@@ -133,18 +172,25 @@ def _preselect_links(
         return [*drawn, *rest]
     left = []
     for a, b in rest:
-        rig, first = find_starts(space.rig([track], {track.camera: a}, {track.marker: b}, hints), [track.data])
+        rig, first = find_starts(
+            space.rig([track], {track.camera: a}, {track.marker: b}, hints), [track.data]
+        )
         left.append((scout_start(rig, [track.data], first[0]), a, b))
     return [*drawn, *((a, b) for _, a, b in sorted(left)[:_PROMISING])]
 
 
 def _explains_motion(found: Calibrated, data: Sighted) -> bool:
     """Whether a calibration explains most of the sightings' motion."""
-    return found.noise < (EXPLAINED * data.spread) ** 2 and float(np.mean(found.weights[0][data.seen])) > 0.5
+    return (
+        found.noise < (EXPLAINED * data.spread) ** 2
+        and float(np.mean(found.weights[0][data.seen])) > 0.5
+    )
 
 
 EXPLAINED = 0.1
-"""Largest residual std over the sightings' motion: 0.03 for a real NAO, a third or more for wrong links."""
+"""Largest residual std over the sightings' motion:
+0.03 for a real NAO, a third or more for wrong links.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +204,9 @@ class Space:
     scale: float = 0.0
 
     def chain(self, camera: str, marker: str) -> Chain:
-        """The chain from the camera's link to the marker's, with joints fixed that did not move or have no readings."""
+        """The chain from the camera's link to the marker's,
+        with joints fixed that did not move or have no readings.
+        """
         found = chain_between(self.robot, camera, marker)
         held = {name: self.still.get(name, 0.0) for name in found.joints if name not in self.joints}
         return found.holding(held).over(self.joints)
@@ -169,15 +217,20 @@ class Space:
         return [name for name in names if name not in self.joints and name not in self.still]
 
     def pairs(self, camera: str | None, marker: str | None) -> Iterator[list[tuple[str, str]]]:
-        """Yield pairs of links for camera and marker: first those with most joints between them, then the others.
+        """Yield pairs of links for camera and marker: first
+        those with most joints between them, then the others.
 
         ModelError where there are more than MOST_PAIRS.
         """
         groups = self.groups
         optical = [link for link in self.robot.links if is_optical(link)]
-        cameras, markers = [camera] if camera else [*optical, *groups], [marker] if marker else groups
+        cameras = [camera] if camera else [*optical, *groups]
+        markers = [marker] if marker else groups
         if (count := len(cameras) * len(markers)) > MOST_PAIRS:
-            what = f"{count} pairs of links may carry camera and marker, as {len(groups) - 1} of its joints move"
+            what = (
+                f"{count} pairs of links may carry camera and marker, as {len(groups) - 1} of "
+                "its joints move"
+            )
             asked = f"at most {MOST_PAIRS} are compared; name fewer [body] joints"
             raise ModelError(f"{self.robot.source}: {what}; {asked}")
         counted = [(len(set(self._between(a, b))), a, b) for a in cameras for b in markers]
@@ -202,14 +255,23 @@ class Space:
         return [name for name in chain_between(self.robot, a, b).joints if name in self.joints]
 
     def rig(
-        self, tracks: Sequence[MarkerTrack], placed: Mapping[str, str], markers: Mapping[str, str],
+        self,
+        tracks: Sequence[MarkerTrack],
+        placed: Mapping[str, str],
+        markers: Mapping[str, str],
         hints: Mapping[str, CameraHint],
-    ) -> Rig:  # fmt: skip
+    ) -> Rig:
         """The rig of some tracks with their cameras and markers on given links."""
         names = list(dict.fromkeys(track.camera for track in tracks))
-        cameras = tuple(hinted_camera(name, placed[name], hints.get(name, CameraHint()), self.robot) for name in names)
+        cameras = tuple(
+            hinted_camera(name, placed[name], hints.get(name, CameraHint()), self.robot)
+            for name in names
+        )
         things = {track.marker: track for track in tracks}
-        carriers = tuple(_make_carrier(name, markers[name], len(track.points) > 1) for name, track in things.items())
+        carriers = tuple(
+            _make_carrier(name, markers[name], len(track.points) > 1)
+            for name, track in things.items()
+        )
         sights = tuple(
             Sight(
                 f"{track.camera}/{track.marker}",
@@ -221,7 +283,14 @@ class Space:
             for track in tracks
         )
         scales = np.full(len(self.joints) if self.scale else 0, max(self.scale, 1e-9))
-        return Rig(cameras, carriers, sights, self.joints, np.maximum(self.zero_std(self.joints), 1e-9), scales)
+        return Rig(
+            cameras,
+            carriers,
+            sights,
+            self.joints,
+            np.maximum(self.zero_std(self.joints), 1e-9),
+            scales,
+        )
 
     def zero_std(self, joints: Sequence[str]) -> Array:
         """Prior std (M,) of joints' zeros, rad or m."""
@@ -238,19 +307,28 @@ _SLIDE = 0.1
 def hinted_camera(name: str, link: str, hint: CameraHint, robot: Robot) -> RigCamera:
     """The camera on a link, with what the log says of its pose and lens, and how sure that is."""
     width, height = hint.size or hint.extent or (640, 480)
-    numbers, known = (lens_without_distortion(width, width, height), FREE_LENS) if hint.lens is None else (hint.lens, INFO_LENS)
+    numbers, known = (
+        (lens_without_distortion(width, width, height), FREE_LENS)
+        if hint.lens is None
+        else (hint.lens, INFO_LENS)
+    )
     if hint.lens_std is not None:
         known = hint.lens_std
     pose = hint.pose if hint.link == link else None
     if pose is not None:
-        anchor, doubt = invert_transform(pose), TF_POSE if hint.pose_std is None else hint.pose_std
+        anchor = invert_transform(pose)
+        doubt = TF_POSE if hint.pose_std is None else hint.pose_std
     elif is_optical(link):
-        anchor, doubt = np.eye(4), FRAME_POSE
+        anchor = np.eye(4)
+        doubt = FRAME_POSE
     else:
-        anchor, doubt = np.eye(4), np.full(6, ANYWHERE)
+        anchor = np.eye(4)
+        doubt = np.full(6, ANYWHERE)
     given = hint.lens is not None and hint.lens_std is None
     scale = 1.0 if given else np.array([1.0, 1.0, width / 640, width / 640, 1.0, 1.0])
-    return RigCamera(f"camera {name}".strip(), link, anchor, numbers, np.concatenate([doubt, known * scale]))
+    return RigCamera(
+        f"camera {name}".strip(), link, anchor, numbers, np.concatenate([doubt, known * scale])
+    )
 
 
 def _make_carrier(name: str, link: str, rigid: bool) -> Carrier:

@@ -1,4 +1,6 @@
-"""Poses of a marker or camera in the robot's base, with covariance: forward kinematics of angles and unknowns."""
+"""Poses of a marker or camera in the robot's base, with
+covariance: forward kinematics of angles and unknowns.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -17,10 +19,11 @@ _STEP = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Base:
-    """The chain from the robot's root to a rig's marker, or to its camera where the marker does not move.
+    """The chain from the robot's root to a rig's marker,
+    or to its camera where the marker does not move.
 
-    chain: from the root to the thing's link · tool (4,4): a frame on that link, named `link`, that gives a point marker
-    its orientation · camera: whether the thing is the camera's optical frame.
+    chain: from the root to the thing's link · tool (4,4): a frame on that link, named `link`, that
+    gives a point marker its orientation · camera: whether the thing is the camera's optical frame.
     """
 
     chain: Chain
@@ -39,7 +42,11 @@ def find_base(robot: Robot, rig: Rig, theta: Array, still: Mapping[str, float]) 
         chain = space.chain(robot.root, link)
         if len(chain.column):
             place = rig.carrier_pose(0, theta)[:3, 3]
-            tool, name = (np.eye(4), link) if camera else _nearest_tool_frame(robot, link, place, rig.joints, still)
+            tool, name = (
+                (np.eye(4), link)
+                if camera
+                else _nearest_tool_frame(robot, link, place, rig.joints, still)
+            )
             return Base(chain, tool, name, camera)
     return None
 
@@ -59,11 +66,13 @@ def _nearest_tool_frame(
     return min(ends, key=lambda one: float(np.linalg.norm(one[0][:3, 3] - place)))
 
 
-def pose_in_base(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array) -> tuple[Array, Array, Array]:
+def pose_in_base(
+    base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov: Array
+) -> tuple[Array, Array, Array]:
     """Place (N,3) m, rotation (N,3,3) and covariance (N,6,6) of the thing in the robot's base.
 
-    At angles q (N,M) ± cov (N,M,M), rad or m, for unknowns theta (P,) with covariance root rootᵀ. The covariance is of
-    the place, m, and of a small rotation about the base's axes, rad.
+    At angles q (N,M) ± cov (N,M,M), rad or m, for unknowns theta (P,) with covariance root rootᵀ.
+    The covariance is of the place, m, and of a small rotation about the base's axes, rad.
     """
     poses = base.chain.at(rig.angles(theta, q))
     on_link, by_theta = _on_link(base, rig, theta)
@@ -86,19 +95,25 @@ def pose_in_base(base: Base, rig: Rig, theta: Array, root: Array, q: Array, cov:
 
 
 def _on_link(base: Base, rig: Rig, theta: Array) -> tuple[Array, Array]:
-    """The thing's pose (4,4) on its link and its derivatives (6,P) by θ: place, m, and rotation in the link."""
+    """The thing's pose (4,4) on its link and its derivatives
+    (6,P) by θ: place, m, and rotation in the link.
+    """
     found = _place_thing_on_link(base, rig, theta)
-    by, part = np.zeros((6, len(theta))), rig.of_camera(0) if base.camera else rig.of_carrier(0)
+    by = np.zeros((6, len(theta)))
+    part = rig.of_camera(0) if base.camera else rig.of_carrier(0)
     for k in range(part.start, part.start + 6 if base.camera else part.stop):
         step = _STEP * (np.arange(len(theta)) == k)
-        above, below = _place_thing_on_link(base, rig, theta + step), _place_thing_on_link(base, rig, theta - step)
+        above = _place_thing_on_link(base, rig, theta + step)
+        below = _place_thing_on_link(base, rig, theta - step)
         by[:3, k] = (above[:3, 3] - below[:3, 3]) / (2.0 * _STEP)
         by[3:, k] = vector_from_rotation(above[:3, :3] @ below[:3, :3].T) / (2.0 * _STEP)
     return found, by
 
 
 def _place_thing_on_link(base: Base, rig: Rig, theta: Array) -> Array:
-    """The camera's optical frame or the marker on its link (4,4); a point has the tool's orientation."""
+    """The camera's optical frame or the marker on its
+    link (4,4); a point has the tool's orientation.
+    """
     if base.camera:
         return invert_transform(rig.camera_pose(0, theta))
     pose = rig.carrier_pose(0, theta)

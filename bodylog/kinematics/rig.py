@@ -1,4 +1,6 @@
-"""A rig: cameras and markers on links, their unknowns θ in one vector, and the image points they predict."""
+"""A rig: cameras and markers on links, their unknowns
+θ in one vector, and the image points they predict.
+"""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -8,13 +10,13 @@ import numpy as np
 from ..types import Array
 from .camera import project_points
 from .chain import Chain
-from .rotations import rotation_from_vector, left_jacobian, cross_product_matrix, make_transform
+from .rotations import cross_product_matrix, left_jacobian, make_transform, rotation_from_vector
 
 
 @dataclass(frozen=True, eq=False)
 class RigCamera:
-    """A camera on a link: anchor (4,4), the link in the camera, m · lens (6,), prior mean · doubt (12,): prior std of
-    both.
+    """A camera on a link: anchor (4,4), the link in the camera, m · lens (6,), prior mean · doubt
+    (12,): prior std of both.
 
     The pose's unknowns move the anchor: p ↦ exp(w) p + v, v in m and w in rad, in the camera.
     """
@@ -28,8 +30,8 @@ class RigCamera:
 
 @dataclass(frozen=True, eq=False)
 class Carrier:
-    """A marker on a link: anchor (4,4), the marker in the link, m · doubt (3,) or (6,): prior std of place (and
-    rotation).
+    """A marker on a link: anchor (4,4), the marker in the link,
+    m · doubt (3,) or (6,): prior std of place (and rotation).
 
     A point has only a place; a rigid board also a rotation.
     """
@@ -47,9 +49,11 @@ class Carrier:
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """One marker before one camera: chain from the camera's link to the marker's · points (C,3) of the marker, m.
+    """One marker before one camera: chain from the camera's
+    link to the marker's · points (C,3) of the marker, m.
 
-    by_log: (camera, carrier) in each log where one of them moved between logs; empty where they are the same in all.
+    by_log: (camera, carrier) in each log where one of them
+    moved between logs; empty where they are the same in all.
     """
 
     name: str
@@ -69,12 +73,13 @@ class Sight:
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Cameras, markers, sights, and joints (M,) with the prior std of their offsets (M,) rad or m; all unknowns are θ
-    (P,).
+    """Cameras, markers, sights, and joints (M,) with the prior
+    std of their offsets (M,) rad or m; all unknowns are θ (P,).
 
-    θ: each camera's pose (6) and lens (6), each marker's place (3) or place and rotation (6), each joint's offset δ,
-    and each joint's scale s where `scale_doubt` is (M,) and not empty: a joint that reads q is at (1 + s) q + δ.
-    lenses: the camera whose lens each camera has, itself if empty; a camera that moved between logs keeps its lens.
+    θ: each camera's pose (6) and lens (6), each marker's place (3) or place and rotation (6), each
+    joint's offset δ, and each joint's scale s where `scale_doubt` is (M,) and not empty: a joint
+    that reads q is at (1 + s) q + δ. lenses: the camera whose lens each camera has, itself if
+    empty; a camera that moved between logs keeps its lens.
     """
 
     cameras: tuple[RigCamera, ...]
@@ -128,11 +133,13 @@ class Rig:
         scales = theta[self.of_scales]
         return 1.0 + scales if len(scales) else np.ones(len(self.joints))
 
-    def see(self, sight: Sight, theta: Array, q: Array, log: Array | None = None) -> "RigPrediction":
+    def see(
+        self, sight: Sight, theta: Array, q: Array, log: Array | None = None
+    ) -> "RigPrediction":
         """Predict a sight at joint readings q (N,M), rad or m, for unknowns theta (P,).
 
-        log (N,): the log of each row, for a sight that differs between logs; without it, that of its own camera and
-        marker.
+        log (N,): the log of each row, for a sight that differs between logs; without it, that of
+        its own camera and marker.
         """
         if log is None or not sight.by_log:
             return _predict_sight(self, sight, theta, q)
@@ -147,10 +154,15 @@ class Rig:
     def slides(self, joint: int) -> bool:
         """Whether a joint is prismatic, by the first chain that contains it."""
         chains = (one.chain for one in self.sights)
-        return next((bool(c.slides[list(c.column).index(joint)]) for c in chains if joint in c.column), False)
+        return next(
+            (bool(c.slides[list(c.column).index(joint)]) for c in chains if joint in c.column),
+            False,
+        )
 
     def alone(self, index: int, log: int | None = None) -> tuple["Rig", Array]:
-        """Return the rig of one sight, as it is in a log if one is given, and the indices of θ (P,) that it keeps."""
+        """Return the rig of one sight, as it is in a log if
+        one is given, and the indices of θ (P,) that it keeps.
+        """
         sight = self.sights[index] if log is None else self.sights[index].in_log(log)
         pose = self.of_camera(sight.camera)
         parts = (
@@ -161,17 +173,22 @@ class Rig:
             self.of_scales,
         )
         used = np.concatenate([np.arange(part.start, part.stop) for part in parts])
-        camera, carrier = self.cameras[sight.camera], self.carriers[sight.carrier]
+        camera = self.cameras[sight.camera]
+        carrier = self.carriers[sight.carrier]
         one = replace(sight, camera=0, carrier=0, by_log=())
         return replace(self, cameras=(camera,), carriers=(carrier,), sights=(one,), lenses=()), used
 
     def camera_pose(self, index: int, theta: Array) -> Array:
         """The camera's link in the camera (4,4), m."""
-        return np.asarray(_transform_of_unknowns(theta[self.of_camera(index)][:6]) @ self.cameras[index].anchor)
+        return np.asarray(
+            _transform_of_unknowns(theta[self.of_camera(index)][:6]) @ self.cameras[index].anchor
+        )
 
     def carrier_pose(self, index: int, theta: Array) -> Array:
         """The marker in its link (4,4), m."""
-        return np.asarray(_transform_of_unknowns(theta[self.of_carrier(index)]) @ self.carriers[index].anchor)
+        return np.asarray(
+            _transform_of_unknowns(theta[self.of_carrier(index)]) @ self.carriers[index].anchor
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,11 +210,15 @@ def _transform_of_unknowns(unknowns: Array) -> Array:
 
 
 def _predict_sight(rig: Rig, sight: Sight, theta: Array, q: Array) -> RigPrediction:
-    camera, carrier = rig.cameras[sight.camera], rig.carriers[sight.carrier]
-    own, lens = theta[rig.of_camera(sight.camera)][:6], theta[rig.of_lens(sight.camera)]
+    camera = rig.cameras[sight.camera]
+    carrier = rig.carriers[sight.carrier]
+    own = theta[rig.of_camera(sight.camera)][:6]
+    lens = theta[rig.of_lens(sight.camera)]
     mine = theta[rig.of_carrier(sight.carrier)]
     poses = sight.chain.at(rig.angles(theta, q))
-    marker, by_marker = _shift_points(sight.points @ carrier.anchor[:3, :3].T + carrier.anchor[:3, 3], mine)
+    marker, by_marker = _shift_points(
+        sight.points @ carrier.anchor[:3, :3].T + carrier.anchor[:3, 3], mine
+    )
     linked = marker @ poses.rotation.transpose(0, 2, 1) + poses.place[:, None]
     placed = linked @ camera.anchor[:3, :3].T + camera.anchor[:3, 3]
     inside, by_pose = _shift_points(placed, own)

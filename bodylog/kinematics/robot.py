@@ -14,7 +14,9 @@ MOVING = ("revolute", "continuous", "prismatic")
 
 @dataclass(frozen=True)
 class Mimic:
-    """A joint that follows another: its angle is multiplier · that of `joint` + offset (rad or m)."""
+    """A joint that follows another: its angle is
+    multiplier · that of `joint` + offset (rad or m).
+    """
 
     joint: str
     multiplier: float
@@ -69,7 +71,9 @@ class Robot:
 
     @cached_property
     def driven(self) -> Mapping[str, tuple[str, float, float]]:
-        """Of each joint the one that it follows, directly or by others: angle = scale · its angle + zero."""
+        """Of each joint the one that it follows, directly
+        or by others: angle = scale · its angle + zero.
+        """
         found: dict[str, tuple[str, float, float]] = {}
         for joint in self.joints:
             path = []
@@ -91,11 +95,14 @@ class Robot:
         return next(link for link in self.links if link not in self.above)
 
     def chain_order(self) -> list[str]:
-        """Names of the joints from the root on, each branch to its end, as the URDF orders branches."""
+        """Names of the joints from the root on, each
+        branch to its end, as the URDF orders branches.
+        """
         below: dict[str, list[Joint]] = {}
         for joint in self.joints:
             below.setdefault(joint.parent, []).append(joint)
-        order, waiting = list[str](), list(reversed(below.get(self.root, [])))
+        order = list[str]()
+        waiting = list(reversed(below.get(self.root, [])))
         while waiting:
             joint = waiting.pop()
             order.append(joint.name)
@@ -108,7 +115,10 @@ def find_tree_problems(robot: Robot) -> Iterator[str]:
     links = set(robot.links)
     if not links:
         yield "has no <link>"
-    for kind, names in (("link", robot.links), ("joint", tuple(joint.name for joint in robot.joints))):
+    for kind, names in (
+        ("link", robot.links),
+        ("joint", tuple(joint.name for joint in robot.joints)),
+    ):
         twice = next((name for name, count in Counter(names).items() if count > 1), None)
         if twice is not None:
             yield f"{kind} {twice!r} is declared twice"
@@ -125,7 +135,10 @@ def _find_loops(robot: Robot) -> Iterator[str]:
     for joint in robot.joints:
         if joint.child in parents:
             first = parents[joint.child]
-            yield f"link {joint.child!r} hangs on two joints, {first!r} and {joint.name!r}; loops cannot be read"
+            yield (
+                f"link {joint.child!r} hangs on two joints, {first!r} and {joint.name!r}; loops "
+                "cannot be read"
+            )
         parents[joint.child] = joint.name
     sound: set[str] = set()
     for link in robot.links:
@@ -135,7 +148,10 @@ def _find_loops(robot: Robot) -> Iterator[str]:
             link = robot.above[link].parent
             if link in path:
                 names = list(path)
-                yield f"links {', '.join(names[names.index(link) :][:5])} hang on one another in a loop"
+                yield (
+                    f"links {', '.join(names[names.index(link) :][:5])} hang on one another in a "
+                    "loop"
+                )
                 return
         sound.update(path)
     roots = [link for link in robot.links if link not in robot.above]
@@ -160,7 +176,9 @@ def _find_mimic_problems(robot: Robot) -> Iterator[str]:
 
 
 def is_optical(link: str) -> bool:
-    """Whether a link is a camera's optical frame by its name (REP 103): z forward, x to the right of the image."""
+    """Whether a link is a camera's optical frame by its
+    name (REP 103): z forward, x to the right of the image.
+    """
     return "optical" in link
 
 
@@ -172,9 +190,13 @@ def reason_implausible(robot: Robot) -> str | None:
         return "none of its joints has an <origin> of any length"
     if max(lengths, default=0.0) > _LONGEST:
         joint = robot.joints[int(np.argmax(lengths))]
-        return f"joint {joint.name!r} stands {max(lengths):.0f} m from the one before; are its lengths in mm?"
+        return (
+            f"joint {joint.name!r} stands {max(lengths):.0f} m from the one before; are its "
+            "lengths in mm?"
+        )
     return None
 
 
-_SHORTEST, _LONGEST = 1e-4, 20.0
+_SHORTEST = 1e-4
+_LONGEST = 20.0
 """m: bounds on the longest distance between consecutive joints."""

@@ -21,7 +21,9 @@ def rotation_from_vector(w: Array) -> Array:
     cross = cross_product_matrix(w)
     if angle < _SMALL:
         return np.asarray(np.eye(3) + cross + 0.5 * cross @ cross)
-    return np.asarray(np.eye(3) + np.sin(angle) / angle * cross + (1 - np.cos(angle)) / angle**2 * cross @ cross)
+    return np.asarray(
+        np.eye(3) + np.sin(angle) / angle * cross + (1 - np.cos(angle)) / angle**2 * cross @ cross
+    )
 
 
 def left_jacobian(w: Array) -> Array:
@@ -30,7 +32,8 @@ def left_jacobian(w: Array) -> Array:
     cross = cross_product_matrix(w)
     if angle < _SMALL:
         return np.asarray(np.eye(3) + 0.5 * cross + cross @ cross / 6.0)
-    first, second = (1 - np.cos(angle)) / angle**2, (angle - np.sin(angle)) / angle**3
+    first = (1 - np.cos(angle)) / angle**2
+    second = (angle - np.sin(angle)) / angle**3
     return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
 
 
@@ -44,7 +47,8 @@ def vector_from_rotation(rotation: Array) -> Array:
     matrix[:3, 3] = matrix[3, :3] = lower
     matrix[3, 3] = np.trace(r)
     quaternion = np.linalg.eigh(matrix)[1][:, -1]
-    vector, scalar = quaternion[:3] * np.sign(quaternion[3] or 1.0), abs(quaternion[3])
+    vector = quaternion[:3] * np.sign(quaternion[3] or 1.0)
+    scalar = abs(quaternion[3])
     length = float(np.linalg.norm(vector))
     if length < 1e-12:
         return np.zeros(3)
@@ -68,7 +72,13 @@ def rpy_from_rotation(rotation: Array) -> Array:
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
     if np.hypot(rotation[0, 0], rotation[1, 0]) < 1e-9:  # gimbal lock: yaw is zero
         return np.array([np.arctan2(-rotation[1, 2], rotation[1, 1]), pitch, 0.0])
-    return np.array([np.arctan2(rotation[2, 1], rotation[2, 2]), pitch, np.arctan2(rotation[1, 0], rotation[0, 0])])
+    return np.array(
+        [
+            np.arctan2(rotation[2, 1], rotation[2, 2]),
+            pitch,
+            np.arctan2(rotation[1, 0], rotation[0, 0]),
+        ]
+    )
 
 
 def rotation_from_z(axis: Array) -> Array:
@@ -76,7 +86,9 @@ def rotation_from_z(axis: Array) -> Array:
     if abs(axis[2]) > 1.0 - 1e-15:
         return np.eye(3) if axis[2] > 0 else np.diag([1.0, -1.0, -1.0])
     cross = np.cross([0.0, 0.0, 1.0], axis)
-    return rotation_from_vector(cross / np.linalg.norm(cross) * np.arctan2(np.linalg.norm(cross), axis[2]))
+    return rotation_from_vector(
+        cross / np.linalg.norm(cross) * np.arctan2(np.linalg.norm(cross), axis[2])
+    )
 
 
 def make_transform(rotation: Array, place: Array) -> Array:
@@ -100,7 +112,9 @@ def quaternions_from_rotations(rotation: Array) -> Array:
     largest = roots.argmax(axis=1)
     found = np.empty((len(r), 4))
     for n in range(3):
-        i, j, k = n, (n + 1) % 3, (n + 2) % 3
+        i = n
+        j = (n + 1) % 3
+        k = (n + 2) % 3
         rows = largest == n
         one = r[rows]
         found[np.ix_(rows, [i, j, k, 3])] = np.column_stack(

@@ -10,7 +10,7 @@ from ..io.atomic_files import read_limited_text as read_text
 from ..logs.limits import LIMITS, Input
 from ..types import Array
 from .robot import MOVING, Joint, Limits, Mimic, Robot, find_tree_problems
-from .rotations import rotation_from_rpy, make_transform
+from .rotations import make_transform, rotation_from_rpy
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element
@@ -34,36 +34,56 @@ def read_urdf_text(path: Path) -> str:
 
 
 def parse_urdf(xml: str, source: str, limits: Input = LIMITS) -> Robot:
-    """Parse a URDF's text; FormatError, beginning with `source`, where it is invalid or has too many joints."""
+    """Parse a URDF's text; FormatError, beginning with
+    `source`, where it is invalid or has too many joints.
+    """
     root = parse_xml_root(xml, source)
     if root.tag != "robot":
-        raise FormatError(f"{source}: the XML begins with <{root.tag[:40]}>; a URDF begins with <robot>")
+        raise FormatError(
+            f"{source}: the XML begins with <{root.tag[:40]}>; a URDF begins with <robot>"
+        )
     if any("xacro" in str(child.tag) for child in root):
         raise FormatError(f"{source}: holds xacro commands; type: xacro {source} > robot.urdf")
     links = tuple(_require_name(link, "link", source) for link in root.findall("link"))
-    elements = [one for one in root.findall("joint") if "type" in one.attrib or one.find("parent") is not None]
+    elements = [
+        one
+        for one in root.findall("joint")
+        if "type" in one.attrib or one.find("parent") is not None
+    ]
     if len(elements) > limits.max_joints:
         asked = f"to read them, type in robot.toml: [input] max_joints = {len(elements)}"
-        raise FormatError(f"{source}: {len(elements)} joints, at most {limits.max_joints} are read; {asked}")
-    robot = Robot(root.get("name", ""), links, tuple(_parse_joint(one, source) for one in elements), source)
+        raise FormatError(
+            f"{source}: {len(elements)} joints, at most {limits.max_joints} are read; {asked}"
+        )
+    robot = Robot(
+        root.get("name", ""), links, tuple(_parse_joint(one, source) for one in elements), source
+    )
     for problem in find_tree_problems(robot):
         raise FormatError(f"{source}: {problem}")
     return robot
 
 
 def kinematic_text(xml: str) -> str:
-    """A sound URDF's text with the names of its links and its joints alone, without shapes and masses."""
+    """A sound URDF's text with the names of its links
+    and its joints alone, without shapes and masses.
+    """
     from xml.etree.ElementTree import Element, tostring
 
     whole = parse_xml_root(xml, "URDF")
     kept = Element("robot", {"name": whole.get("name", "")})
     kept.extend(Element("link", {"name": link.get("name", "")}) for link in whole.findall("link"))
-    kept.extend(one for one in whole.findall("joint") if "type" in one.attrib or one.find("parent") is not None)
+    kept.extend(
+        one
+        for one in whole.findall("joint")
+        if "type" in one.attrib or one.find("parent") is not None
+    )
     return tostring(kept, encoding="unicode")
 
 
 def parse_xml_root(xml: str, source: str) -> "Element":
-    """Parse XML to its root element; entities, which may grow without bound or read files, are refused."""
+    """Parse XML to its root element; entities, which
+    may grow without bound or read files, are refused.
+    """
     from xml.etree.ElementTree import TreeBuilder
     from xml.parsers import expat
 
@@ -73,7 +93,9 @@ def parse_xml_root(xml: str, source: str) -> "Element":
     def begin(tag: str, attributes: dict[str, str]) -> None:
         open_.append(tag)
         if len(open_) > _DEEPEST:
-            raise FormatError(f"{source}: elements stand {_DEEPEST} deep in one another; give a URDF file")
+            raise FormatError(
+                f"{source}: elements stand {_DEEPEST} deep in one another; give a URDF file"
+            )
         builder.start(tag, attributes)
 
     def end(tag: str) -> None:
@@ -81,7 +103,8 @@ def parse_xml_root(xml: str, source: str) -> "Element":
         builder.end(tag)
 
     builder, parser, open_ = TreeBuilder(), expat.ParserCreate("utf-8"), list[str]()
-    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.StartElementHandler = begin
+    parser.EndElementHandler = end
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     try:
         parser.Parse(xml.encode("utf-8", "replace"), True)
@@ -92,14 +115,19 @@ def parse_xml_root(xml: str, source: str) -> "Element":
 
 def _parse_joint(element: "Element", source: str) -> Joint:
     name = _require_name(element, "joint", source)
-    where, kind = f"{source}: joint {name!r}", element.get("type", "")
+    where = f"{source}: joint {name!r}"
+    kind = element.get("type", "")
     if kind not in KINDS:
         raise FormatError(f"{where}: type is {kind!r}; possible: {', '.join(KINDS)}")
     parent, child = (_require_attribute(element, end, "link", where) for end in ("parent", "child"))
     origin = element.find("origin")
-    xyz, rpy = (np.zeros(3) if origin is None else _parse_number_list(origin, key, "0 0 0", where) for key in ("xyz", "rpy"))
+    xyz, rpy = (
+        np.zeros(3) if origin is None else _parse_number_list(origin, key, "0 0 0", where)
+        for key in ("xyz", "rpy")
+    )
     axis = _parse_axis(element, kind, where)
-    pose, limits = make_transform(rotation_from_rpy(rpy), xyz), _parse_limits(element, kind)
+    pose = make_transform(rotation_from_rpy(rpy), xyz)
+    limits = _parse_limits(element, kind)
     return Joint(name, kind, parent, child, pose, axis, _parse_mimic(element, where), limits)
 
 
@@ -110,7 +138,9 @@ def _parse_axis(element: "Element", kind: str, where: str) -> Array:
     found = _parse_number_list(axis, "xyz", "1 0 0", where)
     length = float(np.linalg.norm(found))
     if not 1e-9 < length < 1e9:
-        raise FormatError(f"{where}: axis is {axis.get('xyz')!r}, of length zero; possible: a direction as 0 0 1")
+        raise FormatError(
+            f"{where}: axis is {axis.get('xyz')!r}, of length zero; possible: a direction as 0 0 1"
+        )
     return found / length
 
 
@@ -118,7 +148,9 @@ def _parse_mimic(element: "Element", where: str) -> Mimic | None:
     found = element.find("mimic")
     if found is None:
         return None
-    factor, offset = (_parse_number_list(found, key, default, where, 1)[0] for key, default in _FOLLOWS.items())
+    factor, offset = (
+        _parse_number_list(found, key, default, where, 1)[0] for key, default in _FOLLOWS.items()
+    )
     return Mimic(found.get("joint", ""), float(factor), float(offset))
 
 
@@ -143,7 +175,9 @@ LIMITED = {"revolute": "rad", "prismatic": "m"}
 _FOLLOWS = {"multiplier": "1", "offset": "0"}
 
 
-def _parse_number_list(element: "Element", key: str, default: str, where: str, count: int = 3) -> Array:
+def _parse_number_list(
+    element: "Element", key: str, default: str, where: str, count: int = 3
+) -> Array:
     text = element.get(key, default)
     try:
         values = np.array([float(part) for part in text.split()])

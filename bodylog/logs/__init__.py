@@ -1,4 +1,5 @@
-"""Recorded robot logs as arrays: MCAP, ROS 1 bags and rosbag2 folders; compressed, split, damaged, or behind a URL.
+"""Recorded robot logs as arrays: MCAP, ROS 1 bags and
+rosbag2 folders; compressed, split, damaged, or behind a URL.
 
     import bodylog.logs as logs
 
@@ -6,8 +7,8 @@
         joints = log["/joint_states"]
         joints.position, joints.header.stamp, joints.log_ns     # (N,K) · (N,) int64 ns · (N,) int64 ns
 
-This package knows bytes, containers and messages, nothing of robots. Unusable input raises a one-line
-`bodylog.errors.BodylogError`.
+This package knows bytes, containers and messages, nothing of robots. Unusable input raises a
+one-line `bodylog.errors.BodylogError`.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,12 +25,16 @@ __all__ = ["Writer", "convert", "examine", "open", "read", "repair"]
 
 
 def open(
-    path: str | Path, strict: bool = False, episode: int | None = None, max_wait_s: float | None = None
+    path: str | Path,
+    strict: bool = False,
+    episode: int | None = None,
+    max_wait_s: float | None = None,
 ) -> "OpenLog":
-    """Open a log of any container, path or URL; LogError when it is not a log, or when `strict` and part of it is lost.
+    """Open a log of any container, path or URL; LogError when
+    it is not a log, or when `strict` and part of it is lost.
 
-    episode: the number of an episode of a dataset; the path DATASET#N means the same · max_wait_s: s without an answer
-    after which a URL's server is given up.
+    episode: the number of an episode of a dataset; the path DATASET#N means the same · max_wait_s:
+    s without an answer after which a URL's server is given up.
     """
     from .library import OpenLog
 
@@ -37,7 +42,9 @@ def open(
 
 
 def read(path: str | Path, fields: Mapping[str, Sequence[str]]) -> "dict[str, Table]":
-    """Read fields of several topics, {topic: [message path, …]}, in one pass; ConfigError for unknown ones."""
+    """Read fields of several topics, {topic: [message
+    path, …]}, in one pass; ConfigError for unknown ones.
+    """
     with open(path) as log:
         return log.read(fields)
 
@@ -61,13 +68,16 @@ def repair(path: str | Path, out: str | Path) -> "tuple[Finding, ...]":
 
 
 def convert(
-    path: str | Path, out: str | Path, topics: Sequence[str] | None = None,
-    start: float | None = None, end: float | None = None,
-) -> "tuple[Finding, ...]":  # fmt: skip
+    path: str | Path,
+    out: str | Path,
+    topics: Sequence[str] | None = None,
+    start: float | None = None,
+    end: float | None = None,
+) -> "tuple[Finding, ...]":
     """Write a log as a chunked, indexed MCAP; ROS 1 messages become CDR.
 
-    topics: only these · start, end: only messages logged between them, s since the log's start. `bodylog.convert`
-    writes datasets.
+    topics: only these · start, end: only messages logged between them, s since the log's start.
+    `bodylog.convert` writes datasets.
     """
     from .conversion.extract import convert_to_mcap
     from .library import findings_about, local_path

@@ -20,7 +20,8 @@ class Diagnostics:
 
     def __init__(self, path: Path, strict: bool = False, limits: Input = LIMITS) -> None:
         """Start without findings."""
-        self.path, self.limits = path, limits
+        self.path = path
+        self.limits = limits
         self._strict = strict
         self._remarks: dict[str, Finding] = {}
         self._losses: dict[int, tuple[int | None, int | None, float | None, str]] = {}
@@ -33,13 +34,19 @@ class Diagnostics:
         """Record something worth knowing."""
         self._remarks.setdefault(text, Finding("info", f"{self.path}: {text}"))
 
-    def add_loss(self, start: int, size: int | None, messages: int | None, seconds: float | None, why: str) -> None:
-        """Record `size` unusable bytes at byte `start`, with messages and seconds if known; LogError when strict."""
+    def add_loss(
+        self, start: int, size: int | None, messages: int | None, seconds: float | None, why: str
+    ) -> None:
+        """Record `size` unusable bytes at byte `start`, with
+        messages and seconds if known; LogError when strict.
+        """
         if start not in self._losses:
             self._losses[start] = (size, messages, seconds, why)
             if self._strict:
                 text = self._losses_text([(start, *self._losses[start])])[0]
-                raise LogError(f"{self.path}: {text}; type the command without --strict to use the rest")
+                raise LogError(
+                    f"{self.path}: {text}; type the command without --strict to use the rest"
+                )
 
     def add_messages(self, start: int, messages: int) -> None:
         """Add to the number of messages lost at byte `start`."""
@@ -53,23 +60,35 @@ class Diagnostics:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Warnings and infos in order, then losses in file order; beyond eight losses, their sum."""
+        """Warnings and infos in order, then losses in
+        file order; beyond eight losses, their sum.
+        """
         losses = [(start, *loss) for start, loss in sorted(self._losses.items())]
         texts = self._losses_text(losses if len(losses) <= _SHOWN else losses[: _SHOWN - 1])
         if len(losses) > _SHOWN:
             rest = losses[_SHOWN - 1 :]
             texts.append(f"{len(rest)} more places are lost: {_describe_loss_amount(rest)}")
-        return (*self._remarks.values(), *(Finding("lost", f"{self.path}: {text}") for text in texts))
+        return (
+            *self._remarks.values(),
+            *(Finding("lost", f"{self.path}: {text}") for text in texts),
+        )
 
     @staticmethod
     def _losses_text(losses: list[_Loss]) -> list[str]:
-        return [f"from byte {max(0, loss[0])} {_describe_loss_amount([loss])} lost: {loss[4]}" for loss in losses]
+        return [
+            f"from byte {max(0, loss[0])} {_describe_loss_amount([loss])} lost: {loss[4]}"
+            for loss in losses
+        ]
 
 
 def _describe_loss_amount(losses: list[_Loss]) -> str:
     messages = [loss[2] for loss in losses if loss[2] is not None]
     seconds = [loss[3] for loss in losses if loss[3] is not None]
-    count = f"{sum(messages)} messages" if len(messages) == len(losses) else "an unknown number of messages"
+    count = (
+        f"{sum(messages)} messages"
+        if len(messages) == len(losses)
+        else "an unknown number of messages"
+    )
     if messages and len(messages) < len(losses):
         count = f"at least {sum(messages)} messages"
     lasting = f"{sum(seconds):.3f} s" if seconds else "an unknown time"

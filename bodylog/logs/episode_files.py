@@ -8,7 +8,8 @@ from ..io.atomic_files import hash_files
 
 
 def files_of(path: Path) -> tuple[Path, ...]:
-    """The file or folder of a log; for an episode, or a dataset (its first episode), the files it is read from.
+    """The file or folder of a log; for an episode, or a
+    dataset (its first episode), the files it is read from.
 
     A dataset that cannot be read gives its own path.
     """

@@ -24,7 +24,8 @@ _LFS = b"version https://git-lfs"
 
 
 def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
-    """Open the log in a file or folder; LogError when it is not a log, or when `strict` and part of it is lost.
+    """Open the log in a file or folder; LogError when it
+    is not a log, or when `strict` and part of it is lost.
 
     `limits`: how much compressed data may expand to.
     """
@@ -37,10 +38,20 @@ def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
         require_regular(place)
         with place.open("rb") as stream:
             first = stream.read(32)
-        if place != path or first.startswith(_HDF5) or first[4:8] == _MP4 or place.suffix.lower() in VIDEOS:
+        if (
+            place != path
+            or first.startswith(_HDF5)
+            or first[4:8] == _MP4
+            or place.suffix.lower() in VIDEOS
+        ):
             return _open_episode_file(path, first, strict, limits)
         if is_packed(first):
-            return unpack_file(path, lambda inner: _open_local_log(path, strict, inner, limits), limits, partial(_choose_opener, path))
+            return unpack_file(
+                path,
+                lambda inner: _open_local_log(path, strict, inner, limits),
+                limits,
+                partial(_choose_opener, path),
+            )
         return _open_local_log(path, strict, path, limits)
     except OSError as problem:
         raise LogError(f"{path}: it cannot be read: {problem.strerror or problem}") from None
@@ -61,7 +72,10 @@ def _choose_opener(path: Path, first: bytes) -> "Opener":
 
     if first and not first.startswith(_LFS) and table_format(path):
         return _open_pose_table
-    known = "logs are .mcap, .bag, .db3 or a rosbag2 folder; datasets; tables of poses .csv, .parquet, .yaml"
+    known = (
+        "logs are .mcap, .bag, .db3 or a rosbag2 folder; datasets; tables of poses .csv, "
+        ".parquet, .yaml"
+    )
     raise LogError(f"{path}: {_describe_file(first)}; {known}")
 
 
@@ -83,8 +97,11 @@ class _Heads(NamedTuple):
 
 def payload_views(batch: Batch) -> Iterator[memoryview]:
     """The payload of each message of a batch as a view, valid as long as the batch."""
-    data, ends = batch.data.data, batch.offset + batch.length
-    return (data[start:end] for start, end in zip(batch.offset.tolist(), ends.tolist(), strict=True))
+    data = batch.data.data
+    ends = batch.offset + batch.length
+    return (
+        data[start:end] for start, end in zip(batch.offset.tolist(), ends.tolist(), strict=True)
+    )
 
 
 def _describe_file(first: bytes) -> str:
@@ -93,10 +110,16 @@ def _describe_file(first: bytes) -> str:
     if first.startswith(_LFS):
         return "this is a git-LFS pointer, not the log itself; type: git lfs pull"
     if first.startswith((b"\x89MCAP0\n", b"\x89MCAP\n", b"\x89MCAP0\r\r\n")):
-        return "an MCAP whose line ends were converted, so damaged throughout; copy it again as a binary file"
+        return (
+            "an MCAP whose line ends were converted, so damaged throughout; copy it again as a "
+            "binary file"
+        )
     if first.startswith(b"#ROSBAG V"):
         version = str(first[9:12], "ascii", "replace")
-        return f"a ROS 1 bag of version {version}, where only V2.0 is read; type: rosbag fix OLD.bag NEW.bag"
+        return (
+            f"a ROS 1 bag of version {version}, where only V2.0 is read; type: rosbag fix "
+            "OLD.bag NEW.bag"
+        )
     return f"not a log: it begins with {first[:12]!r}"
 
 
@@ -147,7 +170,10 @@ def _open_folder(path: Path, strict: bool, limits: Input) -> Log:
     if opener is not None:
         return opener(path, strict, limits)
     if episodes.dataset_path(path) != path:
-        raise LogError(f"{path}: {episodes.dataset_path(path)} is not a dataset, so it has no episodes; leave out the #")
+        raise LogError(
+            f"{path}: {episodes.dataset_path(path)} is not a dataset, so it has no episodes; "
+            "leave out the #"
+        )
     return _open_rosbag2(path, strict, limits)
 
 
@@ -157,5 +183,10 @@ def _open_rosbag2(path: Path, strict: bool, limits: Input) -> Log:
     return Rosbag2Log(path, strict, limits, open_log)
 
 
-FORMATS: Mapping[bytes, Opener] = {MAGIC: _open_mcap, b"#ROSBAG V2.0": _open_bag, b"SQLite format 3\x00": _open_db3, b"PAR1": _open_pose_table}
+FORMATS: Mapping[bytes, Opener] = {
+    MAGIC: _open_mcap,
+    b"#ROSBAG V2.0": _open_bag,
+    b"SQLite format 3\x00": _open_db3,
+    b"PAR1": _open_pose_table,
+}
 """First bytes of a file -> function that opens it."""

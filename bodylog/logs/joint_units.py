@@ -5,13 +5,19 @@ import re
 from collections.abc import Mapping
 from typing import NamedTuple
 
-UNIT, TURN, ZERO = "bodylog.unit", "bodylog.turn", "bodylog.zero"
-"""Metadata of a joint topic: unit (rad, deg, counts or unknown), the counts in one turn, and the count at 0 rad."""
+UNIT = "bodylog.unit"
+TURN = "bodylog.turn"
+ZERO = "bodylog.zero"
+"""Metadata of a joint topic: unit (rad, deg, counts or
+unknown), the counts in one turn, and the count at 0 rad.
+"""
 SOURCE_UNIT = "bodylog.source_unit"
 """Metadata: unit that the joints had in their dataset before conversion to rad."""
 _RAD = {"rad": 1.0, "deg": math.pi / 180.0}
 
-_COUNTS = re.compile(r"([0-9]{1,9}(?:\.[0-9]{1,9})?) counts(?: from (-?[0-9]{1,12}(?:\.[0-9]{1,9})?))?")
+_COUNTS = re.compile(
+    r"([0-9]{1,9}(?:\.[0-9]{1,9})?) counts(?: from (-?[0-9]{1,12}(?:\.[0-9]{1,9})?))?"
+)
 
 
 def parse_count_unit(unit: str) -> tuple[float, float] | None:
@@ -22,10 +28,11 @@ def parse_count_unit(unit: str) -> tuple[float, float] | None:
 
 
 class JointUnit(NamedTuple):
-    """Unit of the readings · factor to convert them · unit after conversion · one turn in that unit, or None.
+    """Unit of the readings · factor to convert them · unit
+    after conversion · one turn in that unit, or None.
 
-    `zero`: the reading at 0 rad. Encoder counts and unknown units are not converted unless the topic's metadata give
-    turn and zero, or [body] unit does.
+    `zero`: the reading at 0 rad. Encoder counts and unknown units are not converted unless the
+    topic's metadata give turn and zero, or [body] unit does.
     """
 
     read: str
@@ -36,15 +43,19 @@ class JointUnit(NamedTuple):
 
 
 def joint_unit(about: Mapping[str, str], settings_unit: str) -> JointUnit:
-    """The joints' unit from their topic's metadata; `settings_unit` if these name none, or deg for an unknown one."""
-    read, given = about.get(UNIT, settings_unit), parse_count_unit(settings_unit)
+    """The joints' unit from their topic's metadata;
+    `settings_unit` if these name none, or deg for an unknown one.
+    """
+    read = about.get(UNIT, settings_unit)
+    given = parse_count_unit(settings_unit)
     if given is not None and read not in _RAD:
         return JointUnit("counts", 2.0 * math.pi / given[0], "rad", 2.0 * math.pi, given[1])
     if read == "unknown" and settings_unit == "deg":
         read = "deg"
     if read in _RAD:
         return JointUnit(read, _RAD[read], "rad", 2.0 * math.pi)
-    turn, zero = _parse_unit_number(about.get(TURN)), _parse_unit_number(about.get(ZERO))
+    turn = _parse_unit_number(about.get(TURN))
+    zero = _parse_unit_number(about.get(ZERO))
     if read == "counts" and turn is not None and zero is not None:
         return JointUnit(read, 2.0 * math.pi / turn, "rad", 2.0 * math.pi, zero)
     return JointUnit(read, 1.0, read, turn)

@@ -28,7 +28,9 @@ _HEADS = ("header", "encoding", "format", "name", "names", "position")
 
 
 class Message(NamedTuple):
-    """One decoded message: topic · log time int64 ns · a rosbags message, or a dict for JSON and protobuf."""
+    """One decoded message: topic · log time int64 ns ·
+    a rosbags message, or a dict for JSON and protobuf.
+    """
 
     topic: str
     log_ns: int
@@ -42,9 +44,15 @@ class OpenLog:
     """
 
     def __init__(
-        self, path: str | Path, strict: bool = False, episode: int | None = None, max_wait_s: float | None = None
+        self,
+        path: str | Path,
+        strict: bool = False,
+        episode: int | None = None,
+        max_wait_s: float | None = None,
     ) -> None:
-        """Open a log, or `episode` of a dataset; LogError when it is not a log, or when `strict` and part is lost."""
+        """Open a log, or `episode` of a dataset; LogError when
+        it is not a log, or when `strict` and part is lost.
+        """
         path = path if episode is None else f"{path}#{episode}"
         self.path = str(path)
         self.rejected: Counter[str] = Counter()
@@ -54,7 +62,8 @@ class OpenLog:
             self._log: Log = opening.enter_context(open_log(self._here, strict))
             self._open = opening.pop_all()
         self.topics = self._log.topics
-        self.start_ns, self.end_ns = self._log.start_ns, self._log.end_ns
+        self.start_ns = self._log.start_ns
+        self.end_ns = self._log.end_ns
 
     @property
     def format(self) -> str:
@@ -67,14 +76,18 @@ class OpenLog:
         return findings_about(self._log.findings, self._here, self.path)
 
     def __getitem__(self, topic: str) -> Table:
-        """The messages of a topic; fields are decoded on first use. ConfigError names the existing topics."""
+        """The messages of a topic; fields are decoded on
+        first use. ConfigError names the existing topics.
+        """
         topics = self._topics(topic)
         return Table(topic, self._fields(topics), self.read)
 
     def read(self, fields: Mapping[str, Sequence[str]]) -> dict[str, Table]:
         """Read fields of several topics, {topic: [message path, …]}, in one pass over the file."""
         topics = {name: self._topics(name) for name in fields}
-        wants = {one.id: (one, tuple(fields[name])) for name, some in topics.items() for one in some}
+        wants = {
+            one.id: (one, tuple(fields[name])) for name, some in topics.items() for one in some
+        }
         light = all(path.split(".")[0] in _HEADS for some in fields.values() for path in some)
         with self._errors():
             columns = columns_of(without_images(self._log) if light else self._log, wants)
@@ -82,16 +95,26 @@ class OpenLog:
         for name, some in topics.items():
             own = [columns[one.id] for one in some]
             log_ns = np.concatenate([np.empty(0, np.int64), *(c.log_ns for c in own)])
-            tables[name] = fill_table(Table(name, self._fields(some), self.read, log_ns), some, own, fields[name])
+            tables[name] = fill_table(
+                Table(name, self._fields(some), self.read, log_ns), some, own, fields[name]
+            )
         return tables
 
     def batches(self, topics: Sequence[str] | None = None) -> Iterator[Batch]:
-        """Undecoded messages in file order, in batches of one topic; each batch is valid until the next."""
+        """Undecoded messages in file order, in batches
+        of one topic; each batch is valid until the next.
+        """
         return self._batches(None if topics is None else self._ids(topics))
 
     def messages(self, topics: Sequence[str] | None = None) -> Iterator[Message]:
-        """Decoded messages in file order; `rejected` counts by topic those that cannot be decoded."""
-        wanted = self.topics if topics is None else [one for name in topics for one in self._topics(name)]
+        """Decoded messages in file order; `rejected`
+        counts by topic those that cannot be decoded.
+        """
+        wanted = (
+            self.topics
+            if topics is None
+            else [one for name in topics for one in self._topics(name)]
+        )
         decoders = {one.id: (one.name, _make_message_decoder(one)) for one in wanted}
         for batch in self._batches(tuple(decoders)):
             name, decode = decoders[batch.topic_id]
@@ -102,7 +125,9 @@ class OpenLog:
                     self.rejected[name] += 1
 
     def frames(self, topic: str) -> Iterator[LazyImage]:
-        """The images of a topic in file order: `image` (H,W,3) uint8 BGR, t in s since start_ns by log time."""
+        """The images of a topic in file order: `image`
+        (H,W,3) uint8 BGR, t in s since start_ns by log time.
+        """
         from .images import messages as images
 
         decoders = {one.id: images.make_image_decoder(one) for one in self._topics(topic)}
@@ -120,7 +145,10 @@ class OpenLog:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """Close the file."""
         self.close()
@@ -131,7 +159,11 @@ class OpenLog:
 
     def _errors(self) -> AbstractContextManager[None]:
         """Turns errors about the local copy of a URL into errors about the URL."""
-        return remote.errors_about(self._here, self.path) if remote.is_url(self.path) else nullcontext()
+        return (
+            remote.errors_about(self._here, self.path)
+            if remote.is_url(self.path)
+            else nullcontext()
+        )
 
     def _batches(self, ids: tuple[int, ...] | None) -> Iterator[Batch]:
         with self._errors():
@@ -143,7 +175,9 @@ class OpenLog:
             known = sorted({topic.name for topic in self.topics})
             near = difflib.get_close_matches(name, known, 1, 0.0)
             hint = f"; did you mean {near[0]}?" if near else ""
-            raise ConfigError(f"{self.path}: no topic {name!r}{hint} The topics are {', '.join(known) or 'none'}")
+            raise ConfigError(
+                f"{self.path}: no topic {name!r}{hint} The topics are {', '.join(known) or 'none'}"
+            )
         return found
 
     def _ids(self, topics: Sequence[str]) -> tuple[int, ...]:
@@ -156,12 +190,17 @@ class OpenLog:
         if topic.encoding not in _OBJECTS:
             yield from leaf_paths(definition_of(topic))
             return
-        first = next((payload for batch in self._batches((topic.id,)) for payload in payload_views(batch)), None)
+        first = next(
+            (payload for batch in self._batches((topic.id,)) for payload in payload_views(batch)),
+            None,
+        )
         if first is not None:
             yield from object_paths(_make_message_decoder(topic)(bytes(first)))
 
 
-def findings_about(findings: Sequence[Finding], here: Path, path: str | Path) -> tuple[Finding, ...]:
+def findings_about(
+    findings: Sequence[Finding], here: Path, path: str | Path
+) -> tuple[Finding, ...]:
     """Findings on the local copy of a URL as findings on the URL."""
     if not remote.is_url(str(path)):
         return tuple(findings)
@@ -170,7 +209,8 @@ def findings_about(findings: Sequence[Finding], here: Path, path: str | Path) ->
 
 @contextmanager
 def local_path(path: str | Path, wait_s: float = LIMITS.max_wait_s) -> Iterator[Path]:
-    """A local path for a log: its own; for an MCAP behind a URL, a map that fetches on access; for others, a copy.
+    """A local path for a log: its own; for an MCAP behind a
+    URL, a map that fetches on access; for others, a copy.
 
     `wait_s`: s without an answer, after which a server is given up.
     """
@@ -185,7 +225,9 @@ def local_path(path: str | Path, wait_s: float = LIMITS.max_wait_s) -> Iterator[
     size = remote.remote_size_bytes(url, wait_s)
     first, in_parts = remote.read_first_bytes(url, min(size, 64), wait_s) if size else (b"", False)
     if first.startswith(MAGIC) and in_parts:
-        opened = remote_map.mapped_remote(remote.name_of(url), size, partial(_read_range, url, wait_s))
+        opened = remote_map.mapped_remote(
+            remote.name_of(url), size, partial(_read_range, url, wait_s)
+        )
     else:
         opened = remote.local_copy(url, Path(gettempdir()), wait_s)
     with opened as here, remote.errors_about(here, url):
@@ -196,12 +238,16 @@ def _read_range(url: str, wait_s: float, start: int, end: int) -> bytes:
     """The bytes from start to before end of a remote file; LogError for fewer."""
     found = remote.read_range(url, start, end, wait_s)
     if len(found) != end - start:
-        raise LogError(f"{url}: {len(found)} bytes arrived where {end - start} were asked for; try again")
+        raise LogError(
+            f"{url}: {len(found)} bytes arrived where {end - start} were asked for; try again"
+        )
     return found
 
 
 def _make_message_decoder(topic: Topic) -> Callable[[bytes], Any]:
-    """A function from payload to message; it raises FormatError when they contradict the definition."""
+    """A function from payload to message; it raises
+    FormatError when they contradict the definition.
+    """
     if topic.encoding in _OBJECTS:
         from .decode.dynamic import make_dynamic_reader
 

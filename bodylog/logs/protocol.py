@@ -26,10 +26,14 @@ class Log(Protocol):
         """Problems found so far; further reading may add to them."""
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
-        """Messages of the topics `ids` (None: all) in file order, one batch per topic and chunk or block."""
+        """Messages of the topics `ids` (None: all) in file
+        order, one batch per topic and chunk or block.
+        """
 
     def spans(self) -> Mapping[int, tuple[int, int]]:
-        """First and last log time (ns) by topic id, where the file gives them without being read."""
+        """First and last log time (ns) by topic id,
+        where the file gives them without being read.
+        """
 
     def close(self) -> None:
         """Close the file."""
@@ -38,7 +42,10 @@ class Log(Protocol):
         """Return the log."""
 
     def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """Close the file."""
 

@@ -12,7 +12,9 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding about a log: severity `info`, `warning` or `lost` (data was lost: exit 3), and one line of text."""
+    """One finding about a log: severity `info`, `warning`
+    or `lost` (data was lost: exit 3), and one line of text.
+    """
 
     severity: str
     text: str
@@ -36,8 +38,8 @@ class Topic:
 class Batch:
     """Messages of one topic id, undecoded: payload i is data[offset[i] : offset[i] + length[i]].
 
-    log_ns (n,) int64 · data (bytes,) uint8 · offset, length (n,) int64. `data` may be a reused buffer: it is valid only
-    until the next batch is requested.
+    log_ns (n,) int64 · data (bytes,) uint8 · offset, length (n,) int64. `data` may be a reused
+    buffer: it is valid only until the next batch is requested.
     """
 
     topic_id: int
@@ -64,7 +66,8 @@ class Outgoing:
 
 @dataclass(frozen=True, eq=False)
 class LazyImage:
-    """One image, decoded on demand: decode(k) gives (H/k, W/k, 3) uint8 BGR for k in 1, 2, 4, 8; thread safe.
+    """One image, decoded on demand: decode(k) gives (H/k,
+    W/k, 3) uint8 BGR for k in 1, 2, 4, 8; thread safe.
 
     The result may be a read-only view of the log's own bytes, in any memory order.
 

@@ -1,4 +1,6 @@
-"""Topic names: the prefix of the topics that bodylog writes, and escaping of characters that ROS forbids."""
+"""Topic names: the prefix of the topics that bodylog
+writes, and escaping of characters that ROS forbids.
+"""
 
 import re
 
@@ -6,11 +8,15 @@ PREFIX = "/bodylog/"
 """The prefix of every topic that bodylog writes."""
 TRACK = PREFIX + "track/"
 TRACK_NAMES = ("u", "v", "std_u", "std_v")
-_ILLEGAL = re.compile(r"(?:^|(?<=/))[0-9]|[^A-Za-z0-9_/]|(?:^|(?<=/))/|/(?=/|$)|_(?=x[0-9a-f]+[^A-Za-z0-9])")
+_ILLEGAL = re.compile(
+    r"(?:^|(?<=/))[0-9]|[^A-Za-z0-9_/]|(?:^|(?<=/))/|/(?=/|$)|_(?=x[0-9a-f]+[^A-Za-z0-9])"
+)
 
 
 def escape_topic_name(name: str) -> str:
-    """`name`, whose / separate parts, as the end of a topic name; characters that ROS forbids become _x<hex>_."""
+    """`name`, whose / separate parts, as the end of a topic
+    name; characters that ROS forbids become _x<hex>_.
+    """
     return _ILLEGAL.sub(lambda m: f"_x{ord(m[0]):x}_", name)
 
 

@@ -1,11 +1,13 @@
-"""One Topic per name, type, encoding and definition, however many channels carry it; batches by topic."""
+"""One Topic per name, type, encoding and definition,
+however many channels carry it; batches by topic.
+"""
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from ..io.values import LATEST_NS, is_time, encodable_text, log_times_ns
+from ..io.values import LATEST_NS, encodable_text, is_time, log_times_ns
 from .diagnostics import Diagnostics
 from .records import Array, Batch, Topic
 
@@ -15,7 +17,9 @@ INDEPENDENT: Mapping[str, str] = {"bodylog.motion": "independent poses"}
 
 def has_independent_poses(topics: Collection[Topic]) -> bool:
     """Whether a joint topic holds independent poses."""
-    return any(topic.metadata.get(key) == value for topic in topics for key, value in INDEPENDENT.items())
+    return any(
+        topic.metadata.get(key) == value for topic in topics for key, value in INDEPENDENT.items()
+    )
 
 
 class TopicTable:
@@ -36,8 +40,16 @@ class TopicTable:
         metadata: Mapping[str, str],
     ) -> int:
         """The id of the topic with these properties; adds to its number of messages."""
-        key = (encodable_text(name), normalise_message_type(encodable_text(type_name)), encodable_text(encoding), definition, encodable_text(definition_encoding))
-        known = self._topics.get(key) or Topic(len(self._topics), *key, 0, {k: encodable_text(v) for k, v in metadata.items()})
+        key = (
+            encodable_text(name),
+            normalise_message_type(encodable_text(type_name)),
+            encodable_text(encoding),
+            definition,
+            encodable_text(definition_encoding),
+        )
+        known = self._topics.get(key) or Topic(
+            len(self._topics), *key, 0, {k: encodable_text(v) for k, v in metadata.items()}
+        )
         self._topics[key] = replace(known, messages=known.messages + messages)
         return known.id
 
@@ -53,16 +65,23 @@ def normalise_message_type(type_name: str) -> str:
 
 
 def log_time_span(found: Collection[int], diagnostics: Diagnostics) -> tuple[int, int]:
-    """First and last time of a log (ns), 0 if it has none; warns about times outside a clock's range."""
+    """First and last time of a log (ns), 0 if it has
+    none; warns about times outside a clock's range.
+    """
     sound = [ns for ns in found if is_time(ns)]
     if len(sound) < len(found):
         odd = next(ns for ns in found if not is_time(ns))
-        text = f"log times such as {odd} ns are invalid: those below 0 or beyond {LATEST_NS} ns are read as 0"
+        text = (
+            f"log times such as {odd} ns are invalid: those below 0 or beyond {LATEST_NS} ns are "
+            "read as 0"
+        )
         diagnostics.warn(f"{text}, and their messages are not used")
     return min(sound, default=0), max(sound, default=0)
 
 
-def split_by_topic_id(topic: Array, log_ns: Array, data: Array, offset: Array, length: Array) -> Iterator[Batch]:
+def split_by_topic_id(
+    topic: Array, log_ns: Array, data: Array, offset: Array, length: Array
+) -> Iterator[Batch]:
     """One Batch per id in topic (n,), in order of appearance; ids below 0 are left out."""
     if not len(topic):
         return

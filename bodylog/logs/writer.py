@@ -40,14 +40,19 @@ class Writer:
     def __enter__(self) -> Self:
         """Open a temporary file beside the output."""
         with ExitStack() as opening:
-            stream = opening.enter_context(opening.enter_context(replace_atomically(self._path)).open("wb"))
+            stream = opening.enter_context(
+                opening.enter_context(replace_atomically(self._path)).open("wb")
+            )
             self._chunks = Chunks(stream, Contents())
             self._chunks.begin(PROFILE, LIBRARY)
             self._open = opening.pop_all()
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, problem: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        problem: BaseException | None,
+        trace: TracebackType | None,
     ) -> bool | None:
         """Write the summary and move the file into place; after an exception, remove it."""
         if kind is None and self._chunks is not None:
@@ -56,28 +61,42 @@ class Writer:
         return self._open.__exit__(kind, problem, trace)
 
     def write(
-        self, topic: str, type: str, log_ns: Array, fields: Mapping[str, Any], definition: str | None = None
+        self,
+        topic: str,
+        type: str,
+        log_ns: Array,
+        fields: Mapping[str, Any],
+        definition: str | None = None,
     ) -> None:
-        """Write messages of one topic from their fields; ConfigError for a field or type that does not fit.
+        """Write messages of one topic from their fields;
+        ConfigError for a field or type that does not fit.
 
-        log_ns (n,) int64 · fields {message path: values}: a number or text for all messages, an array (n,), for array
-        fields (n,K) or a list of n arrays or bytes; times int64 ns; missing fields are 0 or empty. definition: the
-        type's ros2msg text, needed for types outside ROS 2.
+        log_ns (n,) int64 · fields {message path: values}: a number or text for all messages, an
+        array (n,), for array fields (n,K) or a list of n arrays or bytes; times int64 ns; missing
+        fields are 0 or empty. definition: the type's ros2msg text, needed for types outside ROS 2.
         """
         times = np.asarray(log_ns, np.int64).reshape(-1)
         text = self._definition(type, definition)
         parsed = parse_definition(text, type, "ros2msg")
         known = dict(_writable_paths(parsed, parsed.root))
         if unknown := [name for name in fields if name not in known]:
-            raise ConfigError(f"{topic}: {type} has no field {unknown[0]!r}; the fields are {', '.join(sorted(known))}")
-        values = {name: _convert_field_values(topic, name, known[name], value, len(times)) for name, value in fields.items()}
+            raise ConfigError(
+                f"{topic}: {type} has no field {unknown[0]!r}; the fields are "
+                f"{', '.join(sorted(known))}"
+            )
+        values = {
+            name: _convert_field_values(topic, name, known[name], value, len(times))
+            for name, value in fields.items()
+        }
         key = topic, type, text
         if key not in self._channels:
             self._channels[key] = self._writing().topic(topic, type, "cdr", text, "ros2msg", {})
         self._put(key, times, _serialise_layout_groups(parsed, values, len(times)))
 
     def write_batch(self, topic: Topic, batch: Batch) -> None:
-        """Write undecoded messages of another log unchanged: one of its topics, and a batch of that topic."""
+        """Write undecoded messages of another log unchanged:
+        one of its topics, and a batch of that topic.
+        """
         key = topic.name, topic.type, topic.definition
         if key not in self._channels:
             about = (topic.encoding, topic.definition, topic.definition_encoding, topic.metadata)
@@ -98,9 +117,12 @@ class Writer:
         before = self._counts.get(channel, 0)
         self._counts[channel] = before + len(log_ns)
         if len(log_ns):
-            ids, sequence = np.full(len(log_ns), channel), before + np.arange(len(log_ns))
+            ids = np.full(len(log_ns), channel)
+            sequence = before + np.arange(len(log_ns))
             data = (payloads.data,)
-            self._writing().write(MessageTable(ids, sequence, log_ns, log_ns, data, payloads.offset, payloads.length))
+            self._writing().write(
+                MessageTable(ids, sequence, log_ns, log_ns, data, payloads.offset, payloads.length)
+            )
 
     def _writing(self) -> Chunks:
         if self._chunks is None:
@@ -108,7 +130,9 @@ class Writer:
         return self._chunks
 
 
-def _writable_paths(definition: Definition, type_: str, prefix: str = "") -> Iterator[tuple[str, Field]]:
+def _writable_paths(
+    definition: Definition, type_: str, prefix: str = ""
+) -> Iterator[tuple[str, Field]]:
     """The writable fields by message path; arrays of messages are not writable and stay empty."""
     for field in definition.types[type_]:
         if field.type in PRIMITIVES or field.type in TEXTS or field.type in TIMES:
@@ -126,7 +150,9 @@ class _Texts:
 
 
 def _convert_field_values(topic: str, name: str, field: Field, value: Any, count: int) -> Any:
-    """One field of `count` messages: _Texts · numbers or ns (n,) · for arrays (n,K), or a list of n arrays or bytes."""
+    """One field of `count` messages: _Texts · numbers or ns
+    (n,) · for arrays (n,K), or a list of n arrays or bytes.
+    """
     if isinstance(value, np.ndarray) and value.dtype == object:
         value = list(value)  # messages of unequal length, as a Table has them
     constant = _is_constant(field, value)
@@ -138,10 +164,16 @@ def _convert_field_values(topic: str, name: str, field: Field, value: Any, count
         raise ConfigError(f"{topic}: {name} is an array of times, which cannot be written")
     if not constant and field.size is not None and len({len(one) for one in value}) > 1:
         return value
-    numbers = np.frombuffer(value, np.uint8) if isinstance(value, bytes) else np.asarray(_bytes_to_arrays(value))
+    numbers = (
+        np.frombuffer(value, np.uint8)
+        if isinstance(value, bytes)
+        else np.asarray(_bytes_to_arrays(value))
+    )
     numbers = np.broadcast_to(numbers, (count, *numbers.shape)) if constant else numbers
     wanted = 1 if field.size is None else 2
-    if numbers.ndim != wanted or (wanted == 2 and field.size != -1 and numbers.shape[1] != field.size):
+    if numbers.ndim != wanted or (
+        wanted == 2 and field.size != -1 and numbers.shape[1] != field.size
+    ):
         shape = "(n,)" if wanted == 1 else f"(n, {'K' if field.size == -1 else field.size})"
         raise ConfigError(f"{topic}: {name} has shape {numbers.shape}; {shape} is expected")
     return numbers
@@ -154,7 +186,11 @@ def _is_constant(field: Field, value: Any) -> bool:
     if isinstance(value, bytes):
         return True
     first: Any = value[0] if len(value) else 0.0
-    return isinstance(first, str) if field.type in TEXTS else np.ndim(first) == 0 and not isinstance(first, bytes)
+    return (
+        isinstance(first, str)
+        if field.type in TEXTS
+        else np.ndim(first) == 0 and not isinstance(first, bytes)
+    )
 
 
 def _bytes_to_arrays(value: Any) -> Any:
@@ -170,7 +206,9 @@ def _encode_texts(field: Field, values: Sequence[Any], count: int) -> _Texts:
     return _Texts(list(known), np.broadcast_to(index, (count,)) if len(index) == 1 else index)
 
 
-def _serialise_layout_groups(definition: Definition, values: Mapping[str, Any], count: int) -> Payloads:
+def _serialise_layout_groups(
+    definition: Definition, values: Mapping[str, Any], count: int
+) -> Payloads:
     """All messages, grouped by layout."""
     keys = np.zeros(count, np.int64)
     for value in values.values():
@@ -179,8 +217,16 @@ def _serialise_layout_groups(definition: Definition, values: Mapping[str, Any], 
             _, keys = np.unique(np.column_stack([keys, shape]), axis=0, return_inverse=True)
     order = np.argsort(keys, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(keys[order])) + 1) if count else []
-    fields = (list(_cdr_message_fields(definition, definition.root, values, rows)) for rows in groups)
-    return cdr.merge_payloads([(rows, cdr.serialise_messages(len(rows), own)) for rows, own in zip(groups, fields, strict=True)], count)
+    fields = (
+        list(_cdr_message_fields(definition, definition.root, values, rows)) for rows in groups
+    )
+    return cdr.merge_payloads(
+        [
+            (rows, cdr.serialise_messages(len(rows), own))
+            for rows, own in zip(groups, fields, strict=True)
+        ],
+        count,
+    )
 
 
 def _cdr_message_fields(
@@ -192,7 +238,9 @@ def _cdr_message_fields(
         if field.type in TEXTS:
             yield from _cdr_text_field(field, values.get(path), rows)
         elif field.type in TIMES and field.size is None:
-            yield from cdr.cdr_time_field(values[path][rows] if path in values else np.zeros(len(rows), np.int64))
+            yield from cdr.cdr_time_field(
+                values[path][rows] if path in values else np.zeros(len(rows), np.int64)
+            )
         elif field.type in PRIMITIVES:
             yield _cdr_number_field(field, values.get(path), rows)
         elif field.size is None:
@@ -200,7 +248,9 @@ def _cdr_message_fields(
         elif field.size == -1:
             yield "uint32", 0
         else:
-            raise FormatError(f"{definition.root}: {path} is a fixed array of messages, which cannot be written")
+            raise FormatError(
+                f"{definition.root}: {path} is a fixed array of messages, which cannot be written"
+            )
 
 
 def _cdr_text_field(field: Field, value: _Texts | None, rows: Array) -> Iterator[cdr.CdrField]:

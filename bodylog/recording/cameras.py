@@ -11,7 +11,9 @@ _PICTURE = re.compile(r"(/(image\w*|compressed|raw))+$", re.IGNORECASE)
 
 
 def cameras_by_name(settings: TopicSettings) -> dict[str, str]:
-    """The cameras in robot.toml: the first as "camera", others as "camera/NAME"; ConfigError for equal names."""
+    """The cameras in robot.toml: the first as "camera",
+    others as "camera/NAME"; ConfigError for equal names.
+    """
     found: dict[str, str] = {}
     for source in settings.cameras:
         name = camera_name_of_source(source)
@@ -19,11 +21,16 @@ def cameras_by_name(settings: TopicSettings) -> dict[str, str]:
             both = f"{found[name]!r} and {source!r}"
             raise ConfigError(f"[topics] camera: {both} both get the name {name!r}; leave one out")
         found[name] = source
-    return {f"camera/{name}" if rank else "camera": source for rank, (name, source) in enumerate(found.items())}
+    return {
+        f"camera/{name}" if rank else "camera": source
+        for rank, (name, source) in enumerate(found.items())
+    }
 
 
 def camera_name_of_source(source: str) -> str:
-    """A camera's name: its topic without generic words such as image, or its video's name without the suffix."""
+    """A camera's name: its topic without generic words
+    such as image, or its video's name without the suffix.
+    """
     if is_video_source("camera", source):
         return PurePath(source).stem
     return _PICTURE.sub("", source).strip("/") or source.strip("/")

@@ -166,7 +166,8 @@ def _adopt_log_steps(times: Times, common: Sequence[ClockStep]) -> Steps:
     Where its log times do not fall, the step shortened the shortest interval ending in the time
     that comes twice.
     """
-    steps, log_ns = Steps(), times.log_ns
+    steps = Steps()
+    log_ns = times.log_ns
     intervals = np.diff(log_ns)
     for step in common if not times.begins else ():
         near = np.abs(log_ns[:-1] - step.at_ns) <= SAME_STEP_NS
@@ -193,11 +194,13 @@ def _find_header_steps(log_ns: Array, stamp_ns: Array | None) -> Steps:
         return []
     late = log_ns - stamp_ns
     rows = _list_leaps(stamp_ns, late, LEAST_STEP_NS)
-    if len(rows) > 2 * MOST_FALLS:  # messages of uneven delay: only steps well beyond it can be told
+    if len(rows) > 2 * MOST_FALLS:
+        # messages of uneven delay: only steps well beyond it can be told
         rows = _list_leaps(stamp_ns, late, 5 * LEAST_STEP_NS)
     if not 0 < len(rows) <= 2 * MOST_FALLS:
         return []
-    steps, behind = Steps(), 0
+    steps = Steps()
+    behind = 0
     for row, end in zip(rows, [*rows[1:], len(late)], strict=True):
         size, std = _level_change(late, steps[-1].row if steps else 0, row, end)
         set_forward = behind > 0 or _is_into_future(late, row, size)
@@ -214,7 +217,8 @@ def _list_leaps(stamp_ns: Array, late: Array, least_ns: int) -> list[int]:
     """Rows at which stamps (n,) ns fall or leap, and `late` (n,) ns changes by more than
     `least_ns`.
     """
-    change, interval = np.diff(late), np.diff(stamp_ns)
+    change = np.diff(late)
+    interval = np.diff(stamp_ns)
     falls = (interval < 0) & (change > least_ns)
     leaps = (interval > least_ns) & (change < -least_ns)
     return (1 + np.flatnonzero(falls | leaps)).tolist()
@@ -250,8 +254,8 @@ def _level_change(
     """Change of the median of late (n,) ns at `row` and its std, from [begin, row) and what
     follows; 0 if not steady.
 
-    What follows is [row, end), and more of it where that is short: a few messages out of order are no
-    step.
+    What follows is [row, end), and more of it where that
+    is short: a few messages out of order are no step.
     """
     last = max(min(end, row + window), min(len(late), row + LASTING))
     if min(row - begin, last - row) < FEWEST:
@@ -277,7 +281,9 @@ def _with_common_sizes(found: Mapping[str, Steps]) -> dict[str, Steps]:
     every = [step for steps in found.values() for step in steps]
 
     def with_common_size(step: ClockStep) -> ClockStep:
-        best = min((one for one in every if _may_be_one_step(one, step)), key=lambda one: one.std_ns)
+        best = min(
+            (one for one in every if _may_be_one_step(one, step)), key=lambda one: one.std_ns
+        )
         return step._replace(by_ns=best.by_ns, std_ns=best.std_ns)
 
     return {name: [with_common_size(step) for step in steps] for name, steps in found.items()}

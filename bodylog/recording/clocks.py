@@ -1,4 +1,6 @@
-"""Select the clock of a stream, and handle stamps that are out of order, duplicated or years off."""
+"""Select the clock of a stream, and handle stamps
+that are out of order, duplicated or years off.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
@@ -11,14 +13,18 @@ _DAY = 86_400_000_000_000
 _YEAR = 366 * _DAY
 _FEW = 0.1
 BACK = 500_000_000
-"""ns: no transport delays a message so long beyond its successors; the clock must have run backwards."""
+"""ns: no transport delays a message so long beyond
+its successors; the clock must have run backwards.
+"""
 
 
 class Timing(NamedTuple):
-    """One stream in time order: t_ns (m,) int64 · rows (m,) into the input · clock used · rejected by reason.
+    """One stream in time order: t_ns (m,) int64 · rows
+    (m,) into the input · clock used · rejected by reason.
 
-    offset_ns, spread_s: median and 5-to-95 % range of log minus header time, None without a header. backwards: log
-    times (b,) ns of messages rejected because their clock ran backwards · falls: the file stores the latest first.
+    offset_ns, spread_s: median and 5-to-95 % range of log minus header time, None without a header.
+    backwards: log times (b,) ns of messages rejected because their clock ran backwards · falls: the
+    file stores the latest first.
     """
 
     t_ns: Array
@@ -32,15 +38,25 @@ class Timing(NamedTuple):
     falls: bool
 
 
-def order_by_time(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = True) -> Timing:
-    """Order one stream by "header", "log" or "auto" time; the first of equal stamps is kept if `distinct`."""
-    t_ns, back, clock = log_ns, np.zeros(len(log_ns), bool), "log"
-    if stamp_ns is not None and (choice == "header" or (choice == "auto" and is_sound(stamp_ns, log_ns))):
+def order_by_time(
+    log_ns: Array, stamp_ns: Array | None, choice: str, distinct: bool = True
+) -> Timing:
+    """Order one stream by "header", "log" or "auto" time;
+    the first of equal stamps is kept if `distinct`.
+    """
+    t_ns = log_ns
+    back = np.zeros(len(log_ns), bool)
+    clock = "log"
+    if stamp_ns is not None and (
+        choice == "header" or (choice == "auto" and is_sound(stamp_ns, log_ns))
+    ):
         if choice == "auto" and _falls_back(stamp_ns):
             back = runs_back(log_ns, stamp_ns)
-        # a clock that is wrong for many messages is not used at all; one that is wrong for few is used for the rest
+        # a clock that is wrong for many messages is not used at
+        # all; one that is wrong for few is used for the rest
         if back.sum() <= _FEW * len(back):
-            t_ns, clock = stamp_ns, "header"
+            t_ns = stamp_ns
+            clock = "header"
     skipped = back.copy() if clock == "header" else np.zeros(len(back), bool)
     skipped[~skipped] = repeats_earlier_times(t_ns[~skipped])
     near = _is_near_bulk(t_ns)
@@ -50,24 +66,39 @@ def order_by_time(log_ns: Array, stamp_ns: Array | None, choice: str, distinct: 
     doubled = np.zeros(len(rows), bool)
     doubled[1:] = distinct & (np.diff(t_ns[rows]) == 0)
     counts = {
-        "time years away": int((~near).sum()), "time runs backwards": int((near & skipped).sum()),
+        "time years away": int((~near).sum()),
+        "time runs backwards": int((near & skipped).sum()),
         "same stamp again": int(doubled.sum()),
-    }  # fmt: skip
+    }
     rows = rows[~doubled]
     offset, spread = _header_offset_ns(log_ns, stamp_ns, near)
     rejected = {reason: n for reason, n in counts.items() if n}
     wrong = np.sort(log_ns[near & (back | skipped)])
-    return Timing(t_ns[rows], rows, clock, rejected, out_of_order, offset, spread, wrong, is_stored_backwards(t_ns[near]))
+    return Timing(
+        t_ns[rows],
+        rows,
+        clock,
+        rejected,
+        out_of_order,
+        offset,
+        spread,
+        wrong,
+        is_stored_backwards(t_ns[near]),
+    )
 
 
 def _falls_back(stamp_ns: Array) -> bool:
-    """Whether stamps (n,) fall in the file too: rising stamps are not wrong where the log's clock falls."""
+    """Whether stamps (n,) fall in the file too: rising
+    stamps are not wrong where the log's clock falls.
+    """
     near = stamp_ns[_is_near_bulk(stamp_ns)]
     return bool((np.maximum.accumulate(near) - near).max(initial=0) > BACK)
 
 
 def runs_back(log_ns: Array, stamp_ns: Array) -> Array:
-    """Which messages (n,) got stamps apart from most when the header clock ran backwards relative to the log's."""
+    """Which messages (n,) got stamps apart from most when
+    the header clock ran backwards relative to the log's.
+    """
     near = np.flatnonzero(_is_near_bulk(stamp_ns))
     order = near[np.argsort(log_ns[near], kind="stable")]
     behind = np.maximum.accumulate(stamp_ns[order]) - stamp_ns[order]
@@ -79,10 +110,14 @@ def runs_back(log_ns: Array, stamp_ns: Array) -> Array:
 
 
 def repeats_earlier_times(t_ns: Array) -> Array:
-    """Which messages (n,) of a time-ordered file overlap earlier ones, because its clock was set back."""
-    near, again = np.flatnonzero(_is_near_bulk(t_ns)), np.zeros(len(t_ns), bool)
+    """Which messages (n,) of a time-ordered file overlap
+    earlier ones, because its clock was set back.
+    """
+    near = np.flatnonzero(_is_near_bulk(t_ns))
+    again = np.zeros(len(t_ns), bool)
     t = t_ns[near]
-    steps, behind = np.diff(t), np.maximum.accumulate(t) - t
+    steps = np.diff(t)
+    behind = np.maximum.accumulate(t) - t
     if behind.max(initial=0) <= BACK or np.mean(steps < 0) > _FEW or not (steps > 0).any():
         return again
     # all after the latest message so far, until a later one
@@ -102,24 +137,33 @@ def is_stored_backwards(t_ns: Array) -> bool:
 
 
 def is_sound(stamp_ns: Array, log_ns: Array | None = None) -> bool:
-    """Whether header stamps are usable: mostly set, and moving, or duplicated at about the same log time."""
+    """Whether header stamps are usable: mostly set, and
+    moving, or duplicated at about the same log time.
+    """
     if not len(stamp_ns) or np.mean(stamp_ns <= 0) > _FEW:
         return False
     different = np.count_nonzero(np.diff(np.sort(stamp_ns, kind="stable"))) + 1
-    return bool(different > len(stamp_ns) / 2 or (log_ns is not None and _arrive_together(stamp_ns, log_ns)))
+    return bool(
+        different > len(stamp_ns) / 2 or (log_ns is not None and _arrive_together(stamp_ns, log_ns))
+    )
 
 
 def _arrive_together(stamp_ns: Array, log_ns: Array) -> bool:
-    """Whether messages of one stamp arrive together, as from two publishers, and not one after the other."""
+    """Whether messages of one stamp arrive together, as
+    from two publishers, and not one after the other.
+    """
     order = np.lexsort((log_ns, stamp_ns))
-    stamps, logged = stamp_ns[order], log_ns[order]
+    stamps = stamp_ns[order]
+    logged = log_ns[order]
     first = np.flatnonzero(np.diff(stamps, prepend=stamps[0] - 1))
-    steps, spans = np.diff(stamps[first]), logged[np.append(first[1:], len(stamps)) - 1] - logged[first]
+    steps = np.diff(stamps[first])
+    spans = logged[np.append(first[1:], len(stamps)) - 1] - logged[first]
     return len(steps) > 0 and median_by_sorting(spans) < 0.5 * median_by_sorting(steps)
 
 
 def _is_near_bulk(t_ns: Array) -> Array:
-    """True where a time is within a day of the bulk, unless over a tenth are not; False at time zero.
+    """True where a time is within a day of the bulk,
+    unless over a tenth are not; False at time zero.
 
     Times over a year off are False unless most are: no log lasts that long.
     """
@@ -135,7 +179,9 @@ def _is_near_bulk(t_ns: Array) -> Array:
     return keep & (t_ns > 0)
 
 
-def _header_offset_ns(log_ns: Array, stamp_ns: Array | None, near: Array) -> tuple[int | None, float | None]:
+def _header_offset_ns(
+    log_ns: Array, stamp_ns: Array | None, near: Array
+) -> tuple[int | None, float | None]:
     if stamp_ns is None or not near.any():
         return None, None
     late = (log_ns - stamp_ns)[near]
@@ -145,7 +191,9 @@ def _header_offset_ns(log_ns: Array, stamp_ns: Array | None, near: Array) -> tup
 
 
 def quantiles_by_sorting(values: Array, wanted: Sequence[float]) -> list[float]:
-    """The quantiles of values (n,) as in `np.quantile`, whose import takes longer than reading a small log."""
+    """The quantiles of values (n,) as in `np.quantile`,
+    whose import takes longer than reading a small log.
+    """
     ordered = np.sort(values)
     found = np.interp(np.multiply(wanted, len(ordered) - 1), np.arange(len(ordered)), ordered)
     return [float(value) for value in found]

@@ -18,7 +18,8 @@ Beside = tuple[Outgoing, Mapping[str, str]]
 
 
 def settings_of_episode(path: Path, settings: Settings) -> tuple[Settings, list[Beside]]:
-    """The settings with all cameras of a dataset's episode, and its topics that are neither joints nor images.
+    """The settings with all cameras of a dataset's episode,
+    and its topics that are neither joints nor images.
 
     Other logs give only the settings; cameras named in the settings stay the only ones.
     """
@@ -28,20 +29,36 @@ def settings_of_episode(path: Path, settings: Settings) -> tuple[Settings, list[
         if not isinstance(log, EpisodeLog):
             return settings, []
         cameras = tuple(topic.name for topic in log.topics if topic.id in log.cameras)
-        beside = [topic for topic in log.topics if topic.name != JOINTS and topic.id not in log.cameras]
-        kept = [_topic_beside_signals(topic, batch) for topic in beside for batch in log.batches((topic.id,))]
+        beside = [
+            topic for topic in log.topics if topic.name != JOINTS and topic.id not in log.cameras
+        ]
+        kept = [
+            _topic_beside_signals(topic, batch)
+            for topic in beside
+            for batch in log.batches((topic.id,))
+        ]
     if settings.topics.camera is None and cameras:
         settings = replace(settings, topics=replace(settings.topics, camera=cameras))
     return settings, kept
 
 
 def _topic_beside_signals(topic: Topic, batch: Batch) -> Beside:
-    fields = (topic.name, topic.type, topic.definition, batch.log_ns, batch.data, batch.offset, batch.length)
+    fields = (
+        topic.name,
+        topic.type,
+        topic.definition,
+        batch.log_ns,
+        batch.data,
+        batch.offset,
+        batch.length,
+    )
     return Outgoing(*fields), topic.metadata
 
 
 def kept_metadata(recording: Recording) -> dict[str, dict[str, str]]:
-    """Metadata of the topics that a recording is written as, by /joint_states, and /camera or /NAME of cameras."""
+    """Metadata of the topics that a recording is written
+    as, by /joint_states, and /camera or /NAME of cameras.
+    """
     found = {JOINTS: {**joints_metadata(recording), **(INDEPENDENT if recording.poses else {})}}
     for role in recording.roles:
         if role.partition("/")[0] == "camera":
@@ -60,5 +77,7 @@ def joints_metadata(recording: Recording) -> dict[str, str]:
 
 def role_metadata(recording: Recording, role: str) -> dict[str, str]:
     """Metadata from the dataset on the topic of a role."""
-    topic = next((topic for topic in recording.topics if topic.name == recording.roles.get(role)), None)
+    topic = next(
+        (topic for topic in recording.topics if topic.name == recording.roles.get(role)), None
+    )
     return {} if topic is None else {k: v for k, v in topic.metadata.items() if k.startswith(_OURS)}

@@ -9,11 +9,11 @@ import numpy as np
 
 from ..errors import BodylogError, ConfigError, FormatError, LogError
 from ..io.values import reject_impossible
-from ..logs.decode.columns import Source, read_topic_columns, columns_of
+from ..logs.decode.columns import Source, columns_of, read_topic_columns
 from ..logs.decode.parts import TopicColumns
 from ..logs.images import messages
-from ..logs.joint_units import parse_count_unit as counted
 from ..logs.joint_units import joint_unit
+from ..logs.joint_units import parse_count_unit as counted
 from ..logs.protocol import Log
 from ..logs.records import Array, Batch, Finding, Topic
 from ..logs.topics import has_independent_poses
@@ -29,7 +29,8 @@ _JOINT_FIELDS = ("name", "position")
 
 
 class Stream(NamedTuple):
-    """One role's messages in time order: values (m,D), log_ns (m,), and the counts behind its health.
+    """One role's messages in time order: values (m,D),
+    log_ns (m,), and the counts behind its health.
 
     steps: of its clocks, which are taken out of its times; log_ns is as recorded.
     """
@@ -60,13 +61,24 @@ def read_streams(
     """
     alone = sum(role.role == "joints" for role in found.values()) < 2
     read = _read_role_columns(log, found, name)
-    signals = {role: _signal_in_file_order(*source, settings, name, alone) for role, source in read.items()}
-    mended = mend_clocks({role: _times_of_signal(*read[role], signal) for role, signal in signals.items()})
+    signals = {
+        role: _signal_in_file_order(*source, settings, name, alone) for role, source in read.items()
+    }
+    mended = mend_clocks(
+        {role: _times_of_signal(*read[role], signal) for role, signal in signals.items()}
+    )
     timing = _reject_falling_streams(
-        {role: _date_stream(*read[role], signals[role], mended[role], settings, name) for role in read}
+        {
+            role: _date_stream(*read[role], signals[role], mended[role], settings, name)
+            for role in read
+        }
     )
     usable = {role: stream for role, stream in timing.items() if len(stream.timing.t_ns)}
-    empty = (_finding_on_empty_stream(stream, settings, name) for role, stream in timing.items() if role not in usable)
+    empty = (
+        _finding_on_empty_stream(stream, settings, name)
+        for role, stream in timing.items()
+        if role not in usable
+    )
     return _one_epoch(usable), tuple(empty)
 
 
@@ -79,7 +91,12 @@ def joints_of(log: Log) -> Callable[[Topic], tuple[str, ...]]:
         except BodylogError:
             return ()
         nameless = max((np.shape(part.values[1])[-1] for part in found.parts), default=0)
-        named = [name for part in found.parts if isinstance(part.values[0], tuple) for name in part.values[0]]
+        named = [
+            name
+            for part in found.parts
+            if isinstance(part.values[0], tuple)
+            for name in part.values[0]
+        ]
         return tuple(dict.fromkeys(named)) or ("",) * nameless
 
     return names
@@ -94,7 +111,9 @@ class _Beginning(NamedTuple):
         return islice(self.log.batches(ids), 1)
 
 
-def _read_role_columns(log: Source, found: Mapping[str, Role], name: str) -> dict[str, tuple[Role, tuple[TopicColumns, ...]]]:
+def _read_role_columns(
+    log: Source, found: Mapping[str, Role], name: str
+) -> dict[str, tuple[Role, tuple[TopicColumns, ...]]]:
     fields: dict[int, dict[str, None]] = {}
     topics = {topic.id: topic for role in found.values() for topic in role.topics}
     for role in found.values():
@@ -109,7 +128,9 @@ def _read_role_columns(log: Source, found: Mapping[str, Role], name: str) -> dic
         raise ConfigError(f"{name}: [topics] {asked}: {problem}") from problem
     except FormatError as problem:
         raise FormatError(f"{name}: {problem}") from problem
-    return {name: (role, tuple(read[topic.id] for topic in role.topics)) for name, role in found.items()}
+    return {
+        name: (role, tuple(read[topic.id] for topic in role.topics)) for name, role in found.items()
+    }
 
 
 def _fields_of_role(role: Role) -> tuple[str, ...]:
@@ -127,7 +148,9 @@ def _signal_in_file_order(
     return _signal_of_blocks(role, found, settings, f"{name}: {role.topic}", alone)
 
 
-def _times_of_signal(role: Role, read: tuple[TopicColumns, ...], signal: role_values.RoleSignal) -> Times:
+def _times_of_signal(
+    role: Role, read: tuple[TopicColumns, ...], signal: role_values.RoleSignal
+) -> Times:
     """The times of a signal's messages; a table of still poses has no clock."""
     log_ns = np.concatenate([some.log_ns for some in read])[signal.rows]
     if has_independent_poses(role.topics):
@@ -148,31 +171,61 @@ def _date_stream(
     log_ns = np.concatenate([some.log_ns for some in read])
     choice = getattr(settings.time, role.role)
     if choice == "header" and signal.stamp_ns is None and len(signal.rows):
-        raise LogError(f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use "log" or "auto"')
+        raise LogError(
+            f'{name}: [time] {role.role} = "header", but {role.topic} has no header; use '
+            '"log" or "auto"'
+        )
     by_name = role.role in ("joints", "truth", "reference")
     if has_independent_poses(role.topics):
         mended = Mended(log_ns[signal.rows], signal.stamp_ns)
     timing = order_by_time(mended.log_ns, mended.stamp_ns, choice, distinct=not by_name)
-    values, idle, beyond, wraps = signal.values[timing.rows], 0, 0, dict[str, int]()
+    values = signal.values[timing.rows]
+    idle = 0
+    beyond = 0
+    wraps = dict[str, int]()
     # true angles are in rad or degrees, never in encoder counts
-    unit_text = settings.body.unit if role.role == "joints" or counted(settings.body.unit) is None else "rad"
+    unit_text = (
+        settings.body.unit
+        if role.role == "joints" or counted(settings.body.unit) is None
+        else "rad"
+    )
     unit = joint_unit(role.topics[0].metadata, unit_text)
     if by_name:
         converted = values if unit.factor == 1.0 else (values - unit.zero) * unit.factor
         keep, values, idle = role_values.merge_equal_stamps(timing.t_ns, converted)
         timing = timing._replace(t_ns=timing.t_ns[keep], rows=timing.rows[keep])
-        values, beyond, turns = role_values.unwrap_angles(values[keep], None if has_independent_poses(role.topics) else unit.turn)
-        wraps = {joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count}
+        values, beyond, turns = role_values.unwrap_angles(
+            values[keep], None if has_independent_poses(role.topics) else unit.turn
+        )
+        wraps = {
+            joint: int(count) for joint, count in zip(signal.names, turns, strict=True) if count
+        }
     elif values.dtype.kind == "f":
         values, beyond = reject_impossible(values)
-    rejected = sum((Counter(some.rejected) for some in read), Counter(signal.rejected) + Counter(timing.rejected))
+    rejected = sum(
+        (Counter(some.rejected) for some in read),
+        Counter(signal.rejected) + Counter(timing.rejected),
+    )
     rejected.update({"same stamp again": idle} if idle else {})
-    rows, counts = signal.rows[timing.rows], tuple(len(some.log_ns) for some in read)
+    rows = signal.rows[timing.rows]
+    counts = tuple(len(some.log_ns) for some in read)
     slow = sum(some.fallback for some in read)
     return Stream(
-        role, timing, values, signal.names, log_ns[rows], rows, counts, dict(rejected), slow, beyond,
-        wraps, signal.sets, unit.unit if by_name else "", steps=mended.steps,
-    )  # fmt: skip
+        role,
+        timing,
+        values,
+        signal.names,
+        log_ns[rows],
+        rows,
+        counts,
+        dict(rejected),
+        slow,
+        beyond,
+        wraps,
+        signal.sets,
+        unit.unit if by_name else "",
+        steps=mended.steps,
+    )
 
 
 def _signal_of_blocks(
@@ -180,10 +233,14 @@ def _signal_of_blocks(
 ) -> role_values.RoleSignal:
     if role.role == "camera":
         seen = {str(text) for _, _, (names,) in found for text in names}
-        return role_values.signal_of_texts(found, {text: messages.explain_refused_image(role.topics[0], text) for text in seen})
+        return role_values.signal_of_texts(
+            found, {text: messages.explain_refused_image(role.topics[0], text) for text in seen}
+        )
     if not role.field:
         wanted = settings.body.joints if alone or role.role != "joints" else None
-        return role_values.joints_by_name(found, wanted, what, role.role == "joints", settings.input)
+        return role_values.joints_by_name(
+            found, wanted, what, role.role == "joints", settings.input
+        )
     signal = role_values.signal_of_arrays(found)
     if role.role == "skin" or not len(signal.rows):
         return role_values.reject_non_proximities(signal) if role.unsure else signal
@@ -192,14 +249,19 @@ def _signal_of_blocks(
 
 
 def _finding_on_empty_stream(stream: Stream, settings: Settings, name: str) -> Finding:
-    why, role = rejection_reasons(stream) or "it is empty", stream.role
+    why = rejection_reasons(stream) or "it is empty"
+    role = stream.role
     if getattr(settings.topics, role.role) is not None:
         raise LogError(f"{name}: no usable message on {role.topic}: {why}")
-    return Finding("warning", f"{role.role}: {role.topic} was considered, but has no usable message: {why}")
+    return Finding(
+        "warning", f"{role.role}: {role.topic} was considered, but has no usable message: {why}"
+    )
 
 
 def _reject_falling_streams(found: dict[str, Stream]) -> dict[str, Stream]:
-    """Reject streams whose times fall while others' rise; if all fall, the file is stored backwards."""
+    """Reject streams whose times fall while others'
+    rise; if all fall, the file is stored backwards.
+    """
     falling = [role for role, stream in found.items() if stream.timing.falls]
     if len(falling) == len([stream for stream in found.values() if len(stream.rows)]):
         return found
@@ -211,13 +273,22 @@ def _reject_all_messages(stream: Stream) -> Stream:
     none = stream.timing._replace(t_ns=stream.timing.t_ns[:0], rows=stream.timing.rows[:0])
     rejected = Counter(stream.rejected) + Counter({"time runs backwards": len(stream.rows)})
     return stream._replace(
-        timing=none, values=stream.values[:0], log_ns=stream.log_ns[:0], rows=stream.rows[:0], rejected=rejected
+        timing=none,
+        values=stream.values[:0],
+        log_ns=stream.log_ns[:0],
+        rows=stream.rows[:0],
+        rejected=rejected,
     )
 
 
 def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
-    """Shift streams whose clocks are over a minute apart to the first one's, through their log times."""
-    behind = {role: (s.timing.offset_ns or 0) if s.timing.clock == "header" else 0 for role, s in found.items()}
+    """Shift streams whose clocks are over a minute
+    apart to the first one's, through their log times.
+    """
+    behind = {
+        role: (s.timing.offset_ns or 0) if s.timing.clock == "header" else 0
+        for role, s in found.items()
+    }
     first = next(iter(behind.values()), 0)
     return {role: _shift_stream(stream, behind[role] - first) for role, stream in found.items()}
 
@@ -225,7 +296,9 @@ def _one_epoch(found: dict[str, Stream]) -> dict[str, Stream]:
 def _shift_stream(stream: Stream, by_ns: int) -> Stream:
     if abs(by_ns) < _MINUTE:
         return stream
-    return stream._replace(timing=stream.timing._replace(t_ns=stream.timing.t_ns + by_ns), shifted_s=by_ns / 1e9)
+    return stream._replace(
+        timing=stream.timing._replace(t_ns=stream.timing.t_ns + by_ns), shifted_s=by_ns / 1e9
+    )
 
 
 def rejection_reasons(stream: Stream) -> str:

@@ -34,25 +34,40 @@ def describe_log(path: Path, settings: Settings, strict: bool = False) -> dict[s
             "format": log.format,
             "start_ns": log.start_ns,
             "duration_s": (log.end_ns - log.start_ns) / 1e9,
-            "topics": [_topic_facts(topic, spans) for topic in sorted(log.topics, key=lambda t: (t.name, t.id))],
+            "topics": [
+                _topic_facts(topic, spans)
+                for topic in sorted(log.topics, key=lambda t: (t.name, t.id))
+            ],
             "roles": {role: source.path for role, source in found.items()},
             "joints": list(joint_topics.merged_joint_names(streams)),
             "unit": joint_topics.unit_of_joints(streams),
             "clock": {role: _clock_facts(stream) for role, stream in streams.items()},
-            "findings": [{"severity": f.severity, "text": f.text} for f in (*log.findings, *remarked)],
+            "findings": [
+                {"severity": f.severity, "text": f.text} for f in (*log.findings, *remarked)
+            ],
         }
 
 
 def _spans_by_topic(log: Log, streams: Mapping[str, Stream]) -> dict[int, tuple[int, int]]:
     """First and last log time (ns) by topic id: its own if known, else the log's."""
     whole = dict.fromkeys((topic.id for topic in log.topics), (log.start_ns, log.end_ns))
-    alone = {stream.role.topics[0].id: stream.log_ns for stream in streams.values() if len(stream.role.topics) == 1}
-    return whole | {id_: (int(ns.min()), int(ns.max())) for id_, ns in alone.items()} | dict(log.spans())
+    alone = {
+        stream.role.topics[0].id: stream.log_ns
+        for stream in streams.values()
+        if len(stream.role.topics) == 1
+    }
+    return (
+        whole
+        | {id_: (int(ns.min()), int(ns.max())) for id_, ns in alone.items()}
+        | dict(log.spans())
+    )
 
 
 def _topic_facts(topic: Topic, spans: Mapping[int, tuple[int, int]]) -> dict[str, Any]:
     first, last = spans[topic.id]
-    rate = (topic.messages - 1) / (last - first) * 1e9 if topic.messages > 1 and last > first else None
+    rate = (
+        (topic.messages - 1) / (last - first) * 1e9 if topic.messages > 1 and last > first else None
+    )
     return {"topic": topic.name, "type": topic.type, "messages": topic.messages, "rate_hz": rate}
 
 

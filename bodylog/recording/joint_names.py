@@ -15,11 +15,15 @@ def topic_name(topic: str) -> str:
 
 
 def joint_topic_roles(declared: str | tuple[str, ...] | None) -> dict[str, str]:
-    """Roles of the joint topics in robot.toml: joints, and joints/NAME for those after the first."""
+    """Roles of the joint topics in robot.toml:
+    joints, and joints/NAME for those after the first.
+    """
     found: dict[str, str] = {}
     for topic in (declared,) if isinstance(declared, str) else declared or ():
         name = topic_name(topic)
         if any(topic_name(other) == name for other in found.values()):
-            raise ConfigError(f"[topics] joints: two topics both get the name {name!r}; leave one out")
+            raise ConfigError(
+                f"[topics] joints: two topics both get the name {name!r}; leave one out"
+            )
         found[f"{JOINTS}{name}" if found else "joints"] = topic
     return found

@@ -14,7 +14,8 @@ def streams_of(streams: Mapping[str, Stream]) -> list[Stream]:
 
 def unconfigured_joints(streams: Mapping[str, Stream], settings: Settings) -> tuple[str, ...]:
     """Joints of further topics that were found without being configured."""
-    found, guessed = streams_of(streams), settings.topics.joints is None
+    found = streams_of(streams)
+    guessed = settings.topics.joints is None
     return tuple(name for names in own_names(found)[1:] for name in names) if guessed else ()
 
 
@@ -29,7 +30,10 @@ def own_names(found: Sequence[Stream]) -> list[tuple[str, ...]]:
     for stream in found:
         for name in stream.names:
             counts[name] = counts.get(name, 0) + 1
-    return [tuple(f"{topic_name(s.role.topic)}/{n}" if counts[n] > 1 else n for n in s.names) for s in found]
+    return [
+        tuple(f"{topic_name(s.role.topic)}/{n}" if counts[n] > 1 else n for n in s.names)
+        for s in found
+    ]
 
 
 def unit_of_joints(streams: Mapping[str, Stream]) -> str | None:

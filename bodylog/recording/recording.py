@@ -1,4 +1,6 @@
-"""Read a log into one Recording: roles, signals on one clock, lazy frames, and a count of every message."""
+"""Read a log into one Recording: roles, signals on
+one clock, lazy frames, and a count of every message.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import nullcontext
@@ -11,7 +13,7 @@ from ..logs.protocol import Log
 from ..logs.topics import has_independent_poses
 from ..settings import Settings
 from ..sources import TableSource, TopicSource
-from ..types import ConsumedFrames, Features, LazyImage, FrameConsumer, Health, Recording, Series
+from ..types import ConsumedFrames, Features, FrameConsumer, Health, LazyImage, Recording, Series
 from . import cameras, joint_series, joint_topics, roles
 from . import frames as camera
 from .clocks import largest_gap, seconds_since
@@ -23,25 +25,38 @@ _VIEW = "camera/"
 
 
 def read_recording(
-    path: Path, settings: Settings, strict: bool = False, consumer: Callable[[], FrameConsumer] | None = None
+    path: Path,
+    settings: Settings,
+    strict: bool = False,
+    consumer: Callable[[], FrameConsumer] | None = None,
 ) -> Recording:
-    """Read the recording in a log of any format; a missing role is None. LogError, FormatError for unusable logs.
+    """Read the recording in a log of any format; a missing
+    role is None. LogError, FormatError for unusable logs.
 
-    `consumer` gets the first camera's images during reading, unless the log may already hold their tracks.
+    `consumer` gets the first camera's images during
+    reading, unless the log may already hold their tracks.
     """
     with open_log(path, strict, settings.input) as log:
         settings = restore_settings(log, settings)
         found = roles.assign_roles(log.topics, settings.topics, str(path), joints_of(log))
         to_be_seen = "camera" in found and not is_ours(log)
         with consumer() if consumer and to_be_seen else nullcontext() as frames:
-            tap = camera.FrameTap(log, found["camera"].topics, frames, settings.input) if frames else None
+            tap = (
+                camera.FrameTap(log, found["camera"].topics, frames, settings.input)
+                if frames
+                else None
+            )
             streams, silent = read_streams(tap or without_images(log), found, settings, str(path))
         start_ns = _start_ns(streams, log)
         features = _read_own_features(log, start_ns)
         named = _read_named_tracks(log, path, settings, streams, start_ns, features)
         findings = (*log.findings, *silent, *log_findings(log, streams, settings))
     sidecars = _find_video_files(path, settings)
-    videos = {key: source for key, source in cameras.cameras_by_name(settings.topics).items() if key in sidecars}
+    videos = {
+        key: source
+        for key, source in cameras.cameras_by_name(settings.topics).items()
+        if key in sidecars
+    }
     films = _frames_of_cameras(path, strict, streams, sidecars, settings, start_ns)
     return Recording(
         name=path.name,
@@ -56,12 +71,17 @@ def read_recording(
         reference=_series_of_stream(streams.get("reference"), start_ns, "rad"),
         frames=films.get("camera"),
         features=features,
-        health={stream.role.topic: _health_of_stream(stream) for stream in streams.values()} | _health_of_videos(sidecars),
+        health={stream.role.topic: _health_of_stream(stream) for stream in streams.values()}
+        | _health_of_videos(sidecars),
         findings=findings,
-        views={key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)},
+        views={
+            key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)
+        },
         settings=settings,
         consumed=_frames_consumed(tap, streams.get("camera"), start_ns),
-        poses=any(has_independent_poses(stream.role.topics) for stream in joint_topics.streams_of(streams)),
+        poses=any(
+            has_independent_poses(stream.role.topics) for stream in joint_topics.streams_of(streams)
+        ),
         beside=joint_topics.unconfigured_joints(streams, settings),
         tracks={name: track for name, (track, _) in named.items()},
         track_health={name: health for name, (_, health) in named.items()},
@@ -84,7 +104,13 @@ def _duration_of_streams(streams: Mapping[str, Stream], log: Log) -> float:
 def _series_of_stream(stream: Stream | None, start_ns: int, unit: str) -> Series | None:
     if stream is None:
         return None
-    return Series(seconds_since(stream.timing.t_ns, start_ns), stream.values, stream.names, unit, stream.log_ns)
+    return Series(
+        seconds_since(stream.timing.t_ns, start_ns),
+        stream.values,
+        stream.names,
+        unit,
+        stream.log_ns,
+    )
 
 
 def _health_of_stream(stream: Stream) -> Health:
@@ -120,9 +146,14 @@ def _frames_of_cameras(
     start = settings.topics.start
     first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9
     limits = replace(settings.input, strict=strict)
-    beside = {key: video_file.make_video_decoder(side, first_s, start_ns) for key, side in sidecars.items()}
+    beside = {
+        key: video_file.make_video_decoder(side, first_s, start_ns)
+        for key, side in sidecars.items()
+    }
     return beside | {
-        key: camera.read_frames_lazily(path, limits, s.role.topics, s.counts, s.rows, s.timing.t_ns, start_ns)
+        key: camera.read_frames_lazily(
+            path, limits, s.role.topics, s.counts, s.rows, s.timing.t_ns, start_ns
+        )
         for key, s in streams.items()
         if s.role.role == "camera"
     }
@@ -136,16 +167,25 @@ def _read_own_features(log: Log, start_ns: int) -> Features | None:
     return read_features(log, start_ns)
 
 
-def _frames_consumed(tap: camera.FrameTap | None, seen: Stream | None, start_ns: int) -> ConsumedFrames | None:
+def _frames_consumed(
+    tap: camera.FrameTap | None, seen: Stream | None, start_ns: int
+) -> ConsumedFrames | None:
     if tap is None or seen is None:
         return None
     return tap.consumed(seen.rows, seen.timing.t_ns, seen.log_ns, start_ns)
 
 
 def _read_named_tracks(
-    log: Log, path: Path, settings: Settings, streams: Mapping[str, Stream], start_ns: int, carried: Features | None
+    log: Log,
+    path: Path,
+    settings: Settings,
+    streams: Mapping[str, Stream],
+    start_ns: int,
+    carried: Features | None,
 ) -> dict[str, tuple[Series, Health]]:
-    """Tracks of topics and tables that [features] names, except those stored in the log by an earlier run."""
+    """Tracks of topics and tables that [features] names,
+    except those stored in the log by an earlier run.
+    """
     known = () if carried is None else carried.tracks
     rest = {name: source for name, source in settings.features.items() if name not in known}
     if not any(isinstance(source, TopicSource | TableSource) for source in rest.values()):
@@ -156,4 +196,6 @@ def _read_named_tracks(
     timing = next((stream.timing for stream in joint_topics.streams_of(streams)), None)
     late_ns = (timing.offset_ns or 0) if timing is not None and timing.clock == "header" else 0
     found = dict(topic_tracks.read_topic_tracks(log, asked, start_ns, late_ns))
-    return found | dict(table_tracks.read_table_tracks(path, asked, start_ns, _duration_of_streams(streams, log)))
+    return found | dict(
+        table_tracks.read_table_tracks(path, asked, start_ns, _duration_of_streams(streams, log))
+    )

@@ -27,7 +27,9 @@ _FIELDS = {
 
 @dataclass(frozen=True, eq=False)
 class CameraInfo:
-    """A sensor_msgs/CameraInfo: frame · width, height px · matrix (9,) px, row-major · distortion (K,) of its model."""
+    """A sensor_msgs/CameraInfo: frame · width, height px ·
+    matrix (9,) px, row-major · distortion (K,) of its model.
+    """
 
     frame: str
     width: int
@@ -39,7 +41,8 @@ class CameraInfo:
 
 @dataclass(frozen=True, eq=False)
 class Described:
-    """urdf: the text of /robot_description · transforms {child: (parent, pose (4,4) m)} · cameras {topic: its info}.
+    """urdf: the text of /robot_description · transforms {child:
+    (parent, pose (4,4) m)} · cameras {topic: its info}.
 
     joints: the names in the first message of each topic of joint states.
     """
@@ -53,18 +56,34 @@ class Described:
 def read_robot_description(path: Path, limits: Input = LIMITS) -> Described:
     """The robot description in a log of any format; empty for a table, or without one."""
     with open_log(path, limits=limits) as log:
-        topics = {topic.id: topic for topic in log.topics if _kind_of_description(topic) is not None}
+        topics = {
+            topic.id: topic for topic in log.topics if _kind_of_description(topic) is not None
+        }
         found = _read_first_messages(log, topics)
-    texts = [c.column("data") for id_, c in found.items() if _kind_of_description(topics[id_]) == "description"]
+    texts = [
+        c.column("data")
+        for id_, c in found.items()
+        if _kind_of_description(topics[id_]) == "description"
+    ]
     transforms: dict[str, tuple[str, Array]] = {}
     for id_, columns in found.items():
         if _kind_of_description(topics[id_]) == "transforms":
             transforms |= _transforms_by_child(columns)
-    cameras = {topics[id_].name: _camera_info_of_columns(c) for id_, c in found.items() if _kind_of_description(topics[id_]) == "camera"}
+    cameras = {
+        topics[id_].name: _camera_info_of_columns(c)
+        for id_, c in found.items()
+        if _kind_of_description(topics[id_]) == "camera"
+    }
     urdf = next((str(text.reshape(-1)[-1]) for text in texts if len(text)), None)
     known = {name: camera for name, camera in cameras.items() if camera is not None}
-    names = [c.column("name") for id_, c in found.items() if _kind_of_description(topics[id_]) == "joints"]
-    joints = dict.fromkeys(str(name) for part in names if len(part) for name in np.ravel(part[0]) if name is not None)
+    names = [
+        c.column("name")
+        for id_, c in found.items()
+        if _kind_of_description(topics[id_]) == "joints"
+    ]
+    joints = dict.fromkeys(
+        str(name) for part in names if len(part) for name in np.ravel(part[0]) if name is not None
+    )
     return Described(urdf, transforms, known, tuple(joints))
 
 
@@ -80,7 +99,10 @@ def _kind_of_description(topic: Topic) -> str | None:
 
 def _read_first_messages(log: Log, topics: Mapping[int, Topic]) -> dict[int, TopicColumns]:
     """The first messages of some topics; reading stops there."""
-    wanted = {id_: _MANY if _kind_of_description(topic) == "transforms" else 1 for id_, topic in topics.items()}
+    wanted = {
+        id_: _MANY if _kind_of_description(topic) == "transforms" else 1
+        for id_, topic in topics.items()
+    }
     left = {id_: min(count, max(topics[id_].messages, 1)) for id_, count in wanted.items()}
     decoders = {}
     for id_, topic in topics.items():
@@ -91,7 +113,13 @@ def _read_first_messages(log: Log, topics: Mapping[int, Topic]) -> dict[int, Top
         count = min(left.get(batch.topic_id, 0), len(batch.log_ns))
         if count:
             rows = slice(count)
-            part = Batch(batch.topic_id, batch.log_ns[rows], batch.data, batch.offset[rows], batch.length[rows])
+            part = Batch(
+                batch.topic_id,
+                batch.log_ns[rows],
+                batch.data,
+                batch.offset[rows],
+                batch.length[rows],
+            )
             decoders[batch.topic_id].feed(part)
             left[batch.topic_id] -= count
         if not any(left.values()):
@@ -120,7 +148,10 @@ def _transforms_by_child(columns: TopicColumns) -> dict[str, tuple[str, Array]]:
         for row in values:
             for parent, child, (x, y, z, *quaternion) in zip(parents, children, row, strict=True):
                 pose = np.eye(4)
-                pose[:3, :3], pose[:3, 3] = _rotation_from_quaternion(np.array(quaternion)), (x, y, z)
+                pose[:3, :3], pose[:3, 3] = (
+                    _rotation_from_quaternion(np.array(quaternion)),
+                    (x, y, z),
+                )
                 if np.isfinite(pose).all():
                     found[str(child).lstrip("/")] = str(parent).lstrip("/"), pose
     return found
@@ -143,9 +174,14 @@ def _camera_info_of_columns(columns: TopicColumns) -> CameraInfo | None:
     """The first message, if the camera is calibrated."""
     if not columns.parts:
         return None
-    frame, width, height, model, matrix, distortion = (columns.column(name)[0] for name in columns.fields)
-    matrix, distortion = np.asarray(matrix, float).reshape(-1), np.asarray(distortion, float).reshape(-1)
+    frame, width, height, model, matrix, distortion = (
+        columns.column(name)[0] for name in columns.fields
+    )
+    matrix = np.asarray(matrix, float).reshape(-1)
+    distortion = np.asarray(distortion, float).reshape(-1)
     if len(matrix) != 9 or not np.isfinite(matrix).all() or matrix[0] <= 0 or matrix[4] <= 0:
         return None
     text, kind = (str(np.asarray(one).reshape(-1)[0]) for one in (frame, model))
-    return CameraInfo(text.lstrip("/"), int(width), int(height), matrix, distortion[np.isfinite(distortion)], kind)
+    return CameraInfo(
+        text.lstrip("/"), int(width), int(height), matrix, distortion[np.isfinite(distortion)], kind
+    )

@@ -13,31 +13,48 @@ from .roles import RANKS, ROLES, Role, camera_rank, is_raw, joints_rank, problem
 def advice_on_roles(found: Mapping[str, Role]) -> str:
     """The roles as one line for robot.toml."""
     paths = {role: [one.path for one in found.values() if one.role == role] for role in ROLES}
-    lines = (f"{role} = {json.dumps(text if len(text) > 1 else text[0])}" for role, text in paths.items() if text)
+    lines = (
+        f"{role} = {json.dumps(text if len(text) > 1 else text[0])}"
+        for role, text in paths.items()
+        if text
+    )
     return f"topics = {{ {', '.join(lines)} }}"
 
 
-def unused_joints(topics: Sequence[Topic], settings: TopicSettings, found: Mapping[str, Role]) -> tuple[Finding, ...]:
+def unused_joints(
+    topics: Sequence[Topic], settings: TopicSettings, found: Mapping[str, Role]
+) -> tuple[Finding, ...]:
     """Joint states besides those guessed to be the robot's, and what to type to use them."""
-    others = sorted({topic.name for topic in topics if is_raw(topic) and joints_rank(topic) is not None})
+    others = sorted(
+        {topic.name for topic in topics if is_raw(topic) and joints_rank(topic) is not None}
+    )
     used = [role.topic for role in found.values() if role.role == "joints"]
     others = [name for name in others if used and name not in used]
     if settings.joints is not None or not others:
         return ()
     text = f"joints: {', '.join(used)} is used, {', '.join(others)} not"
-    typed = f"type: [topics] joints = {json.dumps(others[0])}; for both, joints = {json.dumps([*used, others[0]])}"
+    typed = (
+        f"type: [topics] joints = {json.dumps(others[0])}; for both, joints = "
+        f"{json.dumps([*used, others[0]])}"
+    )
     return (Finding("info", f"{text}; for another, {typed}"),)
 
 
-def unused_cameras(topics: Sequence[Topic], settings: TopicSettings, found: Mapping[str, Role]) -> tuple[Finding, ...]:
+def unused_cameras(
+    topics: Sequence[Topic], settings: TopicSettings, found: Mapping[str, Role]
+) -> tuple[Finding, ...]:
     """Cameras besides the guessed one, or only unreadable ones, and what to type."""
     if not settings.cameras and "camera" not in found:
         unread = (topic for topic in topics if is_raw(topic) and messages.is_packets(topic))
-        return tuple(Finding("warning", f"camera: {topic.name} holds {messages.PACKETS}") for topic in unread)
+        return tuple(
+            Finding("warning", f"camera: {topic.name} holds {messages.PACKETS}") for topic in unread
+        )
     if settings.cameras:
         return ()
     first_name = camera_name_of_source(found["camera"].path)
-    others = [topic for topic in camera_topics(topics) if camera_name_of_source(topic) != first_name]
+    others = [
+        topic for topic in camera_topics(topics) if camera_name_of_source(topic) != first_name
+    ]
     if not others:
         return ()
     first = found["camera"].path

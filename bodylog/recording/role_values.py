@@ -1,4 +1,6 @@
-"""Columns to one signal: joints ordered by name, arrays side by side; what does not fit is counted."""
+"""Columns to one signal: joints ordered by name,
+arrays side by side; what does not fit is counted.
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -25,7 +27,8 @@ class JointNameSet(NamedTuple):
 
 
 class RoleSignal(NamedTuple):
-    """Rows (m,) into the messages read · stamp_ns (m,) or None · values (m,D) · names (D,) · rejected by reason.
+    """Rows (m,) into the messages read · stamp_ns (m,) or
+    None · values (m,D) · names (D,) · rejected by reason.
 
     sets: the messages by the joints they name, the most frequent first.
     """
@@ -42,7 +45,9 @@ Block = tuple[Array, Array | None, tuple[Array | tuple[str, ...], ...]]
 """Rows, stamps and the remaining fields of messages of one shape."""
 
 
-def read_blocks(columns: Sequence[TopicColumns], stamp: str | None, fields: Sequence[str]) -> Iterator[Block]:
+def read_blocks(
+    columns: Sequence[TopicColumns], stamp: str | None, fields: Sequence[str]
+) -> Iterator[Block]:
     """The parts of several topics of one name, with rows counted through all of them."""
     first = 0
     for some in columns:
@@ -56,22 +61,31 @@ def read_blocks(columns: Sequence[TopicColumns], stamp: str | None, fields: Sequ
 
 
 def joints_by_name(
-    found: Sequence[Block], wanted: tuple[str, ...] | None, what: str, every: bool = True, limits: Input = LIMITS
+    found: Sequence[Block],
+    wanted: tuple[str, ...] | None,
+    what: str,
+    every: bool = True,
+    limits: Input = LIMITS,
 ) -> RoleSignal:
-    """Named joints (names, positions): values by name, NaN where a message lacks one or names it twice.
+    """Named joints (names, positions): values by name,
+    NaN where a message lacks one or names it twice.
 
-    LogError when `every` wanted joint must exist and one does not, or when the joints have no names.
+    LogError when `every` wanted joint must exist and
+    one does not, or when the joints have no names.
     """
     rejected: Counter[str] = Counter()
     good = []
     for rows, stamps, (names, positions) in sorted(found, key=lambda block: int(block[0].min())):
         if not isinstance(names, tuple) or not isinstance(positions, np.ndarray):
             wrong = (
-                "names that are not texts" if isinstance(positions, np.ndarray) else "positions that are not numbers"
+                "names that are not texts"
+                if isinstance(positions, np.ndarray)
+                else "positions that are not numbers"
             )
             rejected[wrong] += len(rows)
             continue
-        positions = positions.reshape(len(rows), -1)  # a single joint is one number per message in JSON
+        # a single joint is one number per message in JSON
+        positions = positions.reshape(len(rows), -1)
         if not names and positions.shape[1]:
             names = _names_for_nameless(positions.shape[1], wanted, what)
         if len(names) != positions.shape[1] or not names:
@@ -85,13 +99,22 @@ def joints_by_name(
     order = _order_of_joints([names for _, _, names, _ in good], wanted, what, every)
     if len(order) > limits.max_joints:
         asked = f"to read them, type in robot.toml: [input] max_joints = {len(order)}"
-        raise LogError(f"{what}: its messages name {len(order)} joints, at most {limits.max_joints} are read; {asked}")
-    TableSize(limits).take(8 * len(order) * sum(len(rows) for rows, *_ in good), f"{what}: {len(order)} joints")
+        raise LogError(
+            f"{what}: its messages name {len(order)} joints, at most {limits.max_joints} are "
+            f"read; {asked}"
+        )
+    TableSize(limits).take(
+        8 * len(order) * sum(len(rows) for rows, *_ in good), f"{what}: {len(order)} joints"
+    )
     values = [_columns_in_order(names, positions, order) for _, _, names, positions in good]
-    return _join_blocks([(r, s) for r, s, _, _ in good], values, order, rejected)._replace(sets=_name_sets(good))
+    return _join_blocks([(r, s) for r, s, _, _ in good], values, order, rejected)._replace(
+        sets=_name_sets(good)
+    )
 
 
-def _name_sets(good: Sequence[tuple[Array, Array | None, tuple[str, ...], Array]]) -> tuple[JointNameSet, ...]:
+def _name_sets(
+    good: Sequence[tuple[Array, Array | None, tuple[str, ...], Array]],
+) -> tuple[JointNameSet, ...]:
     """Messages by the joints they name, in any order, the most frequent first."""
     lists: dict[frozenset[str], tuple[tuple[str, ...], list[Array]]] = {}
     for some, _, names, _ in good:
@@ -117,20 +140,27 @@ def _without_duplicates(names: tuple[str, ...], positions: Array) -> tuple[tuple
 
 def _names_for_nameless(count: int, wanted: tuple[str, ...] | None, what: str) -> tuple[str, ...]:
     if wanted is None:
-        raise LogError(f"{what}: the {count} joints have no names; type in robot.toml: [body] joints = [{count} names]")
+        raise LogError(
+            f"{what}: the {count} joints have no names; type in robot.toml: [body] joints = "
+            f"[{count} names]"
+        )
     if len(wanted) != count:
         text = f"[body] joints names {len(wanted)}; name all {count}"
         raise LogError(f"{what}: the {count} joints have no names, but {text}")
     return wanted
 
 
-def _order_of_joints(seen: Sequence[tuple[str, ...]], wanted: tuple[str, ...] | None, what: str, every: bool) -> tuple[str, ...]:
+def _order_of_joints(
+    seen: Sequence[tuple[str, ...]], wanted: tuple[str, ...] | None, what: str, every: bool
+) -> tuple[str, ...]:
     there = tuple(dict.fromkeys(name for names in seen for name in names))
     if wanted is None or not there:
         return wanted or there
     unknown = [name for name in wanted if name not in there]
     if unknown and every:
-        raise LogError(f"{what}: [body] joints names {unknown[0]!r}; the log has {', '.join(sorted(there))}")
+        raise LogError(
+            f"{what}: [body] joints names {unknown[0]!r}; the log has {', '.join(sorted(there))}"
+        )
     return tuple(name for name in wanted if name in there)
 
 
@@ -146,10 +176,11 @@ def _columns_in_order(names: tuple[str, ...], positions: Array, order: tuple[str
 
 
 def unwrap_angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int, Array]:
-    """Angles (N,D) rad unwrapped, without readings beyond FARTHEST; the number of these; turns removed (D,).
+    """Angles (N,D) rad unwrapped, without readings beyond
+    FARTHEST; the number of these; turns removed (D,).
 
-    A step of a whole turn, within a radian, is a wrap. Independent poses (`turn` None) are not unwrapped. `turn`: one
-    turn in the values' unit.
+    A step of a whole turn, within a radian, is a wrap. Independent poses (`turn` None) are not
+    unwrapped. `turn`: one turn in the values' unit.
     """
     values, beyond = reject_impossible(values)
     values, turns = values.copy(), np.zeros(values.shape[1], int)
@@ -165,9 +196,12 @@ def unwrap_angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int
 
 
 def signal_of_arrays(found: Sequence[Block]) -> RoleSignal:
-    """Arrays of numbers of the most common width; others are rejected, and all if none holds a number."""
+    """Arrays of numbers of the most common width;
+    others are rejected, and all if none holds a number.
+    """
     widths: Counter[int] = Counter()
-    shaped, texts_ = [], 0
+    shaped = []
+    texts_ = 0
     for rows, stamps, (values,) in found:
         if isinstance(values, np.ndarray):
             flat = values.reshape(len(values), -1)
@@ -193,11 +227,15 @@ def reject_non_proximities(signal: RoleSignal) -> RoleSignal:
     if np.all(np.isnan(values) | ((values >= 0) & (values <= 1))):
         return signal
     reason = {"values beyond 0..1 on a topic whose name does not contain skin": len(signal.rows)}
-    return RoleSignal(signal.rows[:0], None, values[:0], signal.names, {**signal.rejected, **reason})
+    return RoleSignal(
+        signal.rows[:0], None, values[:0], signal.names, {**signal.rejected, **reason}
+    )
 
 
 def signal_of_texts(found: Sequence[Block], refused: Mapping[str, str | None]) -> RoleSignal:
-    """Messages by one text (an image's encoding); those that `refused` gives a reason for are rejected."""
+    """Messages by one text (an image's encoding); those
+    that `refused` gives a reason for are rejected.
+    """
     rejected: Counter[str] = Counter()
     good = []
     for rows, stamps, (text,) in found:
@@ -216,13 +254,18 @@ def _join_blocks(
     rejected: Counter[str],
 ) -> RoleSignal:
     if not places:
-        return RoleSignal(np.empty(0, np.int64), None, np.empty((0, len(names))), names, dict(rejected))
-    rows, joined = np.concatenate([r for r, _ in places]), np.concatenate(values)
+        return RoleSignal(
+            np.empty(0, np.int64), None, np.empty((0, len(names))), names, dict(rejected)
+        )
+    rows = np.concatenate([r for r, _ in places])
+    joined = np.concatenate(values)
     stamps = [s for _, s in places if s is not None]
     stamp_ns = np.concatenate(stamps) if len(stamps) == len(places) else None
     if (np.diff(rows) < 0).any():
         order = np.argsort(rows, kind="stable")
-        rows, joined, stamp_ns = rows[order], joined[order], None if stamp_ns is None else stamp_ns[order]
+        rows = rows[order]
+        joined = joined[order]
+        stamp_ns = None if stamp_ns is None else stamp_ns[order]
     return RoleSignal(rows, stamp_ns, joined, names, dict(rejected))
 
 
@@ -235,7 +278,8 @@ def merge_equal_stamps(t_ns: Array, values: Array) -> tuple[Array, Array, int]:
     if keep.all():
         return keep, values, 0
     first = np.maximum.accumulate(np.where(keep, np.arange(len(keep)), 0))
-    values, idle = values.copy(), 0
+    values = values.copy()
+    idle = 0
     for row in np.flatnonzero(~keep):
         target = values[first[row]]
         new = np.isnan(target) & ~np.isnan(values[row])

@@ -23,7 +23,9 @@ _FEWEST = 10
 """A further joint topic with fewer messages is not merged."""
 _JOINTS = "sensor_msgs/msg/JointState"
 _ARRAYS = ("std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
-_WISHED = re.compile(r"command|cmd|desired|target|goal|reference|setpoint|(^|/)actions?(/|$)", re.IGNORECASE)
+_WISHED = re.compile(
+    r"command|cmd|desired|target|goal|reference|setpoint|(^|/)actions?(/|$)", re.IGNORECASE
+)
 _TRUTH = re.compile(r"truth|(^|[/_])gt([/_]|$)", re.IGNORECASE)
 _TOUCHED = re.compile(r"skin|tactile|touch|prox", re.IGNORECASE)
 _COLOUR = re.compile(r"rgb|colou?r", re.IGNORECASE)
@@ -32,7 +34,8 @@ _GREY = re.compile(r"mono|gr[ae]y|infra|(^|[/_])ir([/_\d]|$)", re.IGNORECASE)
 
 
 class Role(NamedTuple):
-    """One role's source: the topic (several records if it has several schemas) and the field, "" for the message.
+    """One role's source: the topic (several records if it
+    has several schemas) and the field, "" for the message.
 
     `unsure`: guessed from a generic type, so that its values must look like the role's.
     """
@@ -55,13 +58,14 @@ def assign_roles(
     name: str,
     joints_of: Callable[[Topic], tuple[str, ...]] = lambda topic: (),
 ) -> dict[str, Role]:
-    """Assign the roles that the topics can fill; LogError when robot.toml names a topic missing in the log `name`.
+    """Assign the roles that the topics can fill; LogError
+    when robot.toml names a topic missing in the log `name`.
 
-    A missing reference topic is allowed, as only logs to learn from have one; so are missing cameras if the log holds
-    their tracks.
+    A missing reference topic is allowed, as only logs to learn from have one; so are missing
+    cameras if the log holds their tracks.
 
-    `joints_of` gives the joints of a topic, to decide between several: the one with the most is the robot's, with those
-    beside it whose joints differ.
+    `joints_of` gives the joints of a topic, to decide between several: the one with the most is the
+    robot's, with those beside it whose joints differ.
     """
     found: dict[str, Role] = {}
     names = [topic.name for topic in topics]
@@ -69,15 +73,25 @@ def assign_roles(
         declared = _sources_declared(role, settings)
         known = {key: text for key, text in declared.items() if text}
         if role == "reference":
-            there = [s for s in declared.values() if s and parse_message_path(s, names).topic in names]
+            there = [
+                s for s in declared.values() if s and parse_message_path(s, names).topic in names
+            ]
             found.update((role, _role_from_path(role, s, topics, name)) for s in there)
         elif not any(declared.values()):
-            guessed = _guess_role(role, _main_joints(topics, joints_of) if role == "joints" else topics)
+            guessed = _guess_role(
+                role, _main_joints(topics, joints_of) if role == "joints" else topics
+            )
             found.update({role: guessed} if guessed else {})
             if role == "joints" and guessed:
                 found.update(_further_joint_topics(guessed, topics, joints_of))
         elif role != "camera" or not _tracks_alone(topics):
-            found.update({key: _role_from_path(role, s, topics, name) for key, s in known.items() if not is_video_source(role, s)})
+            found.update(
+                {
+                    key: _role_from_path(role, s, topics, name)
+                    for key, s in known.items()
+                    if not is_video_source(role, s)
+                }
+            )
     return found
 
 
@@ -88,19 +102,29 @@ def _sources_declared(role: str, settings: TopicSettings) -> Mapping[str, str | 
     return joint_topics(settings.joints) if role == "joints" else {role: getattr(settings, role)}
 
 
-def _further_joint_topics(first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]) -> dict[str, Role]:
+def _further_joint_topics(
+    first: Role, topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]
+) -> dict[str, Role]:
     """Further joint topics, the most frequent first, without repeated joint names."""
-    ranked = [(rank, t) for t in topics if is_raw(t) and (rank := joints_rank(t)) is not None and rank[0]]
+    ranked = [
+        (rank, t) for t in topics if is_raw(t) and (rank := joints_rank(t)) is not None and rank[0]
+    ]
     if len({topic.name for _, topic in ranked}) < 2:
         return {}
     taken = {name for topic in first.topics for name in joints_of(topic)}
     found: dict[str, Role] = {}
     for _, topic in sorted(ranked, key=lambda pair: (*(-x for x in pair[0]), pair[1].name)):
-        if topic.name == first.topic or topic.messages < _FEWEST or problem_with_definition(topic) is not None:
+        if (
+            topic.name == first.topic
+            or topic.messages < _FEWEST
+            or problem_with_definition(topic) is not None
+        ):
             continue
         names = {name for one in _topics_of_same_type(topics, topic) for name in joints_of(one)}
         if names and "" not in names | taken and not names & taken:
-            found[f"joints/{topic_name(topic.name)}"] = Role("joints", topic.name, "", _topics_of_same_type(topics, topic))
+            found[f"joints/{topic_name(topic.name)}"] = Role(
+                "joints", topic.name, "", _topics_of_same_type(topics, topic)
+            )
             taken |= names
     return found
 
@@ -112,15 +136,24 @@ def _tracks_alone(topics: Sequence[Topic]) -> bool:
     )
 
 
-def _main_joints(topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]) -> Sequence[Topic]:
-    """The topics without joint states that are about as frequent as the best but name fewer joints."""
-    ranks = {topic.name: rank for topic in topics if is_raw(topic) and (rank := joints_rank(topic)) is not None}
+def _main_joints(
+    topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]
+) -> Sequence[Topic]:
+    """The topics without joint states that are about
+    as frequent as the best but name fewer joints.
+    """
+    ranks = {
+        topic.name: rank
+        for topic in topics
+        if is_raw(topic) and (rank := joints_rank(topic)) is not None
+    }
     most = max(ranks.values(), default=(0, 0))
     candidates = {name for name, rank in ranks.items() if rank >= (most[0], most[1] // 2)}
     if len(candidates) < 2:
         return topics
     joints = {
-        name: max(len(joints_of(t)) for t in topics if t.name == name and t.type == _JOINTS) for name in candidates
+        name: max(len(joints_of(t)) for t in topics if t.name == name and t.type == _JOINTS)
+        for name in candidates
     }
     fewer = {name for name in candidates if joints[name] < max(joints.values())}
     return [topic for topic in topics if topic.name not in fewer]
@@ -170,20 +203,30 @@ def _role_from_path(role: str, declared: str, topics: Sequence[Topic], name: str
         raise ConfigError(f"{name}: [topics] {role}: {problem}") from problem
     same = [topic for topic in topics if topic.name == path.topic]
     likely = [topic.name for topic in topics if RANKS[role](topic) is not None]
-    others = [topic.name for topic in topics if topic.name != path.topic and not _is_mistaken_topic(role, topic)]
+    others = [
+        topic.name
+        for topic in topics
+        if topic.name != path.topic and not _is_mistaken_topic(role, topic)
+    ]
     none = "none, the log has no other" if topics else "none, the log is empty"
     possible = f"possible: {', '.join(sorted(likely or others)[:10]) or none}"
     if not same:
-        raise LogError(f'{name}: [topics] {role} = "{declared}", but there is no topic {path.topic!r}; {possible}')
+        raise LogError(
+            f'{name}: [topics] {role} = "{declared}", but there is no topic {path.topic!r}; '
+            f"{possible}"
+        )
     best = max(same, key=lambda topic: topic.messages)
     named = declared[len(path.topic) :].removeprefix(".")
     if not named and _is_mistaken_topic(role, best):
         what = best.type + (f" ({messages.PACKETS})" if messages.is_packets(best) else "")
-        raise LogError(f'{name}: [topics] {role} = "{declared}", but {path.topic} is {what}; {possible}')
+        raise LogError(
+            f'{name}: [topics] {role} = "{declared}", but {path.topic} is {what}; {possible}'
+        )
     field = named or _default_field(role, best)
     if field is None:
         raise LogError(
-            f'{name}: {declared} ({best.type}) has no array; say which: [topics] {role} = "{declared}.field[:]"'
+            f"{name}: {declared} ({best.type}) has no array; say which: [topics] {role} = "
+            f'"{declared}.field[:]"'
         )
     return Role(role, path.topic, field, _topics_of_same_type(topics, best))
 
@@ -191,11 +234,21 @@ def _role_from_path(role: str, declared: str, topics: Sequence[Topic], name: str
 def _is_mistaken_topic(role: str, topic: Topic) -> bool:
     """Whether the topic's type belongs to another role, or a camera's topic has no images."""
     if role != "camera" or topic.type == _JOINTS:
-        return topic.type in (*messages.COMPRESSED, *messages.RAW, *(() if role in _ANGLES else (_JOINTS,)))
-    if topic.type in messages.COMPRESSED + messages.RAW or topic.encoding in ("json", "protobuf") or problem_with_definition(topic):
+        return topic.type in (
+            *messages.COMPRESSED,
+            *messages.RAW,
+            *(() if role in _ANGLES else (_JOINTS,)),
+        )
+    if (
+        topic.type in messages.COMPRESSED + messages.RAW
+        or topic.encoding in ("json", "protobuf")
+        or problem_with_definition(topic)
+    ):
         return messages.is_packets(topic)
     definition = definition_of(topic)
-    return not {field.name for field in definition.types[definition.root]}.issuperset(messages.FIELDS)
+    return not {field.name for field in definition.types[definition.root]}.issuperset(
+        messages.FIELDS
+    )
 
 
 def joints_rank(topic: Topic) -> tuple[int, ...] | None:
@@ -213,13 +266,19 @@ def camera_rank(topic: Topic) -> tuple[int, ...] | None:
     """How likely a topic shows the robot; None if it cannot."""
     if topic.type not in messages.COMPRESSED + messages.RAW or _DEPTH.search(topic.name):
         return None
-    colour, grey = bool(_COLOUR.search(topic.name)), bool(_GREY.search(topic.name))
+    colour = bool(_COLOUR.search(topic.name))
+    grey = bool(_GREY.search(topic.name))
     return (colour - grey, topic.messages, topic.type in messages.COMPRESSED)
 
 
 def _skin_rank(topic: Topic) -> tuple[int, ...] | None:
-    named, skin = bool(_TOUCHED.search(topic.name)), "Skin" in topic.type
-    if not (named or skin or topic.type in _ARRAYS) or topic.type in (_JOINTS, *messages.COMPRESSED, *messages.RAW):
+    named = bool(_TOUCHED.search(topic.name))
+    skin = "Skin" in topic.type
+    if not (named or skin or topic.type in _ARRAYS) or topic.type in (
+        _JOINTS,
+        *messages.COMPRESSED,
+        *messages.RAW,
+    ):
         return None
     return (named, skin, not _WISHED.search(topic.name), topic.messages)
 
@@ -234,7 +293,9 @@ RANKS: Mapping[str, Callable[[Topic], tuple[int, ...] | None]] = {
 
 
 def _default_field(role: str, topic: Topic) -> str | None:
-    """The field that a role reads by default: "" for whole messages, None if there is nothing to read."""
+    """The field that a role reads by default: "" for
+    whole messages, None if there is nothing to read.
+    """
     if role == "camera" or topic.type == _JOINTS:
         return ""
     if topic.encoding in ("json", "protobuf"):
@@ -243,7 +304,9 @@ def _default_field(role: str, topic: Topic) -> str | None:
 
 
 def array_field(definition: Definition) -> str | None:
-    """Path of the first array of numbers: `data`, or within an array of structs `data[:].prox[0]`."""
+    """Path of the first array of numbers: `data`,
+    or within an array of structs `data[:].prox[0]`.
+    """
     fields = definition.types[definition.root]
     for wanted in ("f", "iu"):
         for field in fields:
@@ -251,8 +314,12 @@ def array_field(definition: Definition) -> str | None:
                 return field.name
         for field in fields:
             inner = definition.types.get(field.type, ()) if field.size is not None else ()
-            arrays = [f for f in inner if f.size is not None and PRIMITIVES.get(f.type, "?")[0] in wanted]
-            single = [f for f in inner if f.size is None and PRIMITIVES.get(f.type, "?")[0] in wanted]
+            arrays = [
+                f for f in inner if f.size is not None and PRIMITIVES.get(f.type, "?")[0] in wanted
+            ]
+            single = [
+                f for f in inner if f.size is None and PRIMITIVES.get(f.type, "?")[0] in wanted
+            ]
             if arrays:
                 return f"{field.name}[:].{arrays[0].name}[0]"
             if single and wanted == "f":

@@ -10,8 +10,7 @@ from ..logs.decode.message_path import parse_message_path
 from ..logs.protocol import Log
 from ..logs.topic_names import PREFIX
 from ..settings import BodySettings, Settings, TimeSettings, TopicSettings
-from ..sources import Source
-from ..sources import parse_source
+from ..sources import Source, parse_source
 
 Text = str | tuple[str, ...]
 Section = TypeVar("Section", TopicSettings, BodySettings, TimeSettings)
@@ -23,7 +22,8 @@ def is_ours(log: Log) -> bool:
 
 
 def restore_settings(log: Log, settings: Settings) -> Settings:
-    """Fill defaults in [topics], [body] and [time] from the metadata record, if bodylog wrote topics into the log.
+    """Fill defaults in [topics], [body] and [time] from the
+    metadata record, if bodylog wrote topics into the log.
 
     [features] likewise if it is empty. Topics missing in the log stay unset.
     """
@@ -35,7 +35,11 @@ def restore_settings(log: Log, settings: Settings) -> Settings:
     with suppress(LogError, ValueError, KeyError):
         saved = read_json(read_metadata(log.path)["settings"])
     names = [topic.name for topic in log.topics]
-    topics = {role: text for role, text in _saved_texts(saved, "topics").items() if _names_present_topics(text, names)}
+    topics = {
+        role: text
+        for role, text in _saved_texts(saved, "topics").items()
+        if _names_present_topics(text, names)
+    }
     return replace(
         settings,
         topics=_fill_defaults(settings.topics, topics),
@@ -57,18 +61,32 @@ def _saved_sources(saved: Any) -> dict[str, Source]:
 def _saved_texts(saved: Any, section: str) -> dict[str, Text]:
     """The texts, and lists of texts, of a section."""
     values = saved.get(section) if isinstance(saved, dict) else None
-    plain = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()} if isinstance(values, dict) else {}
-    return {k: v for k, v in plain.items() if v and isinstance(v, str | tuple) and all(isinstance(t, str) for t in v)}
+    plain = (
+        {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        if isinstance(values, dict)
+        else {}
+    )
+    return {
+        k: v
+        for k, v in plain.items()
+        if v and isinstance(v, str | tuple) and all(isinstance(t, str) for t in v)
+    }
 
 
 def _names_present_topics(text: Text, names: list[str]) -> bool:
-    return all(parse_message_path(path, names).topic in names for path in ((text,) if isinstance(text, str) else text))
+    return all(
+        parse_message_path(path, names).topic in names
+        for path in ((text,) if isinstance(text, str) else text)
+    )
 
 
 def _fill_defaults(section: Section, saved: dict[str, Text]) -> Section:
     """The section with its defaults replaced by saved values of the right type."""
-    hints, default = get_type_hints(type(section)), type(section)()
-    at_default = [name for name in saved if name in hints and getattr(section, name) == getattr(default, name)]
+    hints = get_type_hints(type(section))
+    default = type(section)()
+    at_default = [
+        name for name in saved if name in hints and getattr(section, name) == getattr(default, name)
+    ]
     known: Any = {name: saved[name] for name in at_default if _fits_hint(saved[name], hints[name])}
     return replace(section, **known)
 

@@ -10,7 +10,9 @@ _ALONE = ("stamp", "timestamp")
 
 
 def stamp_field(topic: Topic) -> str | None:
-    """Message path of the stamp: header.stamp, or a time called stamp or timestamp; None without one."""
+    """Message path of the stamp: header.stamp, or a
+    time called stamp or timestamp; None without one.
+    """
     try:
         if topic.encoding == "json":
             return _in_schema(topic.definition)
@@ -26,14 +28,19 @@ def _in_schema(schema: bytes) -> str | None:
         properties = read_json(schema or b"{}").get("properties", {})
     except (ValueError, AttributeError):  # not JSON, or not a table
         return None
-    return next((name for name in _ALONE if name in properties), "header.stamp" if "header" in properties else None)
+    return next(
+        (name for name in _ALONE if name in properties),
+        "header.stamp" if "header" in properties else None,
+    )
 
 
 def _in_descriptors(topic: Topic) -> str | None:
     from ..logs.decode.protobuf import field_types
 
     types = field_types(topic)
-    return next((name for name in _ALONE if types.get(name, "").endswith(("Timestamp", "Time"))), None)
+    return next(
+        (name for name in _ALONE if types.get(name, "").endswith(("Timestamp", "Time"))), None
+    )
 
 
 def _in_definition(definition: Definition) -> str | None:

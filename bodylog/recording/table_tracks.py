@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import ConfigError, LogError
 from ..logs.tables.pose_columns import time_column
-from ..logs.tables.table_file import FileTable, table_format, read_table_file
+from ..logs.tables.table_file import FileTable, read_table_file, table_format
 from ..settings import Settings
 from ..sources import TableSource
 from ..types import Array, Health, Series
@@ -16,7 +16,9 @@ EPOCH = 1e8
 """s: later times count from 1970, earlier ones from the log's first joints."""
 
 
-def read_table_tracks(log: Path, settings: Settings, start_ns: int, end_s: float) -> Iterator[tuple[str, tuple[Series, Health]]]:
+def read_table_tracks(
+    log: Path, settings: Settings, start_ns: int, end_s: float
+) -> Iterator[tuple[str, tuple[Series, Health]]]:
     """Every feature of [features] from a table, t in s since start_ns; the log ends at end_s."""
     read_: dict[Path, FileTable] = {}
     for name, source in settings.features.items():
@@ -54,30 +56,44 @@ def _track_from_table(
     order = np.flatnonzero(finite)[np.argsort(t[finite], kind="stable")]
     order = order[np.append(True, np.diff(t[order]) > 0)] if len(order) else order
     rejected = {"no time of its own": table.rows - len(order)} if len(order) < table.rows else {}
-    t, places = t[order], places[order]
+    t = t[order]
+    places = places[order]
     seen: Array = np.asarray(np.isfinite(places).all(axis=1))
     within: Array = np.asarray(seen & (t >= -1.0) & (t <= end_s + 1.0))
     if not within.any():
         span = f"{t[0]:.3f} to {t[-1]:.3f} s" if len(t) else "no row has a time"
-        text = f"no place within the log, which is 0 to {end_s:.3f} s; the table is {span} since the log's start"
+        text = (
+            f"no place within the log, which is 0 to {end_s:.3f} s; the table is {span} since "
+            "the log's start"
+        )
         raise LogError(f"{path}: [features] {name}: {text}")
     if not seen.all():
         rejected["empty"] = int((~seen).sum())
     source_ns = start_ns + np.rint(t * 1e9).astype(np.int64)
-    values, known = np.where(seen[:, None], places, np.nan), None if std is None else std[order]
+    values = np.where(seen[:, None], places, np.nan)
+    known = None if std is None else std[order]
     found = Series(t, values, ("u", "v"), "px", source_ns, known)
     gap = float(np.diff(t).max()) if len(t) > 1 else 0.0
     return found, Health(table.rows, int(seen.sum()), rejected, gap)
 
 
-def _position_columns(path: Path, table: FileTable, name: str, source: TableSource) -> tuple[Array, Array | None]:
-    """Positions (N,2) px and their standard deviations: two columns, and one or two more for the latter."""
+def _position_columns(
+    path: Path, table: FileTable, name: str, source: TableSource
+) -> tuple[Array, Array | None]:
+    """Positions (N,2) px and their standard deviations:
+    two columns, and one or two more for the latter.
+    """
     wanted = source.columns or _columns_by_feature_name(table, name)
     if len(wanted) not in (2, 3, 4):
-        raise ConfigError(f"{path}: [features] {name}: columns must name u and v, and one or two more for their std")
+        raise ConfigError(
+            f"{path}: [features] {name}: columns must name u and v, and one or two more for "
+            "their std"
+        )
     if missing := [column for column in wanted if column not in table.numbers]:
         have = ", ".join(table.numbers) or "none"
-        raise ConfigError(f"{path}: [features] {name}: no column of numbers {missing[0]!r}; possible: {have}")
+        raise ConfigError(
+            f"{path}: [features] {name}: no column of numbers {missing[0]!r}; possible: {have}"
+        )
     columns = [table.numbers[column] for column in wanted]
     std = np.column_stack([columns[2], columns[-1]]) if len(columns) > 2 else None
     return np.column_stack(columns[:2]), None if std is None else np.where(std > 0, std, np.nan)
@@ -88,6 +104,14 @@ def _columns_by_feature_name(table: FileTable, name: str) -> tuple[str, ...]:
     there = set(table.numbers)
     for before in (f"{name}_", f"{name}.", ""):
         if {f"{before}u", f"{before}v"} <= there:
-            std = [(f"{before}std_u", f"{before}std_v"), (f"{before}u_std", f"{before}v_std"), (f"{before}std",)]
-            return (f"{before}u", f"{before}v", *next((some for some in std if set(some) <= there), ()))
+            std = [
+                (f"{before}std_u", f"{before}std_v"),
+                (f"{before}u_std", f"{before}v_std"),
+                (f"{before}std",),
+            ]
+            return (
+                f"{before}u",
+                f"{before}v",
+                *next((some for some in std if set(some) <= there), ()),
+            )
     return (f"{name}_u", f"{name}_v")

@@ -1,4 +1,6 @@
-"""Export a recording's signals as tables, one CSV or Parquet file per role; and its features as CSV files."""
+"""Export a recording's signals as tables, one CSV or
+Parquet file per role; and its features as CSV files.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
@@ -17,14 +19,19 @@ _ROWS = 65536
 
 
 def choose_table_writer(form: str) -> Callable[[Mapping[str, Array], Path], None]:
-    """A function that writes a table in that format; UsageError for an unknown one, or for Parquet without pyarrow."""
+    """A function that writes a table in that format; UsageError
+    for an unknown one, or for Parquet without pyarrow.
+    """
     if form not in FORMATS:
         raise UsageError(f"export as {form!r}: possible are {', '.join(FORMATS)}")
     return _write_csv_table if form == "csv" else _make_parquet_writer()
 
 
-def export_signals(recording: Recording, folder: Path, form: str, window: Window = ALWAYS) -> tuple[Path, ...]:
-    """Write joints, truth and skin to folder/<role>.<form>, a row per message: stamp_ns, t (s), one column per name.
+def export_signals(
+    recording: Recording, folder: Path, form: str, window: Window = ALWAYS
+) -> tuple[Path, ...]:
+    """Write joints, truth and skin to folder/<role>.<form>,
+    a row per message: stamp_ns, t (s), one column per name.
 
     UsageError for an unknown format, or for Parquet without pyarrow.
     """
@@ -39,25 +46,38 @@ def export_signals(recording: Recording, folder: Path, form: str, window: Window
 
 
 def export_features(features: Features, folder: Path) -> tuple[Path, ...]:
-    """Write tracks_<name>.csv, strokes.csv and, with a skin, touches.csv and synchrony.csv to folder.
+    """Write tracks_<name>.csv, strokes.csv and, with
+    a skin, touches.csv and synchrony.csv to folder.
 
-    Times in s since the log's start, positions in px; unseen ones are empty. Characters not allowed in file names
-    become %XX.
+    Times in s since the log's start, positions in px; unseen ones are empty. Characters not allowed
+    in file names become %XX.
     """
-    tables = {f"tracks_{quote(name, safe='')}": _track_columns(track) for name, track in features.tracks.items()}
+    tables = {
+        f"tracks_{quote(name, safe='')}": _track_columns(track)
+        for name, track in features.tracks.items()
+    }
     tables["strokes"] = _columns_of_rows(
         ("start", "end", "start_u", "start_v", "end_u", "end_v"),
-        [(stroke.start, stroke.end, *stroke.start_px, *stroke.end_px) for stroke in features.strokes],
+        [
+            (stroke.start, stroke.end, *stroke.start_px, *stroke.end_px)
+            for stroke in features.strokes
+        ],
     )
     if (touches := features.touches) is not None:
         tables["touches"] = _columns_of_rows(
             ("onset", "offset", "peak", "strongest", "cells"),
-            [(one.onset, one.offset, one.peak, one.strongest, " ".join(map(str, one.cells))) for one in touches],
+            [
+                (one.onset, one.offset, one.peak, one.strongest, " ".join(map(str, one.cells)))
+                for one in touches
+            ],
         )
         pairs = features.synchrony
         tables["synchrony"] = _columns_of_rows(
             ("touch", "stroke", "delay", "weight"),
-            [(pair.touch, "" if pair.stroke is None else pair.stroke, pair.delay, pair.weight) for pair in pairs],
+            [
+                (pair.touch, "" if pair.stroke is None else pair.stroke, pair.delay, pair.weight)
+                for pair in pairs
+            ],
         )
     ensure_dir(folder)
     paths = []
@@ -109,7 +129,9 @@ def _make_parquet_writer() -> Callable[[Mapping[str, Array], Path], None]:
     try:
         pyarrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
     except ImportError:
-        raise UsageError('Parquet needs pyarrow; type: pip install "bodylog[parquet]", or use --csv') from None
+        raise UsageError(
+            'Parquet needs pyarrow; type: pip install "bodylog[parquet]", or use --csv'
+        ) from None
 
     def save(table: Mapping[str, Array], path: Path) -> None:
         with path.open("wb") as stream:

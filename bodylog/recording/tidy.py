@@ -1,4 +1,6 @@
-"""Rewrite any recorded log as one tidy MCAP: standard topic names, every message at its stream's time."""
+"""Rewrite any recorded log as one tidy MCAP: standard
+topic names, every message at its stream's time.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -24,7 +26,9 @@ from ..types import Finding, Outgoing, Recording, Series
 from .dataset_metadata import kept_metadata, settings_of_episode
 from .recording import read_recording
 
-JOINTS, TRUTH, SKIN = "/joint_states", "/truth/joint_states", "/skin"
+JOINTS = "/joint_states"
+TRUTH = "/truth/joint_states"
+SKIN = "/skin"
 Window = tuple[float, float]
 """First and last time to keep (s)."""
 
@@ -32,27 +36,42 @@ ALWAYS: Window = (-np.inf, np.inf)
 
 
 def write_tidy_log(
-    path: Path, out: Path, settings: Settings, start: float | None = None, end: float | None = None,
+    path: Path,
+    out: Path,
+    settings: Settings,
+    start: float | None = None,
+    end: float | None = None,
     progress: Progress | None = None,
-) -> tuple[Finding, ...]:  # fmt: skip
-    """Write an MCAP `out` of the log's signals and images from `start` to `end` (s since its first joints).
+) -> tuple[Finding, ...]:
+    """Write an MCAP `out` of the log's signals and images
+    from `start` to `end` (s since its first joints).
 
-    LogError when the log has neither signals nor images there, UsageError when `out` is also the input.
+    LogError when the log has neither signals nor images
+    there, UsageError when `out` is also the input.
     """
     guard_outputs([path], [Output(out)])
     settings, further = settings_of_episode(path, settings)
     recording = read_recording(path, settings, settings.input.strict)
     earliest = -recording.start_ns / 1e9
     window = (earliest if start is None else max(start, earliest), np.inf if end is None else end)
-    messages = [*tidy_messages(recording, window), *_within_window(further, recording.start_ns, window)]
+    messages = [
+        *tidy_messages(recording, window),
+        *_within_window(further, recording.start_ns, window),
+    ]
     with replace_atomically(out) as beside:
         with beside.open("wb") as stream:
             writer = McapRecordWriter(stream, Contents())
             writer.begin(PROFILE, LIBRARY)
-            add_topics(writer, messages, kept_metadata(recording) | {one.topic: about for one, about in further})
+            add_topics(
+                writer,
+                messages,
+                kept_metadata(recording) | {one.topic: about for one, about in further},
+            )
             unread: dict[str, list[str]] = {}
             found = image_messages(path, recording, unread)
-            seen, early = _write_images(found, recording.start_ns, window, writer, kept_metadata(recording), progress)
+            seen, early = _write_images(
+                found, recording.start_ns, window, writer, kept_metadata(recording), progress
+            )
             count = sum(len(o.log_ns) for o in messages) + seen
             if not count:
                 lacking = f"no joints, skin, truth or images {_describe_window(start, end)}"
@@ -61,7 +80,11 @@ def write_tidy_log(
             writer.finish()
         verify_message_count(beside, count, out)
     early += sum(int((series.t < earliest).sum()) for series in signals_by_role(recording).values())
-    return (*recording.findings, *_findings_on_unread(path, unread), *_finding_on_early_messages(path, early if start is None else 0))
+    return (
+        *recording.findings,
+        *_findings_on_unread(path, unread),
+        *_finding_on_early_messages(path, early if start is None else 0),
+    )
 
 
 def _within_window(
@@ -71,27 +94,42 @@ def _within_window(
     for one, _ in further:
         t = (one.log_ns - start_ns) / 1e9
         rows = np.flatnonzero((t >= window[0]) & (t <= window[1]))
-        yield replace(one, log_ns=one.log_ns[rows], offset=one.offset[rows], length=one.length[rows])
+        yield replace(
+            one, log_ns=one.log_ns[rows], offset=one.offset[rows], length=one.length[rows]
+        )
 
 
 def _findings_on_unread(path: Path, unread: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
     """Images that contradict their definition, by topic."""
     for topic, reasons in unread.items():
         what = f"{len(reasons)} images cannot be read and are left out"
-        yield Finding("lost", f"{path}: {topic}: {what}, the first for this: {reasons[0].removeprefix(f'{topic}: ')}")
+        yield Finding(
+            "lost",
+            f"{path}: {topic}: {what}, the first for this: {reasons[0].removeprefix(f'{topic}: ')}",
+        )
 
 
 def _finding_on_early_messages(path: Path, early: int) -> tuple[Finding, ...]:
     """A finding on messages before time 0, which an MCAP cannot store."""
-    text = "are before 0 s of the joints' clock and left out; for the log's clock: [time] joints = \"log\""
+    text = (
+        "are before 0 s of the joints' clock and left out; for the log's clock: [time] joints = "
+        '"log"'
+    )
     return (Finding("warning", f"{path}: {early} messages {text}"),) if early else ()
 
 
 def tidy_messages(recording: Recording, window: Window = ALWAYS) -> list[Outgoing]:
     """The recording's signals within `window` under tidy topic names, logged at their own times."""
     start_ns = recording.start_ns
-    named = {role: cut_to_window(series, start_ns, window) for role, series in signals_by_role(recording).items()}
-    out = [from_joints(topic, named[role], start_ns) for role, topic in _JOINTS.items() if role in named]
+    named = {
+        role: cut_to_window(series, start_ns, window)
+        for role, series in signals_by_role(recording).items()
+    }
+    out = [
+        from_joints(topic, named[role], start_ns)
+        for role, topic in _JOINTS.items()
+        if role in named
+    ]
     out += [from_skin(SKIN, named["skin"], start_ns)] if "skin" in named else []
     # tracks in a table of poses are measured, not bodylog's
     places = recording.features.tracks if recording.poses and recording.features is not None else {}
@@ -113,14 +151,21 @@ def cut_to_window(series: Series, start_ns: int, window: Window) -> Series:
     rows = (series.t >= window[0]) & (series.t <= window[1])
     t = series.t[rows]
     std = None if series.std is None else series.std[rows]
-    return replace(series, t=t, values=series.values[rows], source_ns=stamps_ns(t, start_ns), std=std)
+    return replace(
+        series, t=t, values=series.values[rows], source_ns=stamps_ns(t, start_ns), std=std
+    )
 
 
 def _write_images(
-    found: Iterable[ImageMessage], start_ns: int, window: Window, writer: McapRecordWriter,
-    about: Mapping[str, Mapping[str, str]], progress: Progress | None,
-) -> tuple[int, int]:  # fmt: skip
-    """Write the images within `window`, about a chunk at a time; returns how many, and how many came before it.
+    found: Iterable[ImageMessage],
+    start_ns: int,
+    window: Window,
+    writer: McapRecordWriter,
+    about: Mapping[str, Mapping[str, str]],
+    progress: Progress | None,
+) -> tuple[int, int]:
+    """Write the images within `window`, about a chunk at
+    a time; returns how many, and how many came before it.
 
     about {camera's topic without /image…: metadata}.
     """
@@ -136,27 +181,38 @@ def _write_images(
         if image.kind not in channels:
             kind = image.kind
             own = about.get(kind.topic.partition("/image")[0], {})
-            channels[kind] = writer.topic(kind.topic, kind.type, "cdr", kind.definition, kind.form, own)
+            channels[kind] = writer.topic(
+                kind.topic, kind.type, "cdr", kind.definition, kind.form, own
+            )
         pending.append(image)
         size += len(image.payload)
         if size >= CHUNK_BYTES:
             writer.write(_table_of_images(pending, channels, count, start_ns))
-            count, size, pending = count + len(pending), 0, []
+            count = count + len(pending)
+            size = 0
+            pending = []
     if pending:
         writer.write(_table_of_images(pending, channels, count, start_ns))
     return count + len(pending), early
 
 
-def _table_of_images(pending: list[ImageMessage], channels: dict[Kind, int], count: int, start_ns: int) -> MessageTable:
+def _table_of_images(
+    pending: list[ImageMessage], channels: dict[Kind, int], count: int, start_ns: int
+) -> MessageTable:
     log_ns = stamps_ns(np.array([image.t for image in pending]), start_ns)
     length = np.array([len(image.payload) for image in pending])
     data = np.frombuffer(b"".join(image.payload for image in pending), np.uint8)
     channel = np.array([channels[image.kind] for image in pending])
     sequence = count + np.arange(len(pending))
-    return MessageTable(channel, sequence, log_ns, log_ns, (data,), np.cumsum(length) - length, length)
+    return MessageTable(
+        channel, sequence, log_ns, log_ns, (data,), np.cumsum(length) - length, length
+    )
 
 
 def _describe_window(start: float | None, end: float | None) -> str:
     if start is None and end is None:
         return "in it"
-    return f"from {'the start' if start is None else f'{start} s'} to {'the end' if end is None else f'{end} s'}"
+    return (
+        f"from {'the start' if start is None else f'{start} s'} to "
+        f"{'the end' if end is None else f'{end} s'}"
+    )

@@ -1,4 +1,6 @@
-"""Tracks published by another detector: one position per message of a topic, by its type or a message path."""
+"""Tracks published by another detector: one position
+per message of a topic, by its type or a message path.
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +33,9 @@ ENDS: Sequence[tuple[str, ...]] = (
     (".data[0]", ".data[1]"),
     ("[0]", "[1]"),
 )
-"""Possible ends of a path: x and y, a point, a box's centre, four corners, or u, v and their std in an array."""
+"""Possible ends of a path: x and y, a point, a box's
+centre, four corners, or u, v and their std in an array.
+"""
 BY_TYPE: Mapping[str, str] = {
     "apriltag_msgs/msg/AprilTagDetectionArray": ".detections[:]{id==7}.centre",
     "vision_msgs/msg/Detection2DArray": '.detections[:]{id=="hand"}.bbox.center',
@@ -44,10 +48,14 @@ BY_TYPE: Mapping[str, str] = {
 Read = tuple[Series, Health]
 
 
-def read_topic_track(log: Log, name: str, source: TopicSource, settings: Settings, start_ns: int, late_ns: int) -> Read:
-    """A feature's positions (N,2) px and the messages' health; t in s since start_ns, `late_ns` for log times.
+def read_topic_track(
+    log: Log, name: str, source: TopicSource, settings: Settings, start_ns: int, late_ns: int
+) -> Read:
+    """A feature's positions (N,2) px and the messages'
+    health; t in s since start_ns, `late_ns` for log times.
 
-    LogError if the topic is missing or has no position at all, ConfigError for a path without positions.
+    LogError if the topic is missing or has no position
+    at all, ConfigError for a path without positions.
     """
     topic = _require_topic(log, name, source)
     ends, found = _read_positions(log, topic, name, source)
@@ -55,7 +63,10 @@ def read_topic_track(log: Log, name: str, source: TopicSource, settings: Setting
     empty = int((~np.isfinite(places[:, :2]).all(axis=1)).sum())
     if empty == len(rows):
         rejected = {**rejected, **({"not in the message": empty} if empty else {})}
-        why = ", ".join(f"{count} {reason}" for reason, count in rejected.items()) or "no message can be read"
+        why = (
+            ", ".join(f"{count} {reason}" for reason, count in rejected.items())
+            or "no message can be read"
+        )
         raise LogError(f"{log.path}: [features] {name}: {source.topic} shows no place: {why}")
     mended = mend_clocks({name: Times(found.log_ns[rows], stamps)})[name]
     timing = order_by_time(mended.log_ns, mended.stamp_ns, settings.time.camera)
@@ -65,28 +76,39 @@ def read_topic_track(log: Log, name: str, source: TopicSource, settings: Setting
     std = values[:, 2:] if values.shape[1] == 4 else None
     known = std is not None and bool(np.isfinite(std).any())
     t = seconds_since(timing.t_ns + shift, start_ns)
-    series = Series(t, values[:, :2], ("u", "v"), "px", found.log_ns[rows][timing.rows], std if known else None)
+    series = Series(
+        t, values[:, :2], ("u", "v"), "px", found.log_ns[rows][timing.rows], std if known else None
+    )
     seen = np.isfinite(series.values).all(axis=1)
     hidden = {"not in the message": int((~seen).sum())} if not seen.all() else {}
     counts = Counter(rejected) + Counter(timing.rejected) + Counter(hidden)
-    return series, Health(len(found.log_ns), int(seen.sum()), dict(counts), largest_gap(timing.t_ns))
+    return series, Health(
+        len(found.log_ns), int(seen.sum()), dict(counts), largest_gap(timing.t_ns)
+    )
 
 
 def _require_topic(log: Log, name: str, source: TopicSource) -> Topic:
     there = [topic for topic in log.topics if topic.name == source.topic]
     if not there:
         names = ", ".join(sorted({topic.name for topic in log.topics})[:10]) or "none"
-        raise LogError(f"{log.path}: [features] {name}: there is no topic {source.topic!r}; possible: {names}")
+        raise LogError(
+            f"{log.path}: [features] {name}: there is no topic {source.topic!r}; possible: {names}"
+        )
     return max(there, key=lambda topic: topic.messages)
 
 
-def _read_positions(log: Log, topic: Topic, name: str, source: TopicSource) -> tuple[tuple[str, ...], TopicColumns]:
-    """The path ends that give positions, and their columns; ConfigError, with advice, if none does."""
+def _read_positions(
+    log: Log, topic: Topic, name: str, source: TopicSource
+) -> tuple[tuple[str, ...], TopicColumns]:
+    """The path ends that give positions, and their
+    columns; ConfigError, with advice, if none does.
+    """
     path = source.path or ""
     if not path and (several := BY_TYPE.get(topic.type)):
         reason = f"[features] {name}: {topic.name} ({topic.type}) holds several places; say which"
         raise ConfigError(f'{log.path}: {reason}: {{ topic = "{topic.name}", path = {several!r} }}')
-    stamp, problems = stamp_field(topic), list[str]()
+    stamp = stamp_field(topic)
+    problems = list[str]()
     for ends in ENDS:
         fields = ((stamp,) if stamp else ()) + tuple((path + end).lstrip(".") for end in ends)
         try:
@@ -97,7 +119,10 @@ def _read_positions(log: Log, topic: Topic, name: str, source: TopicSource) -> t
         if any(_are_numbers(part.values) for part in found.parts):
             return ends, found
     reason = f"[features] {name}: no place at {topic.name}{path} ({topic.type})"
-    why = next((text for text in problems if path and path.strip(".").split("[")[0].split(".")[0] in text), "")
+    why = next(
+        (text for text in problems if path and path.strip(".").split("[")[0].split(".")[0] in text),
+        "",
+    )
     wanted = "it must lead to x and y, to a point, a box, four corners or an array"
     raise ConfigError(f"{log.path}: {reason}: {why or wanted}")
 
@@ -109,31 +134,49 @@ def _are_numbers(values: tuple[Array | tuple[str, ...], ...]) -> bool:
 def _positions_of_messages(
     found: TopicColumns, ends: tuple[str, ...], stamp: str | None
 ) -> tuple[Array, Array | None, Array, dict[str, int]]:
-    """Rows (n,), stamps (n,) or None, positions (n,2 or 4), NaN where a message has none; and rejection counts."""
-    rows, stamps, places, rejected = [], [], list[Array](), Counter(found.rejected)
+    """Rows (n,), stamps (n,) or None, positions (n,2 or
+    4), NaN where a message has none; and rejection counts.
+    """
+    rows = []
+    stamps = []
+    places = list[Array]()
+    rejected = Counter(found.rejected)
     first = int(stamp is not None)
     for part in found.parts:
         columns_ = part.values[first:]
         if not _are_numbers(columns_):
             rejected["no numbers"] += len(part.rows)
             continue
-        place = _single_position(np.stack([np.asarray(c, float).reshape(len(part.rows), -1) for c in columns_], axis=2), ends)
+        place = _single_position(
+            np.stack([np.asarray(c, float).reshape(len(part.rows), -1) for c in columns_], axis=2),
+            ends,
+        )
         if place is None:
             rejected["several places"] += len(part.rows)
             continue
         rows.append(part.rows)
         places.append(place)
         stamp_values = part.values[0] if first else None
-        stamps.append(stamp_values if isinstance(stamp_values, np.ndarray) and stamp_values.dtype == np.int64 else None)
+        stamps.append(
+            stamp_values
+            if isinstance(stamp_values, np.ndarray) and stamp_values.dtype == np.int64
+            else None
+        )
     if not rows:
         return np.empty(0, np.int64), None, np.empty((0, 2)), dict(rejected)
     order = np.argsort(np.concatenate(rows), kind="stable")
-    whole = None if any(s is None for s in stamps) else np.concatenate([s for s in stamps if s is not None])[order]
+    whole = (
+        None
+        if any(s is None for s in stamps)
+        else np.concatenate([s for s in stamps if s is not None])[order]
+    )
     return np.concatenate(rows)[order], whole, np.concatenate(places)[order], dict(rejected)
 
 
 def _single_position(matches: Array, ends: tuple[str, ...]) -> Array | None:
-    """The position (n,2 or 4) in messages with that many matches (n,K,E): NaN for none, None for several."""
+    """The position (n,2 or 4) in messages with that many
+    matches (n,K,E): NaN for none, None for several.
+    """
     if matches.shape[1] > 1:
         return None
     width = 4 if len(ends) == 4 else 2
@@ -145,7 +188,9 @@ def _single_position(matches: Array, ends: tuple[str, ...]) -> Array | None:
     return np.where(sound[:, None], place, np.nan)
 
 
-def read_topic_tracks(log: Log, settings: Settings, start_ns: int, late_ns: int) -> Iterator[tuple[str, Read]]:
+def read_topic_tracks(
+    log: Log, settings: Settings, start_ns: int, late_ns: int
+) -> Iterator[tuple[str, Read]]:
     """Every feature of [features] from a topic."""
     for name, source in settings.features.items():
         if isinstance(source, TopicSource):

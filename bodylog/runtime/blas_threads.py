@@ -1,4 +1,6 @@
-"""One thread for libraries, as numpy, scipy and OpenCV each start threads that spin when idle; thread priority."""
+"""One thread for libraries, as numpy, scipy and OpenCV
+each start threads that spin when idle; thread priority.
+"""
 
 import os
 import sys
@@ -9,7 +11,8 @@ from importlib import import_module
 
 @contextmanager
 def one_thread(*needed: str) -> Iterator[None]:
-    """One BLAS thread in the block, then as many as before: faster for small matrices, and reproducible bytes.
+    """One BLAS thread in the block, then as many as before:
+    faster for small matrices, and reproducible bytes.
 
     `needed` modules are imported first: BLAS can be limited only once it is loaded.
     """
@@ -23,7 +26,9 @@ def one_thread(*needed: str) -> Iterator[None]:
 
 @contextmanager
 def one_opencv() -> Iterator[None]:
-    """OpenCV on the calling threads in the block, then on its own threads again: faster for small images."""
+    """OpenCV on the calling threads in the block, then
+    on its own threads again: faster for small images.
+    """
     import cv2
 
     before = cv2.getNumThreads()

@@ -2,7 +2,9 @@
 
 import ctypes
 
-_TRIM, _MMAP, _ARENAS = -1, -3, -8
+_TRIM = -1
+_MMAP = -3
+_ARENAS = -8
 _KEPT = 1 << 28
 
 

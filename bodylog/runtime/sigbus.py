@@ -1,4 +1,6 @@
-"""Replace missing pages of a mapped file (truncated, or a disk error) by zeros instead of ending the process."""
+"""Replace missing pages of a mapped file (truncated, or
+a disk error) by zeros instead of ending the process.
+"""
 
 import ctypes
 import mmap
@@ -6,7 +8,9 @@ import signal
 import sys
 from typing import Any
 
-_AT, _CODE, _NO_SUCH_BYTE = 16, 8, 2
+_AT = 16
+_CODE = 8
+_NO_SUCH_BYTE = 2
 _MASK = 128 // ctypes.sizeof(ctypes.c_ulong)
 _HANDLER = ctypes.CFUNCTYPE(None, ctypes.c_int, ctypes.c_void_p, ctypes.c_void_p)
 _FLAGS = 0x22 | 0x10  # private, anonymous, replacing the existing page

@@ -1,4 +1,6 @@
-"""End the process on a signal: unwind, or exit anyway if that takes too long, as in a library's C code."""
+"""End the process on a signal: unwind, or exit anyway
+if that takes too long, as in a library's C code.
+"""
 
 import _thread
 import atexit
@@ -34,7 +36,8 @@ _cleaned: list[bool] = []
 def raise_on_signal(*numbers: int, grace: float = GRACE, quiet: bool = False) -> None:
     """Raise Stopped on these signals, and end the process `grace` s later if it still runs.
 
-    A thread ends it, so that the main thread need not execute Python. A `quiet` process prints nothing.
+    A thread ends it, so that the main thread need not
+    execute Python. A `quiet` process prints nothing.
     """
     if not _heeded:
         read, write = os.pipe()
@@ -67,8 +70,9 @@ def clean_up(quiet: bool = False) -> None:
 def _clean_up_at_exit(quiet: bool) -> None:
     """Clean up if the interpreter ends without unwinding.
 
-    C code that prints an exception (PyErr_Print, called by NumPy's import_array while an extension is imported) ends
-    the process if that exception is a SystemExit, as Stopped is: no `finally` runs.
+    C code that prints an exception (PyErr_Print, called by NumPy's
+    import_array while an extension is imported) ends the process if
+    that exception is a SystemExit, as Stopped is: no `finally` runs.
     """
     if received_signal() and not _cleaned:
         clean_up(quiet)

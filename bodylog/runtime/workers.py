@@ -34,7 +34,9 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def block_interrupts() -> Iterator[None]:
-    """Block interrupts while processes are started, which inherit the block: they would print a traceback."""
+    """Block interrupts while processes are started, which
+    inherit the block: they would print a traceback.
+    """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
         return
@@ -59,10 +61,14 @@ def stop_processes(processes: list[BaseProcess]) -> None:
 
 @contextmanager
 def end_children_on_failure() -> Iterator[None]:
-    """Terminate the processes started in a `with` block if it fails, instead of waiting for them."""
+    """Terminate the processes started in a `with`
+    block if it fails, instead of waiting for them.
+    """
     before = multiprocessing.active_children()
     try:
         yield
     except BaseException:
-        stop_processes([child for child in multiprocessing.active_children() if child not in before])
+        stop_processes(
+            [child for child in multiprocessing.active_children() if child not in before]
+        )
         raise

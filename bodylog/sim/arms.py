@@ -9,11 +9,12 @@ _ASSETS = Path(__file__).parent / "assets"
 
 @dataclass(frozen=True)
 class Arm:
-    """One arm: joints as in its URDF, home and swing (rad, one per joint), moving joints, cameras relative to home.
+    """One arm: joints as in its URDF, home and swing (rad,
+    one per joint), moving joints, cameras relative to home.
 
-    `swing` is the half range a wide exploration uses; `camera` and `side` are the places (m) of the head's camera and
-    of one at the side, seen from the end effector at home, in the base frame; `marker` is the link at whose origin a
-    blue ball can sit.
+    `swing` is the half range a wide exploration uses; `camera` and `side` are the places (m) of the
+    head's camera and of one at the side, seen from the end effector at home, in the base frame;
+    `marker` is the link at whose origin a blue ball can sit.
     """
 
     urdf: Path

@@ -12,7 +12,13 @@ from .head import SWING
 from .scene import Ball, SceneThing
 from .stage import FRAME, SIDE_FRAME, START_NS, Item, Stage, log_times, seen_hand, stamps_of
 from .tag import Plate
-from .world import EFFECTOR_RADIUS, HAND_RADIUS, MARKER_RADIUS, matrix_from_quaternion, quaternion_from_matrix
+from .world import (
+    EFFECTOR_RADIUS,
+    HAND_RADIUS,
+    MARKER_RADIUS,
+    matrix_from_quaternion,
+    quaternion_from_matrix,
+)
 from .wrist import LINK
 
 _CAMERA_HZ = 20.0
@@ -25,7 +31,9 @@ _ROUNDS = 2
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """One camera: its topics begin with `under`, those of its truth with `truth`; its clock and random numbers."""
+    """One camera: its topics begin with `under`, those of
+    its truth with `truth`; its clock and random numbers.
+    """
 
     camera: cameras.PinholeCamera
     under: str
@@ -48,7 +56,9 @@ class _Shot:
 
 @dataclass(frozen=True, eq=False)
 class _Card:
-    """A card over columns and rows `box` at `depth` m, in place from `start` to `end` s, sliding in from below."""
+    """A card over columns and rows `box` at `depth` m, in
+    place from `start` to `end` s, sliding in from below.
+    """
 
     box: tuple[int, int, int, int]
     depth: float
@@ -57,23 +67,35 @@ class _Card:
 
 
 def camera_items(stage: Stage) -> Iterator[Item]:
-    """The first camera's streams: images, CameraInfo, /tf; truth: effector pose, pixels of visible things."""
+    """The first camera's streams: images, CameraInfo,
+    /tf; truth: effector pose, pixels of visible things.
+    """
     if stage.mount is not None:
         yield _camera_place()
-    yield from _film_camera(stage, _View(stage.camera, "/camera", "/truth", FRAME, 7_000_000, 3), _card_over_effector(stage))
+    yield from _film_camera(
+        stage,
+        _View(stage.camera, "/camera", "/truth", FRAME, 7_000_000, 3),
+        _card_over_effector(stage),
+    )
 
 
 def _camera_place() -> Item:
     """/tf_static: the pose of a camera on its link of the arm."""
-    place = messages.transforms_message(START_NS, [(FRAME, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))], parent=LINK)
+    place = messages.transforms_message(
+        START_NS, [(FRAME, np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))], parent=LINK
+    )
     return Item(START_NS, START_NS, "/tf_static", place)
 
 
 def side_items(stage: Stage) -> Iterator[Item]:
-    """The same streams of the camera at the side, if there is one, at other instants; the card does not hide it."""
+    """The same streams of the camera at the side, if there
+    is one, at other instants; the card does not hide it.
+    """
     if stage.side is None:
         return iter(())
-    return _film_camera(stage, _View(stage.side, "/side", "/truth/side", SIDE_FRAME, 29_000_000, 4), None)
+    return _film_camera(
+        stage, _View(stage.side, "/side", "/truth/side", SIDE_FRAME, 29_000_000, 4), None
+    )
 
 
 def _film_camera(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
@@ -83,23 +105,29 @@ def _film_camera(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item
     shot: _Shot | None = None
     for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, view.offset_ns):
         t = stamps / 1e9 + _exposure_delays(stage, view, stamps / 1e9)
-        q, hands = stage.wish.plan.motion.position(t), seen_hand(stage, t)
+        q = stage.wish.plan.motion.position(t)
+        hands = seen_hand(stage, t)
         for row, log in enumerate(log_times(stamps, 8.0, 14.0, rng)):
             if stage.moves and view.frame == FRAME:
-                view, shot = replace(view, camera=stage.seen_from(t[row])), None
+                view = replace(view, camera=stage.seen_from(t[row]))
+                shot = None
             if shot is None or not np.array_equal(shot.q, q[row]):
                 shot = _shoot_arm(stage, view.camera, q[row], wall)
             picture, seen = _compose_image(stage, view, shot, hands[row], card, t[row])
             picture = cameras.expose_image(picture, noise, rng)
             stated = _at_stamp(stage, view, shot, float(stamps[row]) / 1e9)
-            yield from _items_of_image(stage, *stated, int(stamps[row]) + START_NS, int(log), picture, seen)
+            yield from _items_of_image(
+                stage, *stated, int(stamps[row]) + START_NS, int(log), picture, seen
+            )
 
 
 def _exposure_delays(stage: Stage, view: _View, t: Array) -> Array:
-    """Time (N,) s from the stamps t (N,) s of pictures, at their first row, to the exposure of the feature's row.
+    """Time (N,) s from the stamps t (N,) s of pictures, at
+    their first row, to the exposure of the feature's row.
 
-    With a rolling shutter every row is exposed later than the one above it. A whole picture is drawn as of the instant
-    at which the row of its feature is exposed, or the middle row where there is none.
+    With a rolling shutter every row is exposed later than the one above
+    it. A whole picture is drawn as of the instant at which the row of
+    its feature is exposed, or the middle row where there is none.
     """
     delay = np.zeros(len(t))
     if not stage.wish.hardware.rolling:
@@ -122,7 +150,9 @@ def _feature_height(stage: Stage, view: _View, t: float) -> float:
 
 
 def _at_stamp(stage: Stage, view: _View, shot: _Shot, t: float) -> tuple[_View, _Shot]:
-    """The view and the shot with the poses at the picture's stamp t s, which a rolling shutter exposes later."""
+    """The view and the shot with the poses at the picture's
+    stamp t s, which a rolling shutter exposes later.
+    """
     if not stage.wish.hardware.rolling:
         return view, shot
     q = stage.wish.plan.motion.position(np.array([t]))[0]
@@ -140,7 +170,8 @@ def _compose_image(
     stage: Stage, view: _View, shot: _Shot, place: Array, card: _Card | None, t: float
 ) -> tuple[Array, dict[str, Array]]:
     """The image at t, and the pixel of each wholly visible thing."""
-    picture, depth = shot.picture.copy(), shot.depth.copy()
+    picture = shot.picture.copy()
+    depth = shot.depth.copy()
     if card is not None:
         _cover_with_card(picture, depth, card, t)
     seen = {}
@@ -150,13 +181,17 @@ def _compose_image(
     return picture, seen
 
 
-def _things_to_draw(stage: Stage, view: _View, shot: _Shot, place: Array) -> list[tuple[str, SceneThing]]:
+def _things_to_draw(
+    stage: Stage, view: _View, shot: _Shot, place: Array
+) -> list[tuple[str, SceneThing]]:
     """The things to draw with their truth's topics ("" for clutter), nearest first."""
     links = stage.world.links
     things: list[tuple[str, SceneThing]] = [("", thing) for thing in stage.scene.things]
     for link, stud in stage.scene.studs:
         number = links.index(link)
-        things.append(("", stud.moved(shot.places[number], matrix_from_quaternion(shot.turns[number]))))
+        things.append(
+            ("", stud.moved(shot.places[number], matrix_from_quaternion(shot.turns[number])))
+        )
     feature = _feature_in_base(stage, shot.places, shot.turns)
     if feature is not None:
         things.append((f"{view.truth}/effector_pixel", feature))
@@ -165,12 +200,15 @@ def _things_to_draw(stage: Stage, view: _View, shot: _Shot, place: Array) -> lis
         things.append((f"{view.truth}/marker_pixel", ball))
     if not np.isnan(place).any():
         things.append((f"{view.truth}/hand_pixel", Ball(place, HAND_RADIUS, cameras.RED)))
-    return sorted(things, key=lambda thing: float(np.linalg.norm(thing[1].place - view.camera.position)))
+    return sorted(
+        things, key=lambda thing: float(np.linalg.norm(thing[1].place - view.camera.position))
+    )
 
 
 def _feature_in_base(stage: Stage, places: Array, turns: Array) -> Ball | Plate | None:
     """The feature in the base frame, for positions and orientations of the links."""
-    feature, link = stage.scene.feature, stage.scene.link
+    feature = stage.scene.feature
+    link = stage.scene.link
     if feature is None or link is None:
         return feature
     number = stage.world.links.index(link)
@@ -178,18 +216,36 @@ def _feature_in_base(stage: Stage, places: Array, turns: Array) -> Ball | Plate 
 
 
 def _items_of_image(
-    stage: Stage, view: _View, shot: _Shot, stamp: int, log: int, picture: Array, seen: dict[str, Array]
+    stage: Stage,
+    view: _View,
+    shot: _Shot,
+    stamp: int,
+    log: int,
+    picture: Array,
+    seen: dict[str, Array],
 ) -> Iterator[Item]:
     camera = view.camera
-    yield Item(log, stamp, stage.topic(view.under), _image_message(stage.wish.options.image, view.frame, stamp, picture))
-    info = messages.camera_info_message(stamp, view.frame, camera.width, camera.height, camera.focal, camera.centre)
+    yield Item(
+        log,
+        stamp,
+        stage.topic(view.under),
+        _image_message(stage.wish.options.image, view.frame, stamp, picture),
+    )
+    info = messages.camera_info_message(
+        stamp, view.frame, camera.width, camera.height, camera.focal, camera.centre
+    )
     yield Item(log, stamp, f"{view.under}/camera_info", info)
     frames = list(zip(stage.world.links, shot.places, shot.turns, strict=True))
     if stage.mount is None:  # else /tf_static holds it
         frames.append((view.frame, camera.position, quaternion_from_matrix(camera.rotation.T)))
     yield Item(log, stamp, "/tf", messages.transforms_message(stamp, frames))
     link = stage.world.links.index("effector")
-    yield Item(log, stamp, "/truth/effector_pose", messages.pose_message(stamp, shot.places[link], shot.turns[link]))
+    yield Item(
+        log,
+        stamp,
+        "/truth/effector_pose",
+        messages.pose_message(stamp, shot.places[link], shot.turns[link]),
+    )
     yield from _feature_pose(stage, shot, stamp, log)
     for topic, uv in seen.items():
         yield Item(log, stamp, topic, messages.pixel_message(stamp, view.frame, uv))
@@ -215,7 +271,9 @@ def _image_message(form: str, frame: str, stamp: int, picture: Array) -> object:
 
 
 def _card_over_effector(stage: Stage) -> _Card | None:
-    """The card that hides the end effector's whole path from the head's camera while the plan covers it."""
+    """The card that hides the end effector's whole path
+    from the head's camera while the plan covers it.
+    """
     if stage.wish.plan.covered is None or stage.mount is not None:
         return None
     start, end = stage.wish.plan.covered
@@ -224,9 +282,13 @@ def _card_over_effector(stage: Stage) -> _Card | None:
     path = np.array([stage.world.pose(q)[0][link] for q in stage.wish.plan.motion.position(t)])
     pixels = cameras.ellipse_centre(stage.camera, path, EFFECTOR_RADIUS)
     ahead = (path - stage.camera.position) @ stage.camera.rotation[2]
-    margin = stage.wish.plan.margin * stage.camera.width + (SWING * stage.camera.focal if stage.head else 0.0)
+    margin = stage.wish.plan.margin * stage.camera.width + (
+        SWING * stage.camera.focal if stage.head else 0.0
+    )
     left, top = np.maximum(pixels.min(0) - margin, 0).astype(int)
-    right, bottom = np.minimum(pixels.max(0) + margin, [stage.camera.width, stage.camera.height]).astype(int)
+    right, bottom = np.minimum(
+        pixels.max(0) + margin, [stage.camera.width, stage.camera.height]
+    ).astype(int)
     return _Card((left, top, right, bottom), float(ahead.min()) - 2.4 * EFFECTOR_RADIUS, start, end)
 
 
@@ -236,4 +298,9 @@ def _cover_with_card(picture: Array, depth: Array, card: _Card, t: float) -> Non
     out = max(card.start - t, t - card.end, 0.0) / _SLIDE
     down = round(out * (picture.shape[0] - top))
     if out < 1.0:
-        cameras.draw_card(picture, depth, (left, top + down, right, min(bottom + down, picture.shape[0])), card.depth)
+        cameras.draw_card(
+            picture,
+            depth,
+            (left, top + down, right, min(bottom + down, picture.shape[0])),
+            card.depth,
+        )

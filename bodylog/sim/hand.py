@@ -1,7 +1,8 @@
-"""The path of the experimenter's hand: it enters the image, strokes the skin, and leaves another way.
+"""The path of the experimenter's hand: it enters
+the image, strokes the skin, and leaves another way.
 
-Places are in the frame of the skin's link: z along the limb towards the end effector, the hand above one column of
-cells, the one that faces the camera.
+Places are in the frame of the skin's link: z along the limb towards the end effector, the hand
+above one column of cells, the one that faces the camera.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,8 @@ from .plan import TRAVEL, Contact
 from .skin import COLUMNS, RADIUS, THRESHOLD_GAP
 from .world import HAND_RADIUS
 
-_FROM, _TO = np.array([-0.25, -0.45]), np.array([0.15, -0.50])
+_FROM = np.array([-0.25, -0.45])
+_TO = np.array([0.15, -0.50])
 _HOVER = 0.12
 _PRESS = 0.02
 _ROUND = np.linspace(-0.03, 0.03, 7)
@@ -26,7 +28,9 @@ def column_facing_camera(view: Array) -> int:
 
 
 def hand_path(contacts: Sequence[Contact], column: int, t: Array, seen: bool) -> Array:
-    """The hand's centre (N,3) m at times t (N,) s, as felt or, if `seen`, as the image shows it; NaN when away."""
+    """The hand's centre (N,3) m at times t (N,) s, as felt
+    or, if `seen`, as the image shows it; NaN when away.
+    """
     place = np.full((len(t), 3), np.nan)
     for contact in contacts:
         since = t - contact.onset - (contact.delay if seen else 0.0)
@@ -43,12 +47,20 @@ def _stroke_path(contact: Contact, column: int, since: Array) -> Array:
     moments = since[:, None] + _ROUND
     # The mean over a short symmetric window rounds the corners without moving them in time.
     side, along = (np.interp(moments, times, knots[:, axis]).mean(1) for axis in (0, 1))
-    height = RADIUS + HAND_RADIUS + _gap_of_hand_and_skin(since) + _gap_of_hand_and_skin(contact.length - since)
+    height = (
+        RADIUS
+        + HAND_RADIUS
+        + _gap_of_hand_and_skin(since)
+        + _gap_of_hand_and_skin(contact.length - since)
+    )
     angle = 2 * np.pi * column / COLUMNS
-    out, across = np.array([np.cos(angle), np.sin(angle)]), np.array([-np.sin(angle), np.cos(angle)])
+    out = np.array([np.cos(angle), np.sin(angle)])
+    across = np.array([-np.sin(angle), np.cos(angle)])
     return np.column_stack([height[:, None] * out + side[:, None] * across, along])
 
 
 def _gap_of_hand_and_skin(since: Array) -> Array:
     """Distance of hand and skin (m): falls through the skin's threshold at 0 s, then to nothing."""
-    return np.asarray(_HOVER * np.tanh(THRESHOLD_GAP * np.logaddexp(0.0, -since / _PRESS) / np.log(2.0) / _HOVER))
+    return np.asarray(
+        _HOVER * np.tanh(THRESHOLD_GAP * np.logaddexp(0.0, -since / _PRESS) / np.log(2.0) / _HOVER)
+    )

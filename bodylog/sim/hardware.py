@@ -1,4 +1,6 @@
-"""Errors of real joints and encoders: play, sag, stick-slip, encoder errors that last, and how they are typed."""
+"""Errors of real joints and encoders: play, sag, stick-slip,
+encoder errors that last, and how they are typed.
+"""
 
 import re
 from collections.abc import Mapping
@@ -20,12 +22,13 @@ OUTLIER_RAD = 0.2
 class Hardware:
     """How joints turn and how they are read; 0 where an error is absent.
 
-    play: between motor and link, from one end to the other, rad · sag, payload: of a joint that holds the whole arm
-    stretched out, rad; the first was there when the body was learned, the second was not · stick: how far a joint is
-    driven before it slips, rad · correlated: standard deviation (rad) of an Ornstein-Uhlenbeck error of each encoder,
-    and its time constant (s) · counts: an encoder's steps in a turn · tails: degrees of freedom of Student's t in place
-    of normal noise · outliers: share of readings that are OUTLIER_RAD off · jitter: standard deviation of encoder
-    stamps, s · rolling: from a picture's first row to its last, s.
+    play: between motor and link, from one end to the other, rad · sag, payload: of a joint that
+    holds the whole arm stretched out, rad; the first was there when the body was learned, the
+    second was not · stick: how far a joint is driven before it slips, rad · correlated: standard
+    deviation (rad) of an Ornstein-Uhlenbeck error of each encoder, and its time constant (s) ·
+    counts: an encoder's steps in a turn · tails: degrees of freedom of Student's t in place of
+    normal noise · outliers: share of readings that are OUTLIER_RAD off · jitter: standard deviation
+    of encoder stamps, s · rolling: from a picture's first row to its last, s.
     """
 
     play: float = 0.0
@@ -53,7 +56,9 @@ class Hardware:
 
 @dataclass(frozen=True)
 class ErrorRange:
-    """Sizes of an error that can be typed: up to `most`, 0 or from `least`, in units of `unit` rad or 1."""
+    """Sizes of an error that can be typed: up to `most`,
+    0 or from `least`, in units of `unit` rad or 1.
+    """
 
     most: float
     least: float = 0.0
@@ -78,7 +83,9 @@ _MOST_CORRELATION_S = 1e4
 
 
 def parse_hardware(text: str) -> Hardware:
-    """The errors in NAME=NUMBER,…, where correlated is RAD@S; UsageError in one line for anything else."""
+    """The errors in NAME=NUMBER,…, where correlated is
+    RAD@S; UsageError in one line for anything else.
+    """
     values: dict[str, float] = {}
     for item in text.split(",") if text else ():
         name, given = _split_item(item)
@@ -94,9 +101,15 @@ def _split_item(item: str) -> tuple[str, str]:
     """The name of an error, and the text of its size."""
     name, equals, given = item.strip().partition("=")
     if name not in HARDWARE:
-        raise UsageError(f"--hardware: {describe_unknown_name('error', name, HARDWARE)}; type: --hardware {EXAMPLE}")
+        raise UsageError(
+            f"--hardware: {describe_unknown_name('error', name, HARDWARE)}; type: --hardware "
+            f"{EXAMPLE}"
+        )
     if not equals:
-        raise UsageError(f"--hardware: {name} has no size; possible: {_possible_sizes(name)}; type: --hardware {EXAMPLE}")
+        raise UsageError(
+            f"--hardware: {name} has no size; possible: {_possible_sizes(name)}; type: "
+            f"--hardware {EXAMPLE}"
+        )
     return name, given
 
 
@@ -106,7 +119,8 @@ def _split_correlation(given: str) -> tuple[str, float]:
     seconds = float(found[2]) if found else 0.0
     if found is None or not 0.0 < seconds <= _MOST_CORRELATION_S:
         raise UsageError(
-            f"--hardware: correlated is {given!r}; possible: a standard deviation in rad, @, and a time constant "
+            f"--hardware: correlated is {given!r}; possible: a standard deviation in rad, @, "
+            "and a time constant "
             f"above 0 to {_MOST_CORRELATION_S:g} s; type: --hardware correlated=0.002@2s"
         )
     return found[1], seconds
@@ -116,7 +130,10 @@ def _number_in_range(name: str, given: str) -> float:
     value = float(given) if re.fullmatch(_NUMBER, given) else -1.0
     size = RANGES[name]
     if not (value == 0.0 or size.least <= value <= size.most) or value < 0.0:
-        raise UsageError(f"--hardware: {name} is {given!r}; possible: {_possible_sizes(name)}; type: --hardware {EXAMPLE}")
+        raise UsageError(
+            f"--hardware: {name} is {given!r}; possible: {_possible_sizes(name)}; type: "
+            f"--hardware {EXAMPLE}"
+        )
     return value
 
 
@@ -126,17 +143,23 @@ def _possible_sizes(name: str) -> str:
 
 
 def add_stick(commanded: Array, stick: float) -> Array:
-    """Angles (N,M) of joints that hold still until the commanded ones (N,M) are `stick` rad away, then go there."""
+    """Angles (N,M) of joints that hold still until the
+    commanded ones (N,M) are `stick` rad away, then go there.
+    """
     return _follow_beyond_deadband(commanded, stick, to=0.0) if stick else commanded
 
 
 def add_play(motors: Array, play: float) -> Array:
-    """Angles (N,M) of links that follow the motors' (N,M) once these are half the play (rad) away."""
+    """Angles (N,M) of links that follow the motors'
+    (N,M) once these are half the play (rad) away.
+    """
     return _follow_beyond_deadband(motors, play / 2, to=play / 2) if play else motors
 
 
 def _follow_beyond_deadband(leading: Array, most: float, to: float) -> Array:
-    """Angles that stay until the leading ones (N,M) are more than `most` rad away, then move to `to` rad from them."""
+    """Angles that stay until the leading ones (N,M) are more
+    than `most` rad away, then move to `to` rad from them.
+    """
     following = leading.copy()
     for k in range(1, len(leading)):
         away = leading[k] - following[k - 1]
@@ -146,22 +169,37 @@ def _follow_beyond_deadband(leading: Array, most: float, to: float) -> Array:
 
 
 def encoder_noise(
-    hardware: Hardware, white: float, shape: tuple[int, int], rate_hz: float, rng: np.random.Generator
+    hardware: Hardware,
+    white: float,
+    shape: tuple[int, int],
+    rate_hz: float,
+    rng: np.random.Generator,
 ) -> Array:
-    """Errors (N,M) rad of encoders read rate_hz times a second, of which `white` rad is independent noise."""
+    """Errors (N,M) rad of encoders read rate_hz times a
+    second, of which `white` rad is independent noise.
+    """
     from scipy.signal import lfilter
 
     tails = hardware.tails
     # Student's t has the variance ν / (ν − 2)
-    unit = rng.standard_t(tails, shape) / np.sqrt(tails / (tails - 2.0)) if tails else rng.standard_normal(shape)
+    unit = (
+        rng.standard_t(tails, shape) / np.sqrt(tails / (tails - 2.0))
+        if tails
+        else rng.standard_normal(shape)
+    )
     noise = white * unit
     if hardware.correlated:
         kept = float(np.exp(-1.0 / (rate_hz * hardware.correlation_s)))
         # the first from the stationary distribution
-        driven = rng.standard_normal(shape) * np.append(1.0, np.full(shape[0] - 1, np.sqrt(1.0 - kept**2)))[:, None]
+        driven = (
+            rng.standard_normal(shape)
+            * np.append(1.0, np.full(shape[0] - 1, np.sqrt(1.0 - kept**2)))[:, None]
+        )
         noise += hardware.correlated * np.asarray(lfilter([1.0], [1.0, -kept], driven, axis=0))
     if hardware.outliers:
-        noise += OUTLIER_RAD * rng.choice([-1.0, 1.0], shape) * (rng.random(shape) < hardware.outliers)
+        noise += (
+            OUTLIER_RAD * rng.choice([-1.0, 1.0], shape) * (rng.random(shape) < hardware.outliers)
+        )
     return np.asarray(noise)
 
 

@@ -1,4 +1,6 @@
-"""Further joints that move independently: a head that turns its camera, a gripper that opens and closes."""
+"""Further joints that move independently: a head that
+turns its camera, a gripper that opens and closes.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +15,9 @@ SWING = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Sway:
-    """Two sines of `phase` (2,) rad and `periods` (2,) s, together at most `swing` rad to either side."""
+    """Two sines of `phase` (2,) rad and `periods` (2,)
+    s, together at most `swing` rad to either side.
+    """
 
     joint: str
     swing: float
@@ -22,7 +26,9 @@ class Sway:
 
     def angle(self, t: Array) -> Array:
         """The joint's angle (N,) rad at t (N,) s."""
-        return np.asarray(self.swing / 2 * np.sin(t[:, None] * 2 * np.pi / self.periods + self.phase).sum(axis=1))
+        return np.asarray(
+            self.swing / 2 * np.sin(t[:, None] * 2 * np.pi / self.periods + self.phase).sum(axis=1)
+        )
 
     def rate(self, t: Array) -> Array:
         """The joint's speed (N,) rad/s at t (N,) s."""
@@ -31,7 +37,9 @@ class Sway:
 
 
 def head_sway(rng: np.random.Generator) -> Sway:
-    """A head that turns about the vertical while the arm moves: to the body it is one more joint."""
+    """A head that turns about the vertical while
+    the arm moves: to the body it is one more joint.
+    """
     return Sway(JOINT, SWING, np.array([3.1, 5.3]), rng.uniform(0.0, 2 * np.pi, 2))
 
 
@@ -42,5 +50,8 @@ def gripper_sway(rng: np.random.Generator) -> Sway:
 
 def turn_camera(camera: PinholeCamera, angle: float) -> PinholeCamera:
     """The camera turned to the left about the vertical through it by `angle` rad."""
-    c, s = np.cos(angle), np.sin(angle)
-    return replace(camera, rotation=camera.rotation @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+    c = np.cos(angle)
+    s = np.sin(angle)
+    return replace(
+        camera, rotation=camera.rotation @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    )

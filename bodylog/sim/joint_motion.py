@@ -1,4 +1,6 @@
-"""Where motors and links are while an arm is driven along a path, for joints with play, sag and stick-slip."""
+"""Where motors and links are while an arm is driven
+along a path, for joints with play, sag and stick-slip.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,8 +19,9 @@ _HALF_STEP_S = 1e-4
 
 @dataclass(frozen=True)
 class DrivenMotion:
-    """Paths of the motors, which encoders read; of the links, which cameras see; and of the links in the frame of the
-    encoders during the exploration, in which sag that was there already is no error: the truth.
+    """Paths of the motors, which encoders read; of the links, which cameras
+    see; and of the links in the frame of the encoders during the
+    exploration, in which sag that was there already is no error: the truth.
     """
 
     motors: Motion
@@ -65,10 +68,11 @@ def _motion_by_differences(position: Callable[[Array], Array]) -> Motion:
 
 
 def _gravity_levers(arm: Arm) -> Callable[[Array], Array]:
-    """How far the weight of the effector turns each joint (N,M) at angles (N,M), where 1 is the whole arm's length.
+    """How far the weight of the effector turns each joint
+    (N,M) at angles (N,M), where 1 is the whole arm's length.
 
-    A joint with a spring turns by its torque over the spring's constant; the torque of a weight is minus the derivative
-    of its height by the joint.
+    A joint with a spring turns by its torque over the spring's constant; the torque of a weight is
+    minus the derivative of its height by the joint.
     """
     robot = urdf.load_urdf(arm.urdf)
     hand = chain.chain_between(robot, robot.root, "effector").over(arm.joints)

@@ -10,7 +10,8 @@ from ..types import Array
 DEFINITIONS = {
     "bodylog_msgs/msg/SkinArray": "std_msgs/Header header\nfloat32[] data\n",
     "bodylog_msgs/msg/Touch": (
-        "std_msgs/Header header\nbuiltin_interfaces/Duration duration\nint32[] cells\nfloat32 peak\n"
+        "std_msgs/Header header\nbuiltin_interfaces/Duration duration\nint32[] "
+        "cells\nfloat32 peak\n"
     ),
     "bodylog_msgs/msg/Stroke": (
         "std_msgs/Header header\nbuiltin_interfaces/Duration duration\n"
@@ -63,9 +64,18 @@ def _quaternion_message(xyzw: Array) -> Any:
 
 
 def joint_state(ns: int, names: list[str], position: Array, velocity: Array) -> Any:
-    """sensor_msgs/JointState in rad and rad/s; effort 0, because nothing simulates forces (pybag needs the field)."""
+    """sensor_msgs/JointState in rad and rad/s; effort 0,
+    because nothing simulates forces (pybag needs the field).
+    """
     effort = np.zeros(len(names))
-    return _make_message("sensor_msgs/msg/JointState", _header_message(ns, "base_link"), names, position, velocity, effort)
+    return _make_message(
+        "sensor_msgs/msg/JointState",
+        _header_message(ns, "base_link"),
+        names,
+        position,
+        velocity,
+        effort,
+    )
 
 
 def skin_array(ns: int, data: Array) -> Any:
@@ -75,7 +85,9 @@ def skin_array(ns: int, data: Array) -> Any:
 
 def compressed_image(ns: int, frame: str, jpeg: Array) -> Any:
     """sensor_msgs/CompressedImage."""
-    return _make_message("sensor_msgs/msg/CompressedImage", _header_message(ns, frame), "jpeg", jpeg)
+    return _make_message(
+        "sensor_msgs/msg/CompressedImage", _header_message(ns, frame), "jpeg", jpeg
+    )
 
 
 def raw_image(ns: int, frame: str, picture: Array) -> Any:
@@ -85,7 +97,9 @@ def raw_image(ns: int, frame: str, picture: Array) -> Any:
     return _make_message("sensor_msgs/msg/Image", _header_message(ns, frame), *fields)
 
 
-def camera_info_message(ns: int, frame: str, width: int, height: int, focal: float, centre: tuple[float, float]) -> Any:
+def camera_info_message(
+    ns: int, frame: str, width: int, height: int, focal: float, centre: tuple[float, float]
+) -> Any:
     """sensor_msgs/CameraInfo of a pinhole without distortion."""
     k = np.array([focal, 0, centre[0], 0, focal, centre[1], 0, 0, 1.0])
     p = np.insert(k, [3, 6, 9], 0.0)
@@ -96,35 +110,63 @@ def camera_info_message(ns: int, frame: str, width: int, height: int, focal: flo
 
 def pose_message(ns: int, position: Array, xyzw: Array) -> Any:
     """geometry_msgs/PoseStamped in the base frame."""
-    inner = _make_message("geometry_msgs/msg/Pose", _point_message(position), _quaternion_message(xyzw))
+    inner = _make_message(
+        "geometry_msgs/msg/Pose", _point_message(position), _quaternion_message(xyzw)
+    )
     return _make_message("geometry_msgs/msg/PoseStamped", _header_message(ns, "base_link"), inner)
 
 
 def pixel_message(ns: int, frame: str, uv: Array) -> Any:
     """geometry_msgs/PointStamped: x = u px, y = v px."""
-    return _make_message("geometry_msgs/msg/PointStamped", _header_message(ns, frame), _point_message(np.append(uv, 0.0)))
+    return _make_message(
+        "geometry_msgs/msg/PointStamped",
+        _header_message(ns, frame),
+        _point_message(np.append(uv, 0.0)),
+    )
 
 
 def touch_message(ns: int, seconds: float, cells: Array, peak: float) -> Any:
     """bodylog_msgs/Touch: `ns` is the onset."""
-    return _make_message("bodylog_msgs/msg/Touch", _header_message(ns, "skin"), _duration_message(seconds), cells.astype(np.int32), peak)
+    return _make_message(
+        "bodylog_msgs/msg/Touch",
+        _header_message(ns, "skin"),
+        _duration_message(seconds),
+        cells.astype(np.int32),
+        peak,
+    )
 
 
-def stroke_message(ns: int, frame: str, seconds: float, start: Array, end: Array, delay: float) -> Any:
-    """bodylog_msgs/Stroke: `ns` is the contact's start in the image; start, end (2,) px; delay s."""
+def stroke_message(
+    ns: int, frame: str, seconds: float, start: Array, end: Array, delay: float
+) -> Any:
+    """bodylog_msgs/Stroke: `ns` is the contact's
+    start in the image; start, end (2,) px; delay s.
+    """
     points = (_point_message(np.append(start, 0.0)), _point_message(np.append(end, 0.0)))
-    return _make_message("bodylog_msgs/msg/Stroke", _header_message(ns, frame), _duration_message(seconds), *points, delay)
+    return _make_message(
+        "bodylog_msgs/msg/Stroke",
+        _header_message(ns, frame),
+        _duration_message(seconds),
+        *points,
+        delay,
+    )
 
 
-def transforms_message(ns: int, frames: list[tuple[str, Array, Array]], parent: str = "base_link") -> Any:
+def transforms_message(
+    ns: int, frames: list[tuple[str, Array, Array]], parent: str = "base_link"
+) -> Any:
     """tf2_msgs/TFMessage: (child, position m, orientation xyzw) each in the frame of `parent`."""
-    return _make_message("tf2_msgs/msg/TFMessage", [_transform_message(ns, parent, *frame) for frame in frames])
+    return _make_message(
+        "tf2_msgs/msg/TFMessage", [_transform_message(ns, parent, *frame) for frame in frames]
+    )
 
 
 def _transform_message(ns: int, parent: str, child: str, position: Array, xyzw: Array) -> Any:
     place = _make_message("geometry_msgs/msg/Vector3", *(float(value) for value in position))
     inner = _make_message("geometry_msgs/msg/Transform", place, _quaternion_message(xyzw))
-    return _make_message("geometry_msgs/msg/TransformStamped", _header_message(ns, parent), child, inner)
+    return _make_message(
+        "geometry_msgs/msg/TransformStamped", _header_message(ns, parent), child, inner
+    )
 
 
 def text_message(words: str) -> Any:

@@ -1,4 +1,6 @@
-"""Smooth paths of the joints, exact at any instant: position (N,M) rad and rate (N,M) rad/s at times t (N,) s."""
+"""Smooth paths of the joints, exact at any instant:
+position (N,M) rad and rate (N,M) rad/s at times t (N,) s.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -30,7 +32,9 @@ def wander_through_points(points: Array, pace: float) -> Motion:
 
 
 def reach_between_points(points: Array, pace: float) -> Motion:
-    """Minimum-jerk reaches (Flash & Hogan 1985) from each of points (K,M) to the next, each `pace` s long."""
+    """Minimum-jerk reaches (Flash & Hogan 1985) from
+    each of points (K,M) to the next, each `pace` s long.
+    """
     steps = np.diff(points, axis=0)
 
     def locate(t: Array) -> tuple[Array, Array]:
@@ -49,9 +53,11 @@ def reach_between_points(points: Array, pace: float) -> Motion:
 
 
 def spread_points(count: int, swing: Array, rng: np.random.Generator) -> Array:
-    """`count` points (K,M) spread evenly over the box ±swing (M,): a Kronecker sequence with a random start.
+    """`count` points (K,M) spread evenly over the box
+    ±swing (M,): a Kronecker sequence with a random start.
 
-    The step of each of the m axes that move is a power of the root of x^(m+1) = x + 1 (the plastic number's family).
+    The step of each of the m axes that move is a power of the
+    root of x^(m+1) = x + 1 (the plastic number's family).
     """
     moved = np.flatnonzero(swing)
     root = 2.0
@@ -59,5 +65,7 @@ def spread_points(count: int, swing: Array, rng: np.random.Generator) -> Array:
         root = (1.0 + root) ** (1.0 / (len(moved) + 1))
     steps = root ** -np.arange(1.0, len(moved) + 1)
     points = np.zeros((count, len(swing)))
-    points[:, moved] = 2.0 * ((rng.random(len(moved)) + np.outer(np.arange(1, count + 1), steps)) % 1.0) - 1.0
+    points[:, moved] = (
+        2.0 * ((rng.random(len(moved)) + np.outer(np.arange(1, count + 1), steps)) % 1.0) - 1.0
+    )
     return np.asarray(points * swing)

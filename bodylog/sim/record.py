@@ -1,4 +1,6 @@
-"""Play a scenario and write its sensors' messages, and the ground truth, as an ordinary ROS 2 MCAP."""
+"""Play a scenario and write its sensors' messages,
+and the ground truth, as an ordinary ROS 2 MCAP.
+"""
 
 import heapq
 from collections.abc import Callable
@@ -14,8 +16,8 @@ from .arms import ARMS
 from .film import camera_items, side_items
 from .hardware import parse_hardware
 from .joint_motion import move_joints
-from .options import Options, check_options, check_camera, require_within
-from .plan import ScenarioPlan, Request, choose_or_default, describe_unknown_name
+from .options import Options, check_camera, check_options, require_within
+from .plan import Request, ScenarioPlan, choose_or_default, describe_unknown_name
 from .scenarios import SCENARIOS
 from .stage import Stage, Wish, open_stage
 from .streams import encoder_items, event_items, other_items, skin_items
@@ -24,8 +26,11 @@ _CHUNK_BYTES = 1 << 18
 """Small chunks: a log truncated by a crash loses little."""
 
 
-def record_scenario(scenario: str, out: Path, *, progress: Callable[[int], None] | None = None, **options: Any) -> None:
-    """Write `scenario` to `out`, the same bytes for the same `options` (see Options), or raise UsageError.
+def record_scenario(
+    scenario: str, out: Path, *, progress: Callable[[int], None] | None = None, **options: Any
+) -> None:
+    """Write `scenario` to `out`, the same bytes for the
+    same `options` (see Options), or raise UsageError.
 
     `progress` is called with 1 after each image of the first camera.
     """
@@ -38,14 +43,19 @@ def record_scenario(scenario: str, out: Path, *, progress: Callable[[int], None]
     hardware = parse_hardware(asked.hardware)
     arm = ARMS[asked.arm]
     joints = move_joints(plan.motion, hardware, arm, length)
-    wish = Wish(scenario, asked, arm, replace(plan, motion=joints.links), length, wished, hardware, joints)
+    wish = Wish(
+        scenario, asked, arm, replace(plan, motion=joints.links), length, wished, hardware, joints
+    )
     with atomic_files.replace_atomically(out) as beside, open_stage(wish) as stage:
         _write_recording(beside, stage, progress)
 
 
 def _plan_scenario(scenario: str, options: Options) -> tuple[ScenarioPlan, float]:
     if scenario not in SCENARIOS:
-        raise UsageError(f"{describe_unknown_name('scenario', scenario, SCENARIOS)}; type: bodylog record babble -o babble.mcap")
+        raise UsageError(
+            f"{describe_unknown_name('scenario', scenario, SCENARIOS)}; type: bodylog record "
+            "babble -o babble.mcap"
+        )
     if options.arm not in ARMS:
         raise UsageError(f"{describe_unknown_name('arm', options.arm, ARMS)}; type: --arm ur5")
     require_within("seed", options.seed, 0, 2**63)
@@ -54,7 +64,14 @@ def _plan_scenario(scenario: str, options: Options) -> tuple[ScenarioPlan, float
     require_within("duration", length, 0.1, 86400.0)
     variant = choose_or_default(scenario, "variant", options.variant, entry.variants)
     place = choose_or_default(scenario, "place", options.place, entry.places)
-    request = Request(ARMS[options.arm], length, options.full, variant, place, np.random.default_rng([options.seed, 0]))
+    request = Request(
+        ARMS[options.arm],
+        length,
+        options.full,
+        variant,
+        place,
+        np.random.default_rng([options.seed, 0]),
+    )
     return entry.plan(request), length
 
 
@@ -95,9 +112,24 @@ def _register_channel(writer: Any, topic: str, kind: str) -> int:
 
 def _recording_metadata(wish: Wish) -> dict[str, str]:
     """The log's metadata about its recording; newer options only where they are used."""
-    options, usual = wish.options, Options()
-    newer = ("cameras", "turning", "feature", "feature_size", "clutter", "split_joints", "camera", "hardware", "scene")
-    used = {name: getattr(options, name) for name in newer if getattr(options, name) != getattr(usual, name)}
+    options = wish.options
+    usual = Options()
+    newer = (
+        "cameras",
+        "turning",
+        "feature",
+        "feature_size",
+        "clutter",
+        "split_joints",
+        "camera",
+        "hardware",
+        "scene",
+    )
+    used = {
+        name: getattr(options, name)
+        for name in newer
+        if getattr(options, name) != getattr(usual, name)
+    }
     return {name: str(value).lower() for name, value in used.items()} | {
         "scenario": wish.scenario,
         "seed": str(options.seed),

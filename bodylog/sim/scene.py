@@ -7,18 +7,20 @@ from typing import Protocol
 import numpy as np
 
 from ..types import Array
-from .camera import GREEN, PinholeCamera, Colour, ellipse_centre, draw_sphere
+from .camera import GREEN, Colour, PinholeCamera, draw_sphere, ellipse_centre
 from .options import Options
 from .tag import Plate
 
-TAG, FOREIGN_TAG = 7, 3
+TAG = 7
+FOREIGN_TAG = 3
 _LIME: Colour = (150.0, 200.0, 40.0)
 _STUDS = 14
 """Studs on a cylinder of a link."""
 _STUD_M = (0.004, 0.009)
 _STUD_GREY = ((25.0, 60.0), (190.0, 230.0))
 """Dark and light ones, as grey levels: no colour of a feature."""
-_POST, _POST_OF_SIDE = 0.05, 0.35
+_POST = 0.05
+_POST_OF_SIDE = 0.35
 """Length of the post that holds a plate clear of the limb: m, and in sides of the tag."""
 
 
@@ -53,13 +55,17 @@ class Ball:
         return np.asarray(ellipse_centre(camera, self.place[None], self.radius)[0])
 
     def draw(self, picture: Array, depth: Array, camera: PinholeCamera) -> float:
-        """Draw it into an image (H,W,3) uint8 and depth (H,W) m; return the visible share of its outline, 0..1."""
+        """Draw it into an image (H,W,3) uint8 and depth (H,W)
+        m; return the visible share of its outline, 0..1.
+        """
         return draw_sphere(picture, depth, camera, self.place, self.radius, np.array(self.colour))
 
 
 @dataclass(frozen=True, eq=False)
 class Box:
-    """A piece of furniture: centre (3,) m, rotation (3,3), half its lengths (3,) m, colour RGB in 0..1."""
+    """A piece of furniture: centre (3,) m, rotation
+    (3,3), half its lengths (3,) m, colour RGB in 0..1.
+    """
 
     place: Array
     rotation: Array
@@ -69,7 +75,8 @@ class Box:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The feature, in the frame of the `link` that carries it or in the base frame (None), and the clutter.
+    """The feature, in the frame of the `link` that carries
+    it or in the base frame (None), and the clutter.
 
     studs: (link, ball in its frame), the texture of a bare arm.
     """
@@ -83,7 +90,9 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Cylinder:
-    """A cylinder of a link: its centre (3,) m and rotation (3,3) in the link's frame, along z; radius and length m."""
+    """A cylinder of a link: its centre (3,) m and rotation
+    (3,3) in the link's frame, along z; radius and length m.
+    """
 
     link: str
     place: Array
@@ -92,19 +101,33 @@ class Cylinder:
     length: float
 
 
-def on_the_arm(options: Options, camera: PinholeCamera, place: Array, rotation: Array, rng: np.random.Generator) -> Scene:
-    """The scene before the head's camera; the effector at home is at `place` (3,) m, turned by `rotation` (3,3)."""
+def on_the_arm(
+    options: Options, camera: PinholeCamera, place: Array, rotation: Array, rng: np.random.Generator
+) -> Scene:
+    """The scene before the head's camera; the effector at
+    home is at `place` (3,) m, turned by `rotation` (3,3).
+    """
     towards = (camera.position - place) / np.linalg.norm(camera.position - place)
-    forward = (_POST + _POST_OF_SIDE * options.side) * towards if options.feature == "tag" else np.zeros(3)
+    forward = (
+        (_POST + _POST_OF_SIDE * options.side) * towards
+        if options.feature == "tag"
+        else np.zeros(3)
+    )
     seen = _make_feature(options, place + forward, camera.rotation.T)
     carried = None if seen is None else seen.moved(-rotation.T @ place, rotation.T)
     return Scene(carried, "effector", *_make_clutter(options, camera, rng))
 
 
-def before_the_wrist(options: Options, camera: PinholeCamera, distance: float, rng: np.random.Generator) -> Scene:
-    """The scene that the camera on the wrist sees when the arm is at home: the feature `distance` m ahead."""
+def before_the_wrist(
+    options: Options, camera: PinholeCamera, distance: float, rng: np.random.Generator
+) -> Scene:
+    """The scene that the camera on the wrist sees when
+    the arm is at home: the feature `distance` m ahead.
+    """
     place = camera.position + distance * camera.rotation[2]
-    return Scene(_make_feature(options, place, camera.rotation.T), None, *_make_clutter(options, camera, rng))
+    return Scene(
+        _make_feature(options, place, camera.rotation.T), None, *_make_clutter(options, camera, rng)
+    )
 
 
 def studs(cylinders: Iterable[Cylinder], rng: np.random.Generator) -> tuple[tuple[str, Ball], ...]:
@@ -112,7 +135,8 @@ def studs(cylinders: Iterable[Cylinder], rng: np.random.Generator) -> tuple[tupl
     found = []
     for one in cylinders:
         for number in range(_STUDS):
-            angle, along = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-0.45, 0.45) * one.length
+            angle = rng.uniform(0.0, 2.0 * np.pi)
+            along = rng.uniform(-0.45, 0.45) * one.length
             local = np.array([one.radius * np.cos(angle), one.radius * np.sin(angle), along])
             grey = rng.uniform(*_STUD_GREY[number % 2])
             ball = Ball(one.rotation @ local + one.place, rng.uniform(*_STUD_M), (grey, grey, grey))
@@ -129,8 +153,9 @@ def _make_feature(options: Options, place: Array, rotation: Array) -> Ball | Pla
     return Plate(place, rotation, options.side, TAG)
 
 
-# Places: (right, down) in focal lengths from the middle of the image, ahead in m, each with a random shift.
-# The arm's feature is about 1.1 m ahead, within 0.3 of the middle; the image ends at 0.55 and 0.41.
+# Places: (right, down) in focal lengths from the middle of the image,
+# ahead in m, each with a random shift. The arm's feature is about 1.1
+# m ahead, within 0.3 of the middle; the image ends at 0.55 and 0.41.
 _BALLS = (
     (0.40, 0.28, 0.80, 0.055, GREEN),
     (-0.42, 0.30, 1.00, 0.035, GREEN),
@@ -151,13 +176,21 @@ _MOVED = 0.02
 def _make_clutter(
     options: Options, camera: PinholeCamera, rng: np.random.Generator
 ) -> tuple[tuple[Ball | Plate, ...], tuple[Box, ...]]:
-    """Balls of the feature's colour, one of them bigger and nearer; a foreign tag; saturated furniture."""
+    """Balls of the feature's colour, one of them bigger
+    and nearer; a foreign tag; saturated furniture.
+    """
     if not options.clutter:
         return (), ()
-    balls = tuple(Ball(_place_before_camera(camera, at, rng), radius, colour) for *at, radius, colour in _BALLS)
+    balls = tuple(
+        Ball(_place_before_camera(camera, at, rng), radius, colour)
+        for *at, radius, colour in _BALLS
+    )
     *at, side = _TAG_AT
     tag = Plate(_place_before_camera(camera, at, rng), camera.rotation.T, side, FOREIGN_TAG)
-    boxes = tuple(Box(_place_before_camera(camera, at, rng), camera.rotation.T, half, colour) for *at, half, colour in _BOXES)
+    boxes = tuple(
+        Box(_place_before_camera(camera, at, rng), camera.rotation.T, half, colour)
+        for *at, half, colour in _BOXES
+    )
     return (*balls, tag), boxes
 
 

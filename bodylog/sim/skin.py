@@ -1,21 +1,30 @@
-"""The skin: 117 proximity cells around the limb next to the end effector, and their readings of a hand."""
+"""The skin: 117 proximity cells around the limb next
+to the end effector, and their readings of a hand.
+"""
 
 import numpy as np
 
 from ..types import Array
 
-RINGS, COLUMNS, RADIUS = 13, 9, 0.03
+RINGS = 13
+COLUMNS = 9
+RADIUS = 0.03
 CELLS = RINGS * COLUMNS
 THRESHOLD = 0.7
-_PITCH, _REACH = 0.01, 0.01
-_REST, _MOST, _NOISE = 0.08, 0.96, 0.015
+_PITCH = 0.01
+_REACH = 0.01
+_REST = 0.08
+_MOST = 0.96
+_NOISE = 0.015
 
 THRESHOLD_GAP = _REACH * float(np.sqrt(np.log((_MOST - _REST) / (THRESHOLD - _REST))))
 """The distance (m) at which a cell reads the threshold."""
 
 
 def cell_places() -> Array:
-    """Cell centres (117,3) m in the frame of the skin's link; cell = column·13 + ring, ring 0 farthest from the tip."""
+    """Cell centres (117,3) m in the frame of the skin's link;
+    cell = column·13 + ring, ring 0 farthest from the tip.
+    """
     angle = np.repeat(2 * np.pi * np.arange(COLUMNS) / COLUMNS, RINGS)
     along = np.tile((np.arange(RINGS) + 0.5) * _PITCH, COLUMNS)
     return np.column_stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), along])
@@ -27,7 +36,9 @@ def rest_readings(rng: np.random.Generator) -> Array:
 
 
 def proximity_readings(hand: Array, hand_radius: float, base: Array) -> Array:
-    """Noiseless readings (N,117) with the hand's centre at `hand` (N,3) m, NaN rows when it is away."""
+    """Noiseless readings (N,117) with the hand's
+    centre at `hand` (N,3) m, NaN rows when it is away.
+    """
     distance = np.linalg.norm(hand[:, None, :] - cell_places(), axis=2) - hand_radius
     closeness = np.exp(-((np.maximum(distance, 0.0) / _REACH) ** 2))
     return np.asarray(base + (_MOST - base) * np.nan_to_num(closeness))
@@ -39,7 +50,9 @@ def add_skin_noise(signal: Array, rng: np.random.Generator) -> Array:
 
 
 def threshold_crossings(t: Array, signal: Array) -> tuple[float, float]:
-    """First and last time (s) the strongest cell of signal (N,117), low at both ends, crosses the threshold."""
+    """First and last time (s) the strongest cell of signal
+    (N,117), low at both ends, crosses the threshold.
+    """
     over = signal.max(axis=1) - THRESHOLD
     touched = np.flatnonzero(over > 0)
     first, last = touched[0], touched[-1]

@@ -11,13 +11,16 @@ from .camera import NEAR, PinholeCamera
 CELLS = 10
 """Cells along a plate of family 36h11: six of code, two of black border, two of white margin."""
 
-_BLACK, _WHITE = 18.0, 225.0
-_TEXELS, _FINER = 16, 4
+_BLACK = 18.0
+_WHITE = 225.0
+_TEXELS = 16
+_FINER = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """AprilTag 36h11 `number`: centre (3,) m, rotation (3,3) whose columns point right, down and away from the viewer.
+    """AprilTag 36h11 `number`: centre (3,) m, rotation (3,3)
+    whose columns point right, down and away from the viewer.
 
     `side` is that of the black square in m, as for tag detectors.
     """
@@ -36,12 +39,16 @@ class Plate:
         return np.asarray(_project_to_pixels(camera, self.place[None])[0])
 
     def corners(self, side: float) -> Array:
-        """Corners (4,3) m of a concentric square: upper left, upper right, lower right, lower left."""
+        """Corners (4,3) m of a concentric square: upper
+        left, upper right, lower right, lower left.
+        """
         square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2
         return np.asarray(self.place + square @ self.rotation[:, :2].T)
 
     def draw(self, picture: Array, depth: Array, camera: PinholeCamera) -> float:
-        """Draw the plate into an image (H,W,3) uint8 and depth (H,W) m; return its visible share, 0..1."""
+        """Draw the plate into an image (H,W,3) uint8 and
+        depth (H,W) m; return its visible share, 0..1.
+        """
         import cv2
 
         plate = self.corners(self.side * CELLS / (CELLS - 2))
@@ -61,7 +68,9 @@ class Plate:
         cover = np.where(near, cover, 0.0)
         light = 0.7 + 0.3 * facing
         old = picture[window].astype(float)
-        picture[window] = np.rint(old + cover[..., None] * (light * texture[..., None] - old)).astype(np.uint8)
+        picture[window] = np.rint(
+            old + cover[..., None] * (light * texture[..., None] - old)
+        ).astype(np.uint8)
         depth[window] = np.where(cover > 0.5, 0.0, depth[window])
         return float(cover.sum() / cv2.contourArea(outline.astype(np.float32)))
 
@@ -84,7 +93,9 @@ def tag_texture(number: int) -> Array:
 
 
 def _draw_window(number: int, outline: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Grey levels and covered share of the pixels of a window: drawn at a higher resolution, then averaged."""
+    """Grey levels and covered share of the pixels of a
+    window: drawn at a higher resolution, then averaged.
+    """
     import cv2
 
     plate = tag_texture(number)
@@ -95,7 +106,9 @@ def _draw_window(number: int, outline: Array, low: Array, high: Array) -> tuple[
     transform = cv2.getPerspectiveTransform(corners, finer)
     width, height = (int(length) for length in high - low)
     fine = (width * _FINER, height * _FINER)
-    grey = cv2.warpPerspective(plate, transform, fine, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    grey = cv2.warpPerspective(
+        plate, transform, fine, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     inside = cv2.warpPerspective(np.ones_like(plate), transform, fine, flags=cv2.INTER_LINEAR)
     cover = cv2.resize(inside, (width, height), interpolation=cv2.INTER_AREA)
     weighted = cv2.resize(grey * inside, (width, height), interpolation=cv2.INTER_AREA)
@@ -106,7 +119,14 @@ def _distance_to_plate(camera: PinholeCamera, plate: Plate, window: tuple[slice,
     """Depth along the view (m) of the plate's plane at each pixel of a window."""
     rows, columns = window
     u, v = np.meshgrid(np.arange(columns.start, columns.stop), np.arange(rows.start, rows.stop))
-    ray = np.stack([(u - camera.centre[0]) / camera.focal, (v - camera.centre[1]) / camera.focal, np.ones(u.shape)], -1)
+    ray = np.stack(
+        [
+            (u - camera.centre[0]) / camera.focal,
+            (v - camera.centre[1]) / camera.focal,
+            np.ones(u.shape),
+        ],
+        -1,
+    )
     normal = camera.rotation @ plate.rotation[:, 2]
     across = ray @ normal
     reach = float(normal @ (camera.rotation @ (plate.place - camera.position)))

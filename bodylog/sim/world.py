@@ -15,13 +15,17 @@ from .arms import Arm
 from .camera import FAR, NEAR, PinholeCamera
 from .scene import Box, Cylinder
 
-EFFECTOR_RADIUS, MARKER_RADIUS, HAND_RADIUS = 0.025, 0.055, 0.035
+EFFECTOR_RADIUS = 0.025
+MARKER_RADIUS = 0.055
+HAND_RADIUS = 0.035
 _FINE = 300
 
 
 @dataclass(frozen=True)
 class World:
-    """One arm in one PyBullet client: link names in URDF order, `joints` as PyBullet numbers them."""
+    """One arm in one PyBullet client: link names in
+    URDF order, `joints` as PyBullet numbers them.
+    """
 
     bullet: Any
     client: int
@@ -30,7 +34,9 @@ class World:
     joints: tuple[int, ...]
 
     def pose(self, q: Array) -> tuple[Array, Array]:
-        """Put the joints at q (M,) rad: positions (L,3) m and orientations (L,4) xyzw of all links."""
+        """Put the joints at q (M,) rad: positions (L,3)
+        m and orientations (L,4) xyzw of all links.
+        """
         for joint, angle in zip(self.joints, q, strict=True):
             self.bullet.resetJointState(self.body, joint, float(angle), physicsClientId=self.client)
         numbers = list(range(len(self.links)))
@@ -40,21 +46,37 @@ class World:
     def cylinders(self) -> Iterator[Cylinder]:
         """Yield the cylinders that the links are drawn as."""
         for shape in self.bullet.getVisualShapeData(self.body, physicsClientId=self.client):
-            link, kind, sizes, place, turn = shape[1], shape[2], shape[3], shape[5], shape[6]
+            link = shape[1]
+            kind = shape[2]
+            sizes = shape[3]
+            place = shape[5]
+            turn = shape[6]
             if link >= 0 and kind == self.bullet.GEOM_CYLINDER:
-                yield Cylinder(self.links[link], np.array(place), matrix_from_quaternion(np.array(turn)), sizes[1], sizes[0])
+                yield Cylinder(
+                    self.links[link],
+                    np.array(place),
+                    matrix_from_quaternion(np.array(turn)),
+                    sizes[1],
+                    sizes[0],
+                )
 
     def furnish(self, boxes: Sequence[Box]) -> None:
         """Put boxes into the world, where the arm does not touch them."""
         for box in boxes:
             shape = self.bullet.createVisualShape(
-                self.bullet.GEOM_BOX, halfExtents=box.half, rgbaColor=[*box.colour, 1.0], physicsClientId=self.client
+                self.bullet.GEOM_BOX,
+                halfExtents=box.half,
+                rgbaColor=[*box.colour, 1.0],
+                physicsClientId=self.client,
             )
-            place, turn = box.place.tolist(), quaternion_from_matrix(box.rotation).tolist()
+            place = box.place.tolist()
+            turn = quaternion_from_matrix(box.rotation).tolist()
             self.bullet.createMultiBody(0, -1, shape, place, turn, physicsClientId=self.client)
 
     def picture(self, camera: PinholeCamera, wall: Array) -> tuple[Array, Array]:
-        """The arm in front of `wall` (H,W,3): RGB (H,W,3) uint8 and depth along the view (H,W) m."""
+        """The arm in front of `wall` (H,W,3): RGB
+        (H,W,3) uint8 and depth along the view (H,W) m.
+        """
         import cv2
 
         small = _halve_if_fine(camera)
@@ -78,12 +100,20 @@ class World:
         )
         colour = np.asarray(shot[2], np.uint8).reshape(camera.height, camera.width, 4)
         buffer = np.asarray(shot[3], np.float32).reshape(camera.height, camera.width)
-        return colour, np.where(buffer < 1.0, FAR * NEAR / (FAR - (FAR - NEAR) * buffer), np.float32(FAR))
+        return colour, np.where(
+            buffer < 1.0, FAR * NEAR / (FAR - (FAR - NEAR) * buffer), np.float32(FAR)
+        )
 
 
 def how_to_install() -> str:
-    """The command that installs PyBullet on this Python, and its requirements where there is no wheel."""
-    built = " (it is compiled here: a C++ compiler and about 5 minutes)" if sys.version_info >= (3, 12) else ""
+    """The command that installs PyBullet on this Python,
+    and its requirements where there is no wheel.
+    """
+    built = (
+        " (it is compiled here: a C++ compiler and about 5 minutes)"
+        if sys.version_info >= (3, 12)
+        else ""
+    )
     return f"pip install 'bodylog[sim]'{built}"
 
 
@@ -94,7 +124,9 @@ def open_world(arm: Arm) -> Iterator[World]:
         try:
             import pybullet
         except ImportError as error:
-            raise UsageError(f"record: PyBullet is not installed; type: {how_to_install()}") from error
+            raise UsageError(
+                f"record: PyBullet is not installed; type: {how_to_install()}"
+            ) from error
         client = pybullet.connect(pybullet.DIRECT)
         body = pybullet.loadURDF(str(arm.urdf), useFixedBase=True, physicsClientId=client)
     try:
@@ -109,7 +141,9 @@ def _world_of_body(bullet: Any, client: int, body: int, arm: Arm) -> World:
     numbers = {info[1].decode(): info[0] for info in infos}
     links = tuple(info[12].decode() for info in infos)
     # The effector is drawn by camera.sphere, with soft edges.
-    bullet.changeVisualShape(body, links.index("effector"), rgbaColor=[0, 0, 0, 0], physicsClientId=client)
+    bullet.changeVisualShape(
+        body, links.index("effector"), rgbaColor=[0, 0, 0, 0], physicsClientId=client
+    )
     return World(bullet, client, body, links, tuple(numbers[name] for name in arm.joints))
 
 
@@ -121,7 +155,9 @@ def matrix_from_quaternion(xyzw: Array) -> Array:
 
 
 def quaternion_from_matrix(rotation: Array) -> Array:
-    """Unit quaternion (4,) xyzw of a rotation (3,3): the eigenvector of Bar-Itzhack's symmetric matrix."""
+    """Unit quaternion (4,) xyzw of a rotation (3,3):
+    the eigenvector of Bar-Itzhack's symmetric matrix.
+    """
     r = rotation
     k = np.zeros((4, 4))
     k[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
@@ -132,10 +168,14 @@ def quaternion_from_matrix(rotation: Array) -> Array:
 
 
 def _halve_if_fine(camera: PinholeCamera) -> PinholeCamera:
-    """The camera at half its size where that is fine enough for the arm: a quarter of the time, and smoother edges."""
+    """The camera at half its size where that is fine enough
+    for the arm: a quarter of the time, and smoother edges.
+    """
     if camera.width < _FINE or camera.width % 2 or camera.height % 2:
         return camera
-    return replace(camera, width=camera.width // 2, height=camera.height // 2, focal=camera.focal / 2)
+    return replace(
+        camera, width=camera.width // 2, height=camera.height // 2, focal=camera.focal / 2
+    )
 
 
 def _view_matrix(camera: PinholeCamera) -> list[float]:
@@ -149,7 +189,8 @@ def _view_matrix(camera: PinholeCamera) -> list[float]:
 def _projection_matrix(camera: PinholeCamera) -> list[float]:
     """OpenGL projection matrix, column major, of the same pinhole.
 
-    The renderer samples the lower right corner of each pixel: a shift of half a pixel moves that to its centre.
+    The renderer samples the lower right corner of each
+    pixel: a shift of half a pixel moves that to its centre.
     """
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[1, 1] = 2 * camera.focal / camera.width, 2 * camera.focal / camera.height

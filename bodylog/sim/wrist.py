@@ -22,6 +22,12 @@ class Mount:
     link: int
 
 
-def camera_on_mount(mount: Mount, camera: PinholeCamera, places: Array, turns: Array) -> PinholeCamera:
+def camera_on_mount(
+    mount: Mount, camera: PinholeCamera, places: Array, turns: Array
+) -> PinholeCamera:
     """The camera for links at positions (L,3) m with orientations (L,4) xyzw."""
-    return replace(camera, position=places[mount.link], rotation=np.asarray(matrix_from_quaternion(turns[mount.link]).T))
+    return replace(
+        camera,
+        position=places[mount.link],
+        rotation=np.asarray(matrix_from_quaternion(turns[mount.link]).T),
+    )

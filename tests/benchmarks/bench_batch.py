@@ -15,7 +15,7 @@ from pathlib import Path
 import bodylog_cli
 
 from bodylog import pipeline, views
-from bodylog.batch import Group, BatchPlan, run_batch
+from bodylog.batch import BatchPlan, Group, run_batch
 from bodylog.perception.colours.colour_tracker import THREADS
 from bodylog.settings import Settings
 

@@ -11,7 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from bodylog.body.gp.fit import CANDIDATES, Samples, build_gp, fit_kernels, samples_without_noise
-from bodylog.body.gp.marginal_likelihood import FLAT, ROTATION, log_marginal_likelihood, independent_noise
+from bodylog.body.gp.marginal_likelihood import (
+    FLAT,
+    ROTATION,
+    independent_noise,
+    log_marginal_likelihood,
+)
 from bodylog.body.gp.model import GP, drop_negligible_rows
 from bodylog.types import Array
 

@@ -2,7 +2,12 @@ import numpy as np
 import pytest
 
 from bodylog.body.data.pairs import smooth_all_joints
-from bodylog.body.exploration_report import faint_findings, joint_influence, exploration_scores, still_findings
+from bodylog.body.exploration_report import (
+    exploration_scores,
+    faint_findings,
+    joint_influence,
+    still_findings,
+)
 from bodylog.body.gp.fit import samples_without_noise, train_gp
 from bodylog.body_model import Noise
 

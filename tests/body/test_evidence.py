@@ -10,11 +10,11 @@ from bodylog.body.gp.marginal_likelihood import (
     Prior,
     Spread,
     cholesky_with_jitter,
-    log_marginal_likelihood,
+    draw_kernel_starts,
     hyper_from_theta,
     independent_noise,
+    log_marginal_likelihood,
     maximise_evidence,
-    draw_kernel_starts,
 )
 from bodylog.body.gp.model import se_kernel
 from bodylog.types import Array

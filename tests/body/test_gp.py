@@ -3,9 +3,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bodylog.body.gp.fit import FittedKernels, Samples, assemble_exact_gp, samples_without_noise, train_gp
+from bodylog.body.gp.fit import (
+    FittedKernels,
+    Samples,
+    assemble_exact_gp,
+    samples_without_noise,
+    train_gp,
+)
 from bodylog.body.gp.marginal_likelihood import Hyper, independent_noise
-from bodylog.body.gp.model import GP, MISFIT, NEGLIGIBLE, se_kernel, drop_negligible_rows
+from bodylog.body.gp.model import GP, MISFIT, NEGLIGIBLE, drop_negligible_rows, se_kernel
 
 
 def _random(seed: int, count: int, inputs: int, outputs: int, shared: bool) -> GP:

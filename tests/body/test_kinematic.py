@@ -9,7 +9,12 @@ from bodylog import body
 from bodylog.body import storage as files
 from bodylog.body.gp.marginal_likelihood import Hyper, cholesky_with_jitter, independent_noise
 from bodylog.body.gp.model import GP, se_kernel
-from bodylog.body.kinematic.explicit import ResidualRows, residual_evidence, hold_out_blocks, solve_linear_unknowns
+from bodylog.body.kinematic.explicit import (
+    ResidualRows,
+    hold_out_blocks,
+    residual_evidence,
+    solve_linear_unknowns,
+)
 from bodylog.body.kinematic.learn import Robotics, learn_kinematics
 from bodylog.body.kinematic.model import KinematicGP
 from bodylog.body_model import UNUSED_URDF
@@ -36,11 +41,23 @@ def features(count=60, bend=3.0, noise=0.3, drift=0.0, seed=1) -> Features:
     t = np.arange(count, dtype=float)
     ns = (t * 1e9).astype(np.int64)
     track = Series(t, image, ("u", "v"), "px", ns)
-    return Features(Series(t, q, JOINTS, "rad", ns), {"effector": track}, None, (), (), {}, (), (640, 480), poses=True)
+    return Features(
+        Series(t, q, JOINTS, "rad", ns),
+        {"effector": track},
+        None,
+        (),
+        (),
+        {},
+        (),
+        (640, 480),
+        poses=True,
+    )
 
 
 def _bent(q, size):
-    return size * np.column_stack([np.sin(2 * q[:, 1]) * np.cos(q[:, 2]), np.cos(1.5 * q[:, 2] + q[:, 0])])
+    return size * np.column_stack(
+        [np.sin(2 * q[:, 1]) * np.cos(q[:, 2]), np.cos(1.5 * q[:, 2] + q[:, 0])]
+    )
 
 
 def given(text=ARM, doubt=5 * DEGREE) -> Robotics:
@@ -77,7 +94,10 @@ def test_kinematic_gp_extrapolates_by_kinematics_with_growing_error_bars(plain, 
     q = robots.angles(300, seed=8) * [2.0, 1.0, 1.0, 1.0]
     beyond = np.abs(q[:, 0]) > 0.8
     alone, both = plain.model.senses["effector"], learned.model.senses["effector"]
-    errors = [np.sqrt(np.square(m.predict(q[beyond])[0] - _truth(q[beyond])).mean()) for m in (alone, both)]
+    errors = [
+        np.sqrt(np.square(m.predict(q[beyond])[0] - _truth(q[beyond])).mean())
+        for m in (alone, both)
+    ]
     assert errors[1] < 0.3 * errors[0]
     spread = both.predict(q)[2]
     assert spread[beyond].mean() > 3 * spread[~beyond].mean()
@@ -94,14 +114,18 @@ def test_slopes_are_finite_differences_and_one_point_equals_many(learned):
         for one, many in zip(gp.predict_one(x[k]), (value[k], slope[k], spread[k]), strict=True):
             np.testing.assert_allclose(one, many, rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(gp.means(x)[0], value, atol=1e-9)
-    np.testing.assert_allclose(gp.covariance(x)[0].diagonal(), (spread - gp.drift).mean(axis=1), rtol=0.05)
+    np.testing.assert_allclose(
+        gp.covariance(x)[0].diagonal(), (spread - gp.drift).mean(axis=1), rtol=0.05
+    )
 
 
 def test_zeros_are_found_and_unidentified_ones_are_named(learned):
     scores = {score.name: score.value for score in learned.scores}
     assert "offset/pan" not in scores and "offset/wrist" not in scores
     for name, true in OFFSETS.items():
-        assert abs(scores[f"offset/{name}"] - true) < 3 * scores[f"std/offset/{name}"] < 4.5 * DEGREE
+        assert (
+            abs(scores[f"offset/{name}"] - true) < 3 * scores[f"std/offset/{name}"] < 4.5 * DEGREE
+        )
     text = [finding.text for finding in learned.findings]
     assert any("pan: its zero cannot be separated from camera's" in line for line in text)
 
@@ -128,7 +152,11 @@ def test_storage_refuses_inconsistent_fields_by_name(learned, tmp_path, field, m
     from bodylog.body.kinematic import storage
 
     arrays = storage.kinematic_arrays
-    monkeypatch.setattr(storage, "kinematic_arrays", lambda one: (a := arrays(one)) | {field: BROKEN[field](a[field])})
+    monkeypatch.setattr(
+        storage,
+        "kinematic_arrays",
+        lambda one: (a := arrays(one)) | {field: BROKEN[field](a[field])},
+    )
     files.save(learned.model, tmp_path / "body.npz")
     with pytest.raises(ModelError, match="field effector"):
         files.load_body(tmp_path / "body.npz")
@@ -176,7 +204,9 @@ def test_learn_finds_and_reports_a_slow_error():
     sizes = {}
     for drift in (0.0, 2.0):
         some = features(bend=0.0, drift=drift)
-        found = learn_kinematics([some], Settings(), body.learn_body([some], Settings(), {}), given())
+        found = learn_kinematics(
+            [some], Settings(), body.learn_body([some], Settings(), {}), given()
+        )
         sizes[drift] = {score.name: score.value for score in found.scores}["std/lasting/effector"]
     assert sizes[0.0] < 0.1 and 0.5 < sizes[2.0] < 4.0
 
@@ -189,7 +219,9 @@ def _rows(count=25, unknowns=3):
     draw = np.random.default_rng(2)
     x = draw.uniform(-1, 1, (count, 2))
     spread = independent_noise(np.full((count, 2), 0.1) * [1.0, 2.0])
-    return ResidualRows(x, draw.normal(size=(count, 2)), draw.normal(size=(count, 2, unknowns)), spread)
+    return ResidualRows(
+        x, draw.normal(size=(count, 2)), draw.normal(size=(count, 2, unknowns)), spread
+    )
 
 
 def test_evidence_is_that_of_the_full_covariance_with_its_gradient():
@@ -197,18 +229,31 @@ def test_evidence_is_that_of_the_full_covariance_with_its_gradient():
     value, gradient = residual_evidence(kernel.theta, rows)
     assert value == pytest.approx(_whole(rows, kernel)[0], rel=1e-6)
     steps = STEP * np.eye(4)
-    numeric = [(residual_evidence(kernel.theta + s, rows)[0] - residual_evidence(kernel.theta - s, rows)[0]) / (2 * STEP) for s in steps]
+    numeric = [
+        (
+            residual_evidence(kernel.theta + s, rows)[0]
+            - residual_evidence(kernel.theta - s, rows)[0]
+        )
+        / (2 * STEP)
+        for s in steps
+    ]
     np.testing.assert_allclose(gradient, numeric, rtol=1e-5)
 
 
 def _whole(rows, kernel):
     """Evidence (nats) and covariance (2n,2n) in full matrices."""
     n, z = len(rows.x), rows.x / kernel.scales
-    own = se_kernel(z, z, kernel.amplitude) + np.diag(rows.spread.diagonal) + kernel.noise * np.eye(n)
+    own = (
+        se_kernel(z, z, kernel.amplitude) + np.diag(rows.spread.diagonal) + kernel.noise * np.eye(n)
+    )
     design = rows.design.transpose(1, 0, 2).reshape(2 * n, -1)
     cov = np.kron(np.diag(rows.spread.share), own) + design @ design.T
     residual = rows.residual.T.reshape(-1)
-    fit = residual @ np.linalg.solve(cov, residual) + np.linalg.slogdet(cov)[1] + 2 * n * np.log(2 * np.pi)
+    fit = (
+        residual @ np.linalg.solve(cov, residual)
+        + np.linalg.slogdet(cov)[1]
+        + 2 * n * np.log(2 * np.pi)
+    )
     return -0.5 * fit, cov
 
 
@@ -221,10 +266,14 @@ def test_held_out_residuals_are_predictions_by_the_others():
     cov, y = _whole(rows, kernel)[1], rows.residual.T.reshape(-1)
     out = np.tile(blocks == 2, 2)
     gain = cov[np.ix_(out, ~out)] @ np.linalg.inv(cov[np.ix_(~out, ~out)])
-    np.testing.assert_allclose(residual[blocks == 2].T.reshape(-1), y[out] - gain @ y[~out], rtol=1e-6)
+    np.testing.assert_allclose(
+        residual[blocks == 2].T.reshape(-1), y[out] - gain @ y[~out], rtol=1e-6
+    )
     left = np.diag(cov[np.ix_(out, out)] - gain @ cov[np.ix_(~out, out)])
     np.testing.assert_allclose(variance[blocks == 2].T.reshape(-1), left, rtol=1e-6)
-    assert solve_linear_unknowns(chol, replace(rows, residual=0 * rows.residual)).mean == pytest.approx(np.zeros(3))
+    assert solve_linear_unknowns(
+        chol, replace(rows, residual=0 * rows.residual)
+    ).mean == pytest.approx(np.zeros(3))
 
 
 def test_plain_body_is_a_gp(plain):
@@ -239,16 +288,26 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, run_cli, caps
     (tmp_path / "arm.urdf").write_text(ARM)
     assert run_cli("offsets", tmp_path / "body.npz", "--json", "-o", tmp_path / "zeros.yaml") == 0
     answer = json.loads(capsys.readouterr().out)["results"][0]["offsets"]
-    assert answer["pan"]["value"] is None and not answer["pan"]["identifiable"] and answer["pan"]["confused_with"]
+    assert (
+        answer["pan"]["value"] is None
+        and not answer["pan"]["identifiable"]
+        and answer["pan"]["confused_with"]
+    )
     assert abs(answer["lift"]["value"] - OFFSETS["lift"]) < 3 * answer["lift"]["std"]
     lines = (tmp_path / "zeros.yaml").read_text().splitlines()
     assert lines[0] == "offsets:" and json.loads(lines[2].partition(": ")[2]) == answer["lift"]
     typed = ("offsets", tmp_path / "body.npz", "-o", tmp_path / "new.urdf")
     assert run_cli(*typed) == 2 and run_cli(*typed, "--urdf", tmp_path / "arm.urdf") == 0
-    again = learn_kinematics([features()], Settings(), plain, given((tmp_path / "new.urdf").read_text()))
+    again = learn_kinematics(
+        [features()], Settings(), plain, given((tmp_path / "new.urdf").read_text())
+    )
     for score in again.scores:
         if score.name.startswith("offset/"):
-            std = next(s.value for s in again.scores if s.name == score.name.replace("offset/", "std/offset/"))
+            std = next(
+                s.value
+                for s in again.scores
+                if s.name == score.name.replace("offset/", "std/offset/")
+            )
             assert abs(score.value) < 2 * std
     assert run_cli("info", tmp_path / "body.npz") == 0
     printed = capsys.readouterr().out
@@ -257,14 +316,21 @@ def test_offsets_are_printed_and_written(learned, plain, tmp_path, run_cli, caps
     assert "  offset lift: +" in printed and " rad)" in printed
     assert run_cli("plot", tmp_path / "body.npz", "-o", tmp_path / "body.png") == 0
     assert run_cli("plot", tmp_path / "plain.npz", "-o", tmp_path / "plain.png") == 0
-    sizes = [int.from_bytes((tmp_path / name).read_bytes()[20:24]) for name in ("body.png", "plain.png")]
+    sizes = [
+        int.from_bytes((tmp_path / name).read_bytes()[20:24]) for name in ("body.png", "plain.png")
+    ]
     assert sizes[0] > 1.5 * sizes[1]  # the reprojection and the zeros are below
     capsys.readouterr()
     assert run_cli("offsets", tmp_path / "plain.npz") == 65
     assert "type: bodylog fit LOG --urdf" in capsys.readouterr().err
-    known = replace(plain.model, provenance={UNUSED_URDF: "the URDF is not used: it is another robot's"})
+    known = replace(
+        plain.model, provenance={UNUSED_URDF: "the URDF is not used: it is another robot's"}
+    )
     files.save(known, tmp_path / "plain.npz")
     for command in ("offsets", "calibration"):
         assert run_cli(command, tmp_path / "plain.npz") == 65
         printed = capsys.readouterr().err
-        assert ", as the URDF is not used: it is another robot's\n" in printed and "fit LOG --urdf" not in printed
+        assert (
+            ", as the URDF is not used: it is another robot's\n" in printed
+            and "fit LOG --urdf" not in printed
+        )

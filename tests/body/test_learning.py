@@ -7,7 +7,7 @@ import pytest
 
 from bodylog import perception
 from bodylog.body import Polynomial, learn_body
-from bodylog.body.data.pairs import smooth_all_joints, has_moved, pair_sightings
+from bodylog.body.data.pairs import has_moved, pair_sightings, smooth_all_joints
 from bodylog.body.learning import LearnedBody
 from bodylog.body.senses.track import learn_track
 from bodylog.body.storage import load_body, save

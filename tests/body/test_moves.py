@@ -10,7 +10,7 @@ from bodylog.body import storage as files
 from bodylog.body.kinematic.learn import learn_kinematics
 from bodylog.body.kinematic.placements import calibration_of_body
 from bodylog.errors import ModelError
-from bodylog.kinematics.rotations import rotation_from_vector, make_transform
+from bodylog.kinematics.rotations import make_transform, rotation_from_vector
 from bodylog.settings import Settings
 from bodylog.types import Series
 from tests.body.test_boards import features, image

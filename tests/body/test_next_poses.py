@@ -10,7 +10,12 @@ import pytest
 from bodylog import body
 from bodylog.body import storage as files
 from bodylog.body.kinematic.learn import learn_kinematics
-from bodylog.body.kinematic.next_poses import kinematic_senses, propose_postures, random_postures, is_surely_visible
+from bodylog.body.kinematic.next_poses import (
+    is_surely_visible,
+    kinematic_senses,
+    propose_postures,
+    random_postures,
+)
 from bodylog.errors import EvidenceError
 from bodylog.settings import Settings
 from tests.body.test_boards import features

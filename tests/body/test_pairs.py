@@ -3,7 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.body.data.pairs import correlate_angle_errors, smooth_all_joints, has_moved, pair_sightings
+from bodylog.body.data.pairs import (
+    correlate_angle_errors,
+    has_moved,
+    pair_sightings,
+    smooth_all_joints,
+)
 from bodylog.errors import ConfigError, LogError
 
 

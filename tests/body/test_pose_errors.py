@@ -20,7 +20,9 @@ def _places(q: np.ndarray, turn: float, fore: float) -> np.ndarray:
     reach = 0.42 * np.cos(lift) + fore * np.cos(lift + elbow)
     depth = 1.6 - reach * np.cos(pan)
     height = 0.42 * np.sin(lift) + fore * np.sin(lift + elbow)
-    return np.column_stack([320 + 560 * reach * np.sin(pan) / depth, 240 - 560 * (height - 0.3) / depth])
+    return np.column_stack(
+        [320 + 560 * reach * np.sin(pan) / depth, 240 - 560 * (height - 0.3) / depth]
+    )
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -34,12 +36,20 @@ def test_errors_of_joints_are_learned_from_residuals_that_tracks_share(seed, tmp
         for fore in (0.39, 0.2):
             seen = _places(q, turn, fore) + draw.normal(0, 0.3, (200, 2))
             tracks[f"track{len(tracks)}"] = Series(t, seen, ("u", "v"), "px", ns)
-    found = body.learn_body([Features(joints, tracks, None, (), (), {}, poses=True)], Settings(body=BodySettings(joints=JOINTS)), {})
+    found = body.learn_body(
+        [Features(joints, tracks, None, (), (), {}, poses=True)],
+        Settings(body=BodySettings(joints=JOINTS)),
+        {},
+    )
     learned = np.sqrt(found.model.noise.encoder)
     assert np.all(np.abs(np.log(learned / std)) < 0.3)
-    assert all(0 < e < v for e, v in zip(found.model.noise.std_error["encoder"], learned**2, strict=True))
+    assert all(
+        0 < e < v for e, v in zip(found.model.noise.std_error["encoder"], learned**2, strict=True)
+    )
     storage.save(found.model, tmp_path / "body.npz")
-    np.testing.assert_allclose(storage.load_body(tmp_path / "body.npz").provenance["pose_std"], learned)
+    np.testing.assert_allclose(
+        storage.load_body(tmp_path / "body.npz").provenance["pose_std"], learned
+    )
 
 
 def test_shared_errors_of_models_of_too_few_poses_are_no_encoder_errors():
@@ -48,8 +58,12 @@ def test_shared_errors_of_models_of_too_few_poses_are_no_encoder_errors():
     q = draw.uniform(-1.5, 1.5, (24, 3))
     t, ns = np.arange(24.0), np.arange(24) * 10**9
     tracks = {
-        f"track{k}": Series(t, _places(q, turn, fore) + draw.normal(0, 0.3, (24, 2)), ("u", "v"), "px", ns)
-        for k, (turn, fore) in enumerate((turn, fore) for turn in (-0.2, 0.0, 0.2) for fore in (0.39, 0.37, 0.35))
+        f"track{k}": Series(
+            t, _places(q, turn, fore) + draw.normal(0, 0.3, (24, 2)), ("u", "v"), "px", ns
+        )
+        for k, (turn, fore) in enumerate(
+            (turn, fore) for turn in (-0.2, 0.0, 0.2) for fore in (0.39, 0.37, 0.35)
+        )
     }
     features = Features(Series(t, q, JOINTS, "rad", ns), tracks, None, (), (), {}, poses=True)
     found = body.learn_body([features], Settings(), {})
@@ -63,10 +77,19 @@ def motoman(tmp_path_factory):
         pytest.skip("the measured poses (../shared/real/motoman) are not at hand")
     head, *rows = MOTOMAN.read_text().splitlines()
     folder = tmp_path_factory.mktemp("motoman")
-    for name, part in {"train": [r for k, r in enumerate(rows) if k % 3 != 2], "test": rows[2::3]}.items():
+    for name, part in {
+        "train": [r for k, r in enumerate(rows) if k % 3 != 2],
+        "test": rows[2::3],
+    }.items():
         (folder / f"{name}.csv").write_text("\n".join([head, *part]) + "\n")
-    result = pipeline.fit([folder / "train.csv"], folder / "body.npz", Settings(), test=[folder / "test.csv"])
-    return storage.load_body(folder / "body.npz"), pipeline.observe(folder / "test.csv", Settings())[1], result
+    result = pipeline.fit(
+        [folder / "train.csv"], folder / "body.npz", Settings(), test=[folder / "test.csv"]
+    )
+    return (
+        storage.load_body(folder / "body.npz"),
+        pipeline.observe(folder / "test.csv", Settings())[1],
+        result,
+    )
 
 
 def _shifted(features: Features, names, by: np.ndarray) -> Features:
@@ -91,7 +114,9 @@ def test_real_poses_are_predicted_to_less_than_a_pixel(motoman):
 def test_estimate_names_an_offset_encoder_among_real_ones(motoman, size, joints):
     learned, features, _ = motoman
     for joint, name in ((k, learned.joints[k]) for k in joints):
-        found = pipeline.infer(_shifted(features, learned.joints, size * np.eye(6)[joint]), learned, Settings())
+        found = pipeline.infer(
+            _shifted(features, learned.joints, size * np.eye(6)[joint]), learned, Settings()
+        )
         assert [(fault.name, fault.kind) for fault in found.faults] == [(name, "offset")]
         assert abs(found.faults[0].size - size) < 0.005
     assert pipeline.infer(features, learned, Settings()).faults == ()

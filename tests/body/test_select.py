@@ -1,6 +1,10 @@
 import numpy as np
 
-from bodylog.body.data.subsampling import choose_farthest_rows, choose_pivot_rows, choose_spaced_rows
+from bodylog.body.data.subsampling import (
+    choose_farthest_rows,
+    choose_pivot_rows,
+    choose_spaced_rows,
+)
 from bodylog.body.gp.model import se_kernel
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from bodylog import body
 from bodylog.body.data.exploration import select_joints
-from bodylog.body.data.pairs import smooth_all_joints, has_moved
+from bodylog.body.data.pairs import has_moved, smooth_all_joints
 from bodylog.recording import recording
 from bodylog.settings import BodySettings, Settings
 from bodylog.types import Features, Series

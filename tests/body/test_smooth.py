@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from bodylog.body.data.angle_smoother import ReadingChain, WhiteMotion, build_reading_chain, covariance_between_times, fit_white_motion, smooth_angles
+from bodylog.body.data.angle_smoother import (
+    ReadingChain,
+    WhiteMotion,
+    build_reading_chain,
+    covariance_between_times,
+    fit_white_motion,
+    smooth_angles,
+)
 from bodylog.types import Array
 
 

@@ -2,7 +2,14 @@ import numpy as np
 import pytest
 
 from bodylog.body.gp import inducing
-from bodylog.body.gp.fit import FittedKernels, Samples, assemble_exact_gp, build_gp, assemble_sparse_gp, samples_without_noise
+from bodylog.body.gp.fit import (
+    FittedKernels,
+    Samples,
+    assemble_exact_gp,
+    assemble_sparse_gp,
+    build_gp,
+    samples_without_noise,
+)
 from bodylog.body.gp.marginal_likelihood import Hyper, Spread, condition_gp, independent_noise
 from bodylog.types import Array
 
@@ -12,7 +19,9 @@ _KERNEL = Hyper(np.array([0.8, 1.2]), 400.0, 0.05)
 def _data(seed: int, count: int) -> tuple[Array, Array, Spread]:
     draw = np.random.default_rng(seed)
     x = draw.uniform(-1, 1, (count, 2))
-    y = np.column_stack([20 * np.sin(2 * x[:, 0]), 15 * np.cos(x[:, 0] + x[:, 1])]) + draw.normal(0, 0.3, (count, 2))
+    y = np.column_stack([20 * np.sin(2 * x[:, 0]), 15 * np.cos(x[:, 0] + x[:, 1])]) + draw.normal(
+        0, 0.3, (count, 2)
+    )
     i = np.arange(1, count)
     return x, y, Spread(np.full(count, 0.05), i, i - 1, np.full(count - 1, 0.02))
 
@@ -21,7 +30,10 @@ def _data(seed: int, count: int) -> tuple[Array, Array, Spread]:
 def test_enough_inducing_points_give_the_exact_posterior(seed: int) -> None:
     x, y, spread = _data(seed, 300)
     found = FittedKernels((slice(0, 2),), (_KERNEL,), (spread,))
-    exact, thin = (make(samples_without_noise(x, y), found, ("u", "v"), "px") for make in (assemble_exact_gp, assemble_sparse_gp))
+    exact, thin = (
+        make(samples_without_noise(x, y), found, ("u", "v"), "px")
+        for make in (assemble_exact_gp, assemble_sparse_gp)
+    )
     at = np.random.default_rng(9).uniform(-1, 1, (50, 2))
     assert len(thin.centres) < 150
     value, slope, spread = exact.predict(at)
@@ -38,7 +50,9 @@ def test_bound_is_below_the_evidence_and_meets_it(seed: int) -> None:
     bounds = []
     for count in (5, 15, 60, 120):
         base = inducing.build_basis(_KERNEL, x[:count])
-        bounds.append(inducing.sparse_posterior(base, inducing.sufficient_sums(base, x, y, spread)).bound)
+        bounds.append(
+            inducing.sparse_posterior(base, inducing.sufficient_sums(base, x, y, spread)).bound
+        )
     assert bounds == sorted(bounds) and bounds[-1] <= exact + 1e-3
     assert bounds[-1] == pytest.approx(exact, abs=0.1)
 
@@ -50,9 +64,16 @@ def test_held_out_is_a_fit_without_the_block() -> None:
     blocks = np.array_split(np.arange(200), 5)
     residual, variance = inducing.sparse_held_out_residuals(base, x, y, spread, blocks)
     kept = np.concatenate(blocks[1:])
-    alone = inducing.sparse_posterior(base, inducing.sufficient_sums(base, x[kept], y[kept], independent_noise(spread.diagonal[kept])))
-    cross = inducing.se_kernel(x[blocks[0]] / _KERNEL.scales, base.centres / _KERNEL.scales, _KERNEL.amplitude)
-    assert np.allclose(residual[blocks[0]], y[blocks[0]] - cross @ alone.weights.T - alone.mean, atol=1e-6)
+    alone = inducing.sparse_posterior(
+        base,
+        inducing.sufficient_sums(base, x[kept], y[kept], independent_noise(spread.diagonal[kept])),
+    )
+    cross = inducing.se_kernel(
+        x[blocks[0]] / _KERNEL.scales, base.centres / _KERNEL.scales, _KERNEL.amplitude
+    )
+    assert np.allclose(
+        residual[blocks[0]], y[blocks[0]] - cross @ alone.weights.T - alone.mean, atol=1e-6
+    )
     left = _KERNEL.amplitude - np.square(cross @ alone.factor.T).sum(axis=1)
     assert np.allclose(variance[blocks[0]], left + 0.05 + _KERNEL.noise)
 

@@ -3,8 +3,23 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from bodylog.body.gp.fit import Coupling, Samples, assemble_exact_gp, build_gp, fit_kernels_and_noise, fit_kernels, propagate_input_noise, samples_without_noise, train_gp
-from bodylog.body.gp.marginal_likelihood import FLAT, ROTATION, log_marginal_likelihood, independent_noise
+from bodylog.body.gp.fit import (
+    Coupling,
+    Samples,
+    assemble_exact_gp,
+    build_gp,
+    fit_kernels,
+    fit_kernels_and_noise,
+    propagate_input_noise,
+    samples_without_noise,
+    train_gp,
+)
+from bodylog.body.gp.marginal_likelihood import (
+    FLAT,
+    ROTATION,
+    independent_noise,
+    log_marginal_likelihood,
+)
 from bodylog.types import Array
 
 

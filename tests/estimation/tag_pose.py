@@ -14,7 +14,13 @@ from bodylog.body_model import BodyModel, ForwardModel
 from bodylog.estimation.measurements.contract import Measured
 from bodylog.estimation.measurements.records import Sighting
 from bodylog.kinematics.camera import project_points
-from bodylog.kinematics.rotations import rotation_from_vector, left_jacobian, vector_from_rotation, nearest_rotation, cross_product_matrix
+from bodylog.kinematics.rotations import (
+    cross_product_matrix,
+    left_jacobian,
+    nearest_rotation,
+    rotation_from_vector,
+    vector_from_rotation,
+)
 from bodylog.types import Array, Features, Health, Series
 
 ROWS = ("x", "y", "z", "rx", "ry", "rz")

@@ -27,14 +27,19 @@ def drift(drawn, features, prior):
 def test_posterior_is_bayes_rule():
     assert common_cause.compute_common_cause_posterior(0.5, 3.0, 1.0) == pytest.approx(0.75)
     assert common_cause.compute_common_cause_posterior(0.2, 3.0, 1.0) == pytest.approx(0.6 / 1.4)
-    assert common_cause.compute_common_cause_posterior(0.0, 3.0, 1.0) == 0.0 and common_cause.compute_common_cause_posterior(1.0, 3.0, 1.0) == 1.0
+    assert (
+        common_cause.compute_common_cause_posterior(0.0, 3.0, 1.0) == 0.0
+        and common_cause.compute_common_cause_posterior(1.0, 3.0, 1.0) == 1.0
+    )
 
 
 @pytest.mark.parametrize("seed", range(2))
 def test_drift_fades_with_displacement_where_the_cause_is_inferred(world, stroked, seed):
     drawn = world(seed, encoder_std=0.02)
     near, far = (stroked_aside(drawn, stroked, aside) for aside in (10.0, 80.0))
-    taken, inferred = ([drift(drawn, features, prior) for features in (near, far)] for prior in (None, 0.5))
+    taken, inferred = (
+        [drift(drawn, features, prior) for features in (near, far)] for prior in (None, 0.5)
+    )
     assert inferred[0] == pytest.approx(taken[0], rel=0.1)
     assert inferred[1] < 0.05 * taken[1]
 
@@ -57,12 +62,18 @@ def test_size_of_the_image_and_another_sense_are_needed(world, stroked):
     drawn = world(0)
     features = stroked_aside(drawn, stroked, 0.0)
     with pytest.raises(UsageError, match="common_cause: the log has no images"):
-        estimate_from_features(replace(features, picture_size=None), drawn.body, replace(BLIND, common_cause=0.5))
+        estimate_from_features(
+            replace(features, picture_size=None), drawn.body, replace(BLIND, common_cause=0.5)
+        )
     with pytest.raises(UsageError, match="common_cause: touch is the only sense"):
-        estimate_from_features(features, drawn.body, replace(BLIND, senses=("touch",), common_cause=0.5))
+        estimate_from_features(
+            features, drawn.body, replace(BLIND, senses=("touch",), common_cause=0.5)
+        )
 
 
 def test_method_without_touch_says_that_it_ignores_the_prior(world):
     drawn = world(0, duration=5.0)
-    found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method="kalman", common_cause=0.5))
+    found = estimate_from_features(
+        drawn.features, drawn.body, EstimationSettings(method="kalman", common_cause=0.5)
+    )
     assert any("common_cause" in one.text and "ignored" in one.text for one in found.findings)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
-from bodylog.estimation.timing.correction import measured_delays, is_significant
+from bodylog.estimation.timing.correction import is_significant, measured_delays
 
 
 def delayed(features, seconds):

@@ -19,14 +19,20 @@ def doubted(found):
 @pytest.mark.parametrize("seed", range(2))
 def test_warnings_are_absent_for_a_sound_estimate(world, method, seed):
     drawn = world(seed, duration=10.0, hidden=(6.0, 8.0), blunder=0.02)
-    assert not doubted(estimate_from_features(drawn.features, drawn.body, EstimationSettings(method=method)))
+    assert not doubted(
+        estimate_from_features(drawn.features, drawn.body, EstimationSettings(method=method))
+    )
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
 def test_warning_of_unexpected_noise_suggests_a_command(world, method):
     drawn = world(3, duration=5.0)
     quiet = replace(drawn.body.noise, encoder=tuple(v / 30.0 for v in drawn.body.noise.encoder))
-    found = estimate_from_features(drawn.features, replace(drawn.body, noise=quiet), EstimationSettings(method=method, precision="model"))
+    found = estimate_from_features(
+        drawn.features,
+        replace(drawn.body, noise=quiet),
+        EstimationSettings(method=method, precision="model"),
+    )
     (text,) = [text for text in doubted(found) if text.startswith("encoders: ")]
     assert text.endswith("type --precision auto")
 
@@ -34,13 +40,19 @@ def test_warning_of_unexpected_noise_suggests_a_command(world, method):
 def test_warning_of_an_offset_with_bias_off(world):
     drawn = world(4, duration=12.0, encoder_std=0.005)
     joints = drawn.features.joints
-    values = joints.values + np.outer(np.clip((joints.t - 4.0) * 0.03, 0.0, None), np.arange(3) == 0)
+    values = joints.values + np.outer(
+        np.clip((joints.t - 4.0) * 0.03, 0.0, None), np.arange(3) == 0
+    )
     features = replace(drawn.features, joints=replace(joints, values=values))
     (text,) = doubted(estimate_from_features(features, drawn.body, EstimationSettings(bias="off")))
     assert text.startswith("effector: ") and text.endswith("type --bias auto")
     assert not doubted(estimate_from_features(features, drawn.body, EstimationSettings()))
-    coding = doubted(estimate_from_features(features, drawn.body, EstimationSettings(method="predictive-coding")))
-    assert any(text.startswith("effector: ") and text.endswith("type --method laplace") for text in coding)
+    coding = doubted(
+        estimate_from_features(features, drawn.body, EstimationSettings(method="predictive-coding"))
+    )
+    assert any(
+        text.startswith("effector: ") and text.endswith("type --method laplace") for text in coding
+    )
 
 
 def test_warning_of_two_publishers_on_one_topic(world):
@@ -48,6 +60,14 @@ def test_warning_of_two_publishers_on_one_topic(world):
     joints = drawn.features.joints
     values = np.where(np.arange(len(joints.t))[:, None] % 2, 0.5, joints.values)
     features = replace(drawn.features, joints=replace(joints, values=values))
-    texts = [f.text for f in estimate_from_features(features, drawn.body, EstimationSettings()).findings]
-    assert any(f"{joints.names[0]} has noise of" in text and "do two nodes publish" in text for text in texts)
-    assert not any("scatters" in f.text for f in estimate_from_features(drawn.features, drawn.body, EstimationSettings()).findings)
+    texts = [
+        f.text for f in estimate_from_features(features, drawn.body, EstimationSettings()).findings
+    ]
+    assert any(
+        f"{joints.names[0]} has noise of" in text and "do two nodes publish" in text
+        for text in texts
+    )
+    assert not any(
+        "scatters" in f.text
+        for f in estimate_from_features(drawn.features, drawn.body, EstimationSettings()).findings
+    )

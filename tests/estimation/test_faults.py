@@ -88,7 +88,9 @@ def test_zeros_before_an_encoders_first_reading_are_removed(world, method, seed)
     for late in ([], [2], [0, 1, 2]):
         values = joints.values.copy()
         values[np.ix_(joints.t < joints.t[0] + 0.3, late)] = 0.0
-        found = estimate_from_features(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, settings)
+        found = estimate_from_features(
+            replace(drawn.features, joints=replace(joints, values=values)), drawn.body, settings
+        )
         assert sorted(f.name for f in found.faults) == sorted(joints.names[k] for k in late)
         assert all(f.kind == "glitch" and f.since < 0.05 for f in found.faults)
         each = (found.joints.values - drawn.truth.values) ** 2
@@ -100,7 +102,11 @@ def test_zeros_before_an_encoders_first_reading_are_removed(world, method, seed)
 
 def chosen(found):
     """Hypotheses of encoders that are chosen; each one wins the threshold."""
-    won = [one for one in found.settings["hypotheses"] if one["chosen"] and one["name"].startswith("encoder")]
+    won = [
+        one
+        for one in found.settings["hypotheses"]
+        if one["chosen"] and one["name"].startswith("encoder")
+    ]
     assert all(one["nats"] > one["threshold"] == EVIDENCE_THRESHOLD_NATS for one in won)
     return [(one["name"], one["about"]) for one in won]
 
@@ -114,18 +120,27 @@ def test_every_hypothesis_stands_in_the_settings_of_a_sound_log(world, seed):
     cameras = [("camera late", "camera"), ("camera moved", "camera"), ("white jerk", "joints")]
     joints = [(kind, joint) for kind in kinds for joint in ("pan", "lift", "elbow")]
     assert sorted(listed) == sorted([*cameras, *joints])
-    assert not chosen(found) and all(np.isfinite(one["nats"]) for one in found.settings["hypotheses"])
+    assert not chosen(found) and all(
+        np.isfinite(one["nats"]) for one in found.settings["hypotheses"]
+    )
 
 
 def test_encoder_step_is_weighed_against_a_wandering_offset(world):
     drawn = world(1, duration=14.0, encoder_std=0.01, camera_hz=20.0)
     found = estimate_from_features(spoil(drawn, step), drawn.body, EstimationSettings())
-    nats = {one["name"]: one["nats"] for one in found.settings["hypotheses"] if one["about"] == "pan"}
-    assert chosen(found) == [("encoder step", "pan")] and nats["encoder step"] > nats["encoder offset"] > EVIDENCE_THRESHOLD_NATS
+    nats = {
+        one["name"]: one["nats"] for one in found.settings["hypotheses"] if one["about"] == "pan"
+    }
+    assert (
+        chosen(found) == [("encoder step", "pan")]
+        and nats["encoder step"] > nats["encoder offset"] > EVIDENCE_THRESHOLD_NATS
+    )
 
 
 @pytest.mark.parametrize("method", ["kalman", "predictive-coding"])
-@pytest.mark.parametrize(("change", "kind"), [(freeze, "frozen"), (die, "dead"), (jump, "jumping"), (None, None)])
+@pytest.mark.parametrize(
+    ("change", "kind"), [(freeze, "frozen"), (die, "dead"), (jump, "jumping"), (None, None)]
+)
 def test_methods_without_repair_name_faults_by_readings_alone(world, method, change, kind):
     drawn = world(4, duration=13.0, encoder_std=0.005, pixel_std=0.5, camera_hz=30.0)
     features = drawn.features if change is None else spoil(drawn, change)
@@ -158,14 +173,20 @@ def test_sound_encoders_have_no_fault(world, seed):
 def test_frozen_encoder_adds_less_than_three_milliradians(world):
     for joint in ("pan", "lift", "elbow"):
         drawn = world(0, duration=16.0, encoder_std=0.001, pixel_std=0.5, camera_hz=30.0)
-        found = estimate_from_features(spoil(drawn, freeze, joint), drawn.body, EstimationSettings())
+        found = estimate_from_features(
+            spoil(drawn, freeze, joint), drawn.body, EstimationSettings()
+        )
         assert [(fault.name, fault.kind) for fault in found.faults] == [(joint, "frozen")]
         assert np.sqrt(np.mean((found.joints.values - drawn.truth.values) ** 2)) < 3e-3
 
 
 def frozen(t, y):
     """Stretches of repeats that are a fault by the readings alone."""
-    return [one[1:3] for one in find_frozen_readings(t, y, lambda begin, end: 0.0) if one.nats > EVIDENCE_THRESHOLD_NATS]
+    return [
+        one[1:3]
+        for one in find_frozen_readings(t, y, lambda begin, end: 0.0)
+        if one.nats > EVIDENCE_THRESHOLD_NATS
+    ]
 
 
 def test_frozen_ignores_an_ideal_encoder_at_rest():
@@ -210,7 +231,10 @@ def test_offsets_on_request_are_reported_for_every_joint(world):
     found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(bias="on"))
     assert found.bias is not None and found.bias.names == drawn.body.joints
     assert np.abs(found.bias.values).max() < 0.05
-    assert estimate_from_features(drawn.features, drawn.body, EstimationSettings(bias="off")).bias is None
+    assert (
+        estimate_from_features(drawn.features, drawn.body, EstimationSettings(bias="off")).bias
+        is None
+    )
 
 
 def test_frozen_ignores_an_encoder_that_dithers_before_resting():
@@ -254,40 +278,61 @@ def test_images_separate_a_frozen_encoder_from_a_coarse_one_at_rest(moves, joint
     errors, squares = [], []
     for seed in range(2):
         sound = drawn(seed, Drawn(moves, 1.5e-3, noise))
-        found = estimate_from_features(spoil(sound, freeze, sound.features.joints.names[joint]), sound.body, EstimationSettings())
-        assert [(f.name, f.kind) for f in found.faults] == [(sound.features.joints.names[joint], "frozen")]
+        found = estimate_from_features(
+            spoil(sound, freeze, sound.features.joints.names[joint]),
+            sound.body,
+            EstimationSettings(),
+        )
+        assert [(f.name, f.kind) for f in found.faults] == [
+            (sound.features.joints.names[joint], "frozen")
+        ]
         error, nees = judged(sound, found.joints, found.cov)
         errors, squares = [*errors, error], [*squares, nees]
-    assert max(errors) < 0.02 and np.mean(squares) < 2.0  # 0.06 to 0.14 rad without the fault's detection
+    assert (
+        max(errors) < 0.02 and np.mean(squares) < 2.0
+    )  # 0.06 to 0.14 rad without the fault's detection
 
 
 @pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])
 def test_constant_offset_is_found_over_the_whole_log(world, joint):
     drawn = world(0, duration=16.0, encoder_std=0.01)
-    (fault,) = estimate_from_features(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, EstimationSettings()).faults
+    (fault,) = estimate_from_features(
+        spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, EstimationSettings()
+    ).faults
     assert fault.name == joint and fault.size == pytest.approx(0.0873, abs=0.004)
 
 
 @pytest.mark.parametrize(("joint", "named"), [("lift", {"lift", "elbow"}), ("pan", {"pan"})])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_ambiguous_joints_are_both_named_without_a_size(world, joint, named, seed):
-    similar = Linear(np.array([[300.0, 120.0, 120.0], [15.0, 250.0, 250.0]]), np.array([160.0, 120.0]))
+    similar = Linear(
+        np.array([[300.0, 120.0, 120.0], [15.0, 250.0, 250.0]]), np.array([160.0, 120.0])
+    )
     drawn = world(seed, duration=16.0, encoder_std=0.01, model=similar)
-    (fault,) = estimate_from_features(spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, EstimationSettings()).faults
+    (fault,) = estimate_from_features(
+        spoil(drawn, lambda _, y: np.add(y, 0.0873, out=y), joint), drawn.body, EstimationSettings()
+    ).faults
     assert set(fault.name.split(" or ")) == named and np.isnan(fault.size) == (len(named) > 1)
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 @pytest.mark.parametrize(
     ("senses", "noise", "size"),
-    [(None, 0.001, 0.06), (None, 0.02, 0.8), (("encoders",), 0.005, -0.2), (("encoders",), 0.02, 0.8)],
+    [
+        (None, 0.001, 0.06),
+        (None, 0.02, 0.8),
+        (("encoders",), 0.005, -0.2),
+        (("encoders",), 0.02, 0.8),
+    ],
 )
 def test_a_repaired_jump_adds_its_own_uncertainty(world, method, senses, noise, size):
     spread, shares = [], []
     for seed in range(6):
         drawn = world(seed, duration=12.0, encoder_std=noise, camera_hz=12.0)
         features = spoil(drawn, lambda t, y: np.add(y, size, out=y, where=t >= 6.0))
-        found = estimate_from_features(features, drawn.body, EstimationSettings(senses=senses, method=method))
+        found = estimate_from_features(
+            features, drawn.body, EstimationSettings(senses=senses, method=method)
+        )
         (fault,) = found.faults
         assert (fault.name, fault.kind) == ("pan", "jumping")
         shares.append(abs(fault.size - size) / fault.std)
@@ -303,7 +348,9 @@ def test_a_fault_that_ends_has_an_end(world, seed):
         y[(t >= 8.0) & (t < 11.0)] = y[np.searchsorted(t, 8.0)]
 
     drawn = world(seed, duration=16.0, encoder_std=0.005, camera_hz=20.0)
-    found = estimate_from_features(spoil(drawn, freeze_for_a_while), drawn.body, EstimationSettings())
+    found = estimate_from_features(
+        spoil(drawn, freeze_for_a_while), drawn.body, EstimationSettings()
+    )
     (fault,) = found.faults
     assert (fault.kind, fault.since) == ("frozen", pytest.approx(8.0, abs=0.05))
     assert fault.until == pytest.approx(11.0, abs=0.03)
@@ -321,7 +368,10 @@ def test_two_faults_on_two_joints_are_named_by_kind_and_size(world, offset, jump
     values[:, joints.names.index(offset)] += 0.03
     values[joints.t >= 8.0, joints.names.index(jumped)] += 0.06
     features = replace(drawn.features, joints=replace(joints, values=values))
-    faults = {fault.name: fault for fault in estimate_from_features(features, drawn.body, EstimationSettings()).faults}
+    faults = {
+        fault.name: fault
+        for fault in estimate_from_features(features, drawn.body, EstimationSettings()).faults
+    }
     assert faults.keys() == {offset, jumped}
     assert (faults[offset].kind, faults[jumped].kind) == ("drifting", "jumping")
     assert faults[offset].since < 1.0 and faults[jumped].since == pytest.approx(8.0, abs=0.05)

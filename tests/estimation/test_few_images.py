@@ -24,7 +24,11 @@ def test_few_images_at_one_end_do_not_spoil_a_long_log(world, monkeypatch, first
     monkeypatch.setattr(evidence_search, "MAX_INSTANTS", 4000)
     drawn = world(0, duration=200.0)
     some, none = (
-        estimate_from_features(with_images(drawn.features, first, end), drawn.body, EstimationSettings(method="smoother")).joints.values
+        estimate_from_features(
+            with_images(drawn.features, first, end),
+            drawn.body,
+            EstimationSettings(method="smoother"),
+        ).joints.values
         for end in (first + last, -1.0)
     )
     error, alone = (np.sqrt(np.square(path - drawn.truth.values).mean()) for path in (some, none))

@@ -38,8 +38,12 @@ def without_widening(monkeypatch):
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(("mechanism", "std"), [(CORRELATED, 2e-3), (LOOSE, 4e-3)], ids=["correlated", "play"])
-def test_error_bars_hold_an_error_that_lasts_and_a_warning_tells_its_size(method, mechanism, std, monkeypatch):
+@pytest.mark.parametrize(
+    ("mechanism", "std"), [(CORRELATED, 2e-3), (LOOSE, 4e-3)], ids=["correlated", "play"]
+)
+def test_error_bars_hold_an_error_that_lasts_and_a_warning_tells_its_size(
+    method, mechanism, std, monkeypatch
+):
     body = mechanisms.learned(1000, mechanisms.SOUND)
     features, true = mechanisms.replayed(4, mechanism, Fault()), truth(4, mechanism)
     found = estimate_from_features(features, body, EstimationSettings(method=method), "off")
@@ -56,15 +60,26 @@ def test_error_bars_hold_an_error_that_lasts_and_a_warning_tells_its_size(method
     assert np.allclose(found.cov - narrow.cov, own["std"] ** 2 * np.eye(3))
 
 
-@pytest.mark.parametrize("mechanism", [mechanisms.SOUND, mechanisms.QUANTISED, mechanisms.QUIET], ids=SOUND)
+@pytest.mark.parametrize(
+    "mechanism", [mechanisms.SOUND, mechanisms.QUANTISED, mechanisms.QUIET], ids=SOUND
+)
 def test_a_sound_log_gets_no_warning_and_keeps_its_error_bars(mechanism):
     body = mechanisms.learned(1000, mechanism)
     for seed in range(3):
-        found = estimate_from_features(mechanisms.replayed(seed, mechanism, Fault(), reaches=seed % 2 == 1), body, EstimationSettings())
+        found = estimate_from_features(
+            mechanisms.replayed(seed, mechanism, Fault(), reaches=seed % 2 == 1),
+            body,
+            EstimationSettings(),
+        )
         assert LASTING_ERROR not in found.settings
 
 
 def test_noise_that_is_set_is_left_as_it_is():
     body = mechanisms.learned(1000, mechanisms.SOUND)
     features = mechanisms.replayed(4, CORRELATED, Fault())
-    assert LASTING_ERROR not in estimate_from_features(features, body, EstimationSettings(precision="model")).settings
+    assert (
+        LASTING_ERROR
+        not in estimate_from_features(
+            features, body, EstimationSettings(precision="model")
+        ).settings
+    )

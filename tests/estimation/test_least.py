@@ -23,7 +23,9 @@ def white(t, rng, speed):
     rate = np.zeros_like(rates)
     x = np.zeros_like(rates)
     for k in range(1, len(grid)):
-        rate[k] = rate[k - 1] + rates[k] - rates[k - 1] - fine * (0.5 * rate[k - 1] + 0.3 * x[k - 1])
+        rate[k] = (
+            rate[k - 1] + rates[k] - rates[k - 1] - fine * (0.5 * rate[k - 1] + 0.3 * x[k - 1])
+        )
         x[k] = x[k - 1] + fine * rate[k]
     out = np.empty((len(t), 3))
     for j in range(3):
@@ -33,7 +35,9 @@ def white(t, rng, speed):
 
 def errors(drawn):
     """Root mean square error (rad) and squared error over stated variance of a smoother."""
-    found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method="smoother"))
+    found = estimate_from_features(
+        drawn.features, drawn.body, EstimationSettings(method="smoother")
+    )
     apart = np.square(found.joints.values - drawn.truth.values)
     return np.sqrt(apart.mean()), (apart / np.einsum("nii->ni", found.cov)).mean()
 
@@ -66,7 +70,9 @@ def test_smoother_process_beats_maximum_evidence_with_true_error_bars(
         monkeypatch.setattr(conftest, "motion", white)
     drawn = [world(seed, duration=30.0) for seed in range(4)]
     found = np.array([errors(one) for one in drawn])
-    monkeypatch.setattr(evidence_search, "least_error_process", lambda part, solved: (part.precision.process, 1.0))
+    monkeypatch.setattr(
+        evidence_search, "least_error_process", lambda part, solved: (part.precision.process, 1.0)
+    )
     likeliest = np.array([errors(one) for one in drawn])
     assert np.mean(found[:, 0] / likeliest[:, 0]) < gain
     assert 0.8 < np.mean(found[:, 1]) < 1.2
@@ -74,10 +80,14 @@ def test_smoother_process_beats_maximum_evidence_with_true_error_bars(
 
 def test_given_variances_are_used_unchanged(world, white_acceleration):
     drawn = world(0, duration=5.0)
-    given = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method="smoother", precision="model"))
+    given = estimate_from_features(
+        drawn.features, drawn.body, EstimationSettings(method="smoother", precision="model")
+    )
     np.testing.assert_array_equal(given.settings["process"], [0.3] * 3)
     assert given.settings["stated"] == [1.0] * 3
-    learned = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method="smoother"))
+    learned = estimate_from_features(
+        drawn.features, drawn.body, EstimationSettings(method="smoother")
+    )
     assert 0.75 <= min(learned.settings["stated"]) <= max(learned.settings["stated"]) < 0.9
 
 
@@ -87,7 +97,11 @@ def test_poses_that_are_seconds_apart_are_smoothed(world, count, gap):
     t = gap * np.arange(count)
     poses = np.random.default_rng(0).uniform(-1.0, 1.0, (count, 3))
     joints = replace(drawn.features.joints, t=t, values=poses, source_ns=(1e9 * t).astype(np.int64))
-    found = estimate_from_features(replace(drawn.features, joints=joints, tracks={}), drawn.body, EstimationSettings(method="smoother"))
+    found = estimate_from_features(
+        replace(drawn.features, joints=joints, tracks={}),
+        drawn.body,
+        EstimationSettings(method="smoother"),
+    )
     assert np.isfinite(found.cov).all() and found.joints.values.shape == (count, 3)
 
 
@@ -95,7 +109,9 @@ def test_tuning_a_smoother_takes_little_memory_beyond_the_smoother(world, white_
     drawn, peak = world(0, duration=60.0, encoder_hz=100.0), {}
     for precision in ("model", "auto"):
         tracemalloc.start()
-        estimate_from_features(drawn.features, drawn.body, EstimationSettings(method="smoother", precision=precision))
+        estimate_from_features(
+            drawn.features, drawn.body, EstimationSettings(method="smoother", precision=precision)
+        )
         peak[precision] = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
     # 1.9 times; with all candidates side by side 3.9 times

@@ -36,7 +36,10 @@ def judged(features, drawn, since, **settings):
     """From `since` (s) on: RMSE (rad), squared error over stated variance, faults, findings about a lost belief."""
     found = estimate_from_features(features, drawn.body, EstimationSettings(**settings))
     late = found.joints.t >= since
-    truth = np.stack([np.interp(found.joints.t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
+    truth = np.stack(
+        [np.interp(found.joints.t, drawn.truth.t, column) for column in drawn.truth.values.T],
+        axis=1,
+    )
     error = (found.joints.values - truth)[late]
     nees = float(np.mean(error**2 / np.einsum("nii->ni", found.cov[late])))
     lost = [finding.text for finding in found.findings if finding.text.startswith("belief: lost")]
@@ -47,7 +50,9 @@ def judged(features, drawn, since, **settings):
 def test_belief_survives_a_second_of_encoder_silence(world, seed, silent):
     """The others, which never fell silent, speak against starting again from where this one reads."""
     drawn = world(seed, duration=12.0)
-    *_, lost = judged(muted(drawn.features, 6.0, 7.0, (silent,)), drawn, 6.0, precision="model", bias="off")
+    *_, lost = judged(
+        muted(drawn.features, 6.0, 7.0, (silent,)), drawn, 6.0, precision="model", bias="off"
+    )
     assert not lost
 
 
@@ -80,18 +85,33 @@ def test_smoothed_path_recovers_after_a_silence(world, seed):
 def silent(world, seed, silence, method, names=ALL):
     """In a silence from 6 s on, of a body that knows where the arm was explored: RMSE (rad), NEES, share within 2 σ."""
     drawn = world(seed, duration=7.0 + silence, model=Explored())
-    found = estimate_from_features(muted(drawn.features, 6.0, 6.0 + silence, names), drawn.body, EstimationSettings(method=method, rate=25.0))
+    found = estimate_from_features(
+        muted(drawn.features, 6.0, 6.0 + silence, names),
+        drawn.body,
+        EstimationSettings(method=method, rate=25.0),
+    )
     inside = (found.joints.t > 6.0) & (found.joints.t < 6.0 + silence)
-    truth = np.stack([np.interp(found.joints.t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
+    truth = np.stack(
+        [np.interp(found.joints.t, drawn.truth.t, column) for column in drawn.truth.values.T],
+        axis=1,
+    )
     error, var = (found.joints.values - truth)[inside], np.einsum("nii->ni", found.cov)[inside]
-    return float(np.sqrt(np.mean(error**2))), float(np.mean(error**2 / var)), float(np.mean(error**2 < 4.0 * var))
+    return (
+        float(np.sqrt(np.mean(error**2))),
+        float(np.mean(error**2 / var)),
+        float(np.mean(error**2 < 4.0 * var)),
+    )
 
 
-@pytest.mark.parametrize(("method", "most", "least"), [("laplace", 0.2, 0.8), ("smoother", 0.085, 0.7)])
+@pytest.mark.parametrize(
+    ("method", "most", "least"), [("laplace", 0.2, 0.8), ("smoother", 0.085, 0.7)]
+)
 def test_error_bars_hold_while_no_encoder_speaks(world, method, most, least):
     rmse, nees, within = np.transpose([silent(world, seed, 4.0, method) for seed in range(8)])
     # one posture in eight passes for another
-    assert np.sqrt(np.mean(rmse**2)) < most and 0.4 < np.median(nees) < 1.6 and np.mean(within) > least
+    assert (
+        np.sqrt(np.mean(rmse**2)) < most and 0.4 < np.median(nees) < 1.6 and np.mean(within) > least
+    )
 
 
 def test_smoother_bridges_a_silence_in_which_the_filter_takes_another_posture(world):
@@ -108,8 +128,15 @@ def test_smoother_by_images_alone_draws_lines_over_its_belief(world):
     nees = []
     for seed in range(4):
         drawn = world(seed, duration=10.0, model=Explored())
-        found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method="smoother", senses=("vision",), rate=25.0))
-        truth = np.stack([np.interp(found.joints.t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
+        found = estimate_from_features(
+            drawn.features,
+            drawn.body,
+            EstimationSettings(method="smoother", senses=("vision",), rate=25.0),
+        )
+        truth = np.stack(
+            [np.interp(found.joints.t, drawn.truth.t, column) for column in drawn.truth.values.T],
+            axis=1,
+        )
         nees.append(np.mean((found.joints.values - truth) ** 2 / np.einsum("nii->ni", found.cov)))
     assert max(nees) < 25.0
 
@@ -117,9 +144,15 @@ def test_smoother_by_images_alone_draws_lines_over_its_belief(world):
 @pytest.mark.soak
 @pytest.mark.parametrize("silence", [1.0, 2.0, 5.0])
 def test_error_bars_hold_while_encoders_are_silent(world, silence):
-    rmse, nees, within = np.transpose([silent(world, seed, silence, "laplace") for seed in range(20)])
+    rmse, nees, within = np.transpose(
+        [silent(world, seed, silence, "laplace") for seed in range(20)]
+    )
     # one posture in twenty passes for another for a while
-    assert np.sqrt(np.mean(rmse**2)) < 0.06 * silence and 0.2 < np.median(nees) < 1.2 and np.mean(within) > 0.9
+    assert (
+        np.sqrt(np.mean(rmse**2)) < 0.06 * silence
+        and 0.2 < np.median(nees) < 1.2
+        and np.mean(within) > 0.9
+    )
 
 
 @pytest.mark.parametrize("solve", [gauss_newton.solve_by_gauss_newton, smoother.solve_map_path])
@@ -129,13 +162,21 @@ def test_full_reset_separates_what_precedes_and_follows(world, linear_model, sol
 
     def solved(begin, end, resets=None):
         rows, frames = ((t >= begin) & (t < end) for t in (joints.t, track.t))
-        part = replace(joints, t=joints.t[rows], values=joints.values[rows], source_ns=joints.source_ns[rows])
+        part = replace(
+            joints, t=joints.t[rows], values=joints.values[rows], source_ns=joints.source_ns[rows]
+        )
         seen = replace(track, t=track.t[frames], values=track.values[frames], std=track.std[frames],
                        source_ns=track.source_ns[frames])  # fmt: skip
         features = replace(drawn.features, joints=part, tracks={"effector": seen})
-        problem = filtering.build_filter_problem(features, drawn.body, EstimationSettings(precision="model", bias="off"))
+        problem = filtering.build_filter_problem(
+            features, drawn.body, EstimationSettings(precision="model", bias="off")
+        )
         found = solve(replace(problem, resets=resets))
-        z, cov = (found.z, found.cov) if solve is smoother.solve_map_path else (found.trace.z, found.trace.cov[:, :3, :3])
+        z, cov = (
+            (found.z, found.cov)
+            if solve is smoother.solve_map_path
+            else (found.trace.z, found.trace.cov[:, :3, :3])
+        )
         return problem.timeline.t, found.fold.unfold(z)[:, :3], found.fold.unfold(cov)
 
     middle = joints.t[223]
@@ -152,7 +193,9 @@ def test_wrong_start_is_corrected_by_the_first_reading(world, precision):
         drawn = world(seed, duration=8.0)
         start = tuple(drawn.truth.values[0] + size)
         features = muted(drawn.features, 0.0, 2.0)
-        rmse, nees, _, _ = judged(features, drawn, 2.2, start=start, precision=precision, bias="off")
+        rmse, nees, _, _ = judged(
+            features, drawn, 2.2, start=start, precision=precision, bias="off"
+        )
         assert rmse < 0.01 and nees < 1.5
 
 
@@ -166,8 +209,12 @@ def test_mistaken_first_reading_is_corrected_by_the_next(world, row):
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
-@pytest.mark.parametrize(("rows", "size"), [((1,), 0.05), ((0, 1), 0.5), ((0, 1, 2), 0.5), ((0, 1, 2, 3), 3.0)])
-@pytest.mark.parametrize("seed", [1, 3, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (2, 4, 5, 6, 7, 8))])
+@pytest.mark.parametrize(
+    ("rows", "size"), [((1,), 0.05), ((0, 1), 0.5), ((0, 1, 2), 0.5), ((0, 1, 2, 3), 3.0)]
+)
+@pytest.mark.parametrize(
+    "seed", [1, 3, *(pytest.param(seed, marks=pytest.mark.soak) for seed in (2, 4, 5, 6, 7, 8))]
+)
 def test_belief_that_rejects_an_encoder_from_the_start_recovers(world, rows, size, method, seed):
     drawn = world(seed, duration=8.0, encoder_std=0.002)
     features = shifted(drawn.features, size, np.isin(np.arange(len(drawn.truth.t)), rows), "lift")
@@ -190,15 +237,21 @@ def test_belief_rejects_a_faulty_encoder_after_a_silence(world, size, seed):
 def test_pictures_of_something_else_lose_the_arm_only_until_they_are_right(world, seed):
     drawn = world(seed, duration=14.0, encoder_std=0.01)
     track = drawn.features.tracks["effector"]
-    other = np.array([60.0, 180.0]) + np.random.default_rng(seed).normal(0.0, 0.4, track.values.shape)
+    other = np.array([60.0, 180.0]) + np.random.default_rng(seed).normal(
+        0.0, 0.4, track.values.shape
+    )
     wrong = np.where(((track.t >= 6.0) & (track.t < 8.0))[:, None], other, track.values)
-    features = muted(replace(drawn.features, tracks={"effector": replace(track, values=wrong)}), 6.0, 8.0)
+    features = muted(
+        replace(drawn.features, tracks={"effector": replace(track, values=wrong)}), 6.0, 8.0
+    )
     rmse, nees, _, (lost,) = judged(features, drawn, 8.4, bias="off")
     assert rmse < 0.006 and nees < 1.3
     assert "until 8." in lost
 
 
-@pytest.mark.parametrize("encoder_hz", [50.0, *(pytest.param(hz, marks=pytest.mark.soak) for hz in (10.0, 400.0))])
+@pytest.mark.parametrize(
+    "encoder_hz", [50.0, *(pytest.param(hz, marks=pytest.mark.soak) for hz in (10.0, 400.0))]
+)
 @pytest.mark.parametrize("seed", seeds(1, 3))
 def test_belief_that_is_not_lost_is_unchanged(world, encoder_hz, seed):
     drawn = world(seed, duration=8.0, encoder_hz=encoder_hz, hidden=(3.0, 4.5), blunder=0.05)
@@ -215,10 +268,14 @@ def test_lost_belief_recovers_in_all_worlds(world, names, silence, encoder_std):
     worst, ratios = [], []
     for seed in range(10):
         drawn = world(seed, duration=10.0 + silence, encoder_std=encoder_std)
-        rmse, nees, faults, _ = judged(muted(drawn.features, 6.0, 6.0 + silence, names), drawn, 6.0 + silence)
+        rmse, nees, faults, _ = judged(
+            muted(drawn.features, 6.0, 6.0 + silence, names), drawn, 6.0 + silence
+        )
         worst, ratios = [*worst, rmse / encoder_std], [*ratios, nees]
         assert not faults
-    print(f"{'+'.join(names):15s} {silence:4.0f} s, {encoder_std} rad: {np.sort(worst)[-2:]}, {np.mean(ratios):.2f}")
+    print(
+        f"{'+'.join(names):15s} {silence:4.0f} s, {encoder_std} rad: {np.sort(worst)[-2:]}, {np.mean(ratios):.2f}"
+    )
     # a posture's other solution may last until a picture tells
     assert np.sort(worst)[-2] < 1.2 and max(worst) < 10.0 and 0.8 < np.mean(ratios) < 1.3
 
@@ -246,12 +303,18 @@ def paused(features, since, gap):
 def test_pause_of_any_length_separates_its_sides(world, white_acceleration, method, gap):
     drawn = world(3, duration=8.0)
     t = drawn.features.joints.t
-    found = estimate_from_features(paused(drawn.features, 4.0, gap), drawn.body, EstimationSettings(method=method))
+    found = estimate_from_features(
+        paused(drawn.features, 4.0, gap), drawn.body, EstimationSettings(method=method)
+    )
     whole = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method=method))
     after = t > 4.5
     assert np.isfinite(found.cov).all() and (np.einsum("nii->ni", found.cov) > 0.0).all()
-    truth = np.stack([np.interp(t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1)
-    rms, usual = (np.sqrt(np.square(one.joints.values - truth)[after].mean()) for one in (found, whole))
+    truth = np.stack(
+        [np.interp(t, drawn.truth.t, column) for column in drawn.truth.values.T], axis=1
+    )
+    rms, usual = (
+        np.sqrt(np.square(one.joints.values - truth)[after].mean()) for one in (found, whole)
+    )
     assert rms < 1.2 * usual
 
 
@@ -260,16 +323,25 @@ def test_joint_that_is_first_read_after_a_long_pause_starts_there(world, gap):
     """Unless it is reset, its variance has grown so far that rounding swallows the reading's."""
     drawn = world(3, duration=8.0)
     features = paused(muted(drawn.features, 0.0, 4.001, ("pan",)), 4.0, gap)
-    found = estimate_from_features(features, drawn.body, EstimationSettings(start=tuple(drawn.truth.values[0])))
+    found = estimate_from_features(
+        features, drawn.body, EstimationSettings(start=tuple(drawn.truth.values[0]))
+    )
     after = found.joints.t > gap
-    truth = [np.interp(found.joints.t[after] - gap, drawn.truth.t, column) for column in drawn.truth.values.T]
+    truth = [
+        np.interp(found.joints.t[after] - gap, drawn.truth.t, column)
+        for column in drawn.truth.values.T
+    ]
     assert np.sqrt(np.square(found.joints.values[after] - np.stack(truth, axis=1)).mean()) < 0.01
 
 
 def test_estimate_refuses_a_grid_of_mostly_silence(world):
     drawn = world(3, duration=8.0)
-    with pytest.raises(UsageError, match=r"rate: 50 Hz found, 5e\+08 instants for .* stamps, none .*; type --rate"):
-        estimate_from_features(paused(drawn.features, 4.0, 1e7), drawn.body, EstimationSettings(rate=50.0))
+    with pytest.raises(
+        UsageError, match=r"rate: 50 Hz found, 5e\+08 instants for .* stamps, none .*; type --rate"
+    ):
+        estimate_from_features(
+            paused(drawn.features, 4.0, 1e7), drawn.body, EstimationSettings(rate=50.0)
+        )
 
 
 def test_belief_whose_rates_rounding_broke_is_refused():

@@ -32,7 +32,11 @@ def stepped(features, joint, size, since):
 
 
 def cameras(features, body):
-    return [fault for fault in screen_measurements(features, body, EstimationSettings()).faults if fault.sense == "vision"]
+    return [
+        fault
+        for fault in screen_measurements(features, body, EstimationSettings()).faults
+        if fault.sense == "vision"
+    ]
 
 
 @pytest.mark.parametrize("px", [5.0, 30.0])
@@ -40,11 +44,18 @@ def cameras(features, body):
 @pytest.mark.parametrize("count", [3, pytest.param(20, marks=pytest.mark.soak)])
 def test_moved_camera_is_found_with_time_and_size(moves, px, count):
     worlds = [drawn(100 + seed, Drawn(moves, noise=0.01)) for seed in range(count)]
-    named = [cameras(moved(world.features, px, seed), world.body) for seed, world in enumerate(worlds)]
+    named = [
+        cameras(moved(world.features, px, seed), world.body) for seed, world in enumerate(worlds)
+    ]
     found = [fault for faults in named for fault in faults]
     assert max(map(len, named)) == 1 and len(found) >= 0.95 * count
-    assert {(fault.name, fault.kind, fault.unit) for fault in found} == {("camera", "displaced", "px")}
-    assert max(abs(fault.since - MOVED) for fault in found) < 0.4 and max(fault.std for fault in found) < 0.375
+    assert {(fault.name, fault.kind, fault.unit) for fault in found} == {
+        ("camera", "displaced", "px")
+    }
+    assert (
+        max(abs(fault.since - MOVED) for fault in found) < 0.4
+        and max(fault.std for fault in found) < 0.375
+    )
     off = np.array([(fault.size - px) / fault.std for fault in found])
     assert np.sqrt(np.mean(off**2)) < 1.75 and np.abs(off).max() < 5.0
 
@@ -72,7 +83,10 @@ def test_moved_camera_does_not_degrade_the_estimate(method, px):
         for features in (moved(world.features, px, 1.0), world.features)
     )
     assert [fault.kind for fault in found.faults] == ["displaced"] and not sound.faults
-    (rmse, nees), (best, _) = judged(world, found.joints, found.cov), judged(world, sound.joints, sound.cov)
+    (rmse, nees), (best, _) = (
+        judged(world, found.joints, found.cov),
+        judged(world, sound.joints, sound.cov),
+    )
     assert rmse < 1.15 * best and nees < 1.3
     # the track's prediction is where this camera shows it
     off = found.predicted["effector"].values - sound.predicted["effector"].values
@@ -86,7 +100,10 @@ def test_moved_camera_is_absent_in_logs_without_one(moves, seed):
     t = world.features.joints.t
     off = np.outer(np.clip(0.02 * (t - 5.0), 0.0, None), np.arange(3) == seed % 3)
     joints = replace(world.features.joints, values=world.features.joints.values + off)
-    drifting, step = replace(world.features, joints=joints), stepped(world.features, seed % 3, 0.03, 7.0)
+    drifting, step = (
+        replace(world.features, joints=joints),
+        stepped(world.features, seed % 3, 0.03, 7.0),
+    )
     for features in (world.features, step, drifting):
         assert not cameras(features, world.body)
 
@@ -96,7 +113,9 @@ def test_drifting_encoder_is_not_three_moves_of_the_camera(world, seed, joint):
     sound = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
     joints = sound.features.joints
     off = np.outer(np.clip(0.02 * (joints.t - 8.0), 0.0, None), np.array(joints.names) == joint)
-    assert not cameras(replace(sound.features, joints=replace(joints, values=joints.values + off)), sound.body)
+    assert not cameras(
+        replace(sound.features, joints=replace(joints, values=joints.values + off)), sound.body
+    )
 
 
 @pytest.mark.parametrize("seed", seeds(2, 10))
@@ -126,7 +145,9 @@ def test_moved_camera_is_named_among_two():
     shaken = np.random.default_rng(0).normal(0.0, 0.4, track.values.shape)
     tracks = dict(zip(names, (track, replace(track, values=track.values + shaken)), strict=True))
     body = replace(world.body, senses=dict.fromkeys(names, world.body.senses["effector"]))
-    (fault,) = cameras(moved(replace(world.features, tracks=tracks), 10.0, 2.0, names=names[1:]), body)
+    (fault,) = cameras(
+        moved(replace(world.features, tracks=tracks), 10.0, 2.0, names=names[1:]), body
+    )
     assert (fault.name, fault.kind) == ("side", "displaced")
 
 
@@ -138,10 +159,17 @@ def test_moved_camera_is_found_for_two_moves():
 
 def test_evidence_for_a_moved_camera_is_reported():
     world = drawn(104, Drawn("reach", noise=0.01))
-    found = detect_moved_camera(replace(screen_measurements(world.features, world.body, EstimationSettings()), hypotheses=()), world.body)
+    found = detect_moved_camera(
+        replace(
+            screen_measurements(world.features, world.body, EstimationSettings()), hypotheses=()
+        ),
+        world.body,
+    )
     (hypothesis,) = found.hypotheses
     assert hypothesis.name == "camera moved" and hypothesis.nats < 0.0 and not hypothesis.chosen
-    hypotheses = estimate_from_features(world.features, world.body, EstimationSettings()).settings["hypotheses"]
+    hypotheses = estimate_from_features(world.features, world.body, EstimationSettings()).settings[
+        "hypotheses"
+    ]
     cameras = [one for one in hypotheses if one["about"] == "camera"]
     assert [(one["name"], one["chosen"], one["threshold"]) for one in cameras] == [
         ("camera late", False, EVIDENCE_THRESHOLD_NATS), ("camera moved", False, EVIDENCE_THRESHOLD_NATS),

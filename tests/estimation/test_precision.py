@@ -75,8 +75,14 @@ def test_process_variance_ignores_single_false_readings(order, seed):
     sound = np.sin(np.outer(t, [0.7, 1.1, 1.6])) * 0.3 + rng.normal(0.0, 0.02, (len(t), 3))
     false = sound.copy()
     false[rng.choice(len(t), 8, replace=False)] += rng.normal(0.0, 0.5, (8, 3))
-    joints = [encoder_noise.average_joint_readings(Encoders(t, values, np.zeros(len(t), int))) for values in (sound, false)]
-    found = [encoder_noise.learn_encoder_noise(each, np.full(3, 1e-4), np.ones(3), order) for each in joints]
+    joints = [
+        encoder_noise.average_joint_readings(Encoders(t, values, np.zeros(len(t), int)))
+        for values in (sound, false)
+    ]
+    found = [
+        encoder_noise.learn_encoder_noise(each, np.full(3, 1e-4), np.ones(3), order)
+        for each in joints
+    ]
     np.testing.assert_allclose(found[1].process, found[0].process, rtol=0.5)
 
 
@@ -91,7 +97,9 @@ def test_encoder_noise_of_constant_joints_is_the_bodys():
     t = np.arange(0.0, 4.0, 0.02)
     values = np.stack([np.zeros_like(t), np.full_like(t, np.nan)], axis=1)
     given = np.array([1e-4, 1e-4]), np.array([0.2, 0.3])
-    learned = encoder_noise.learn_encoder_noise(encoder_noise.average_joint_readings(Encoders(t, values, t.astype(np.int64))), *given)
+    learned = encoder_noise.learn_encoder_noise(
+        encoder_noise.average_joint_readings(Encoders(t, values, t.astype(np.int64))), *given
+    )
     encoder, process = learned.encoder, learned.process
     # that all repeat one value is one error of it, not many
     np.testing.assert_allclose(encoder, given[0] * [t[-1] / quantisation.SHARED_ERROR_S, 1.0])
@@ -108,26 +116,46 @@ def test_encoder_noise_is_learned_from_the_log(world, std):
 def test_pixels_noisier_than_claimed_are_noticed(world):
     drawn = world(0, pixel_std=1.5)
     track = drawn.features.tracks["effector"]
-    modest = replace(drawn.features, tracks={"effector": replace(track, std=np.full_like(track.values, 0.5))})
+    modest = replace(
+        drawn.features, tracks={"effector": replace(track, std=np.full_like(track.values, 0.5))}
+    )
     found = estimate_from_features(modest, drawn.body, EstimationSettings())
     assert 5.0 < found.settings["scale"]["effector"] < 14.0
 
 
 def test_variances_of_body_and_paper_presets_are_used(world):
     drawn = world(0, duration=3.0)
-    own = estimate_from_features(drawn.features, drawn.body, EstimationSettings(precision="model")).settings
-    assert own["encoder"] == pytest.approx([4e-4] * 3) and own["process"] == pytest.approx([0.3] * 3)
-    paper = estimate_from_features(drawn.features, drawn.body, EstimationSettings(precision="fixed")).settings
+    own = estimate_from_features(
+        drawn.features, drawn.body, EstimationSettings(precision="model")
+    ).settings
+    assert own["encoder"] == pytest.approx([4e-4] * 3) and own["process"] == pytest.approx(
+        [0.3] * 3
+    )
+    paper = estimate_from_features(
+        drawn.features, drawn.body, EstimationSettings(precision="fixed")
+    ).settings
     assert paper["encoder"] == [1.0] * 3
 
 
-def test_process_variance_of_undetermined_joints_is_the_encoders(world, monkeypatch, white_acceleration):
-    monkeypatch.setattr(evidence_search, "least_error_process", lambda part, warned: (part.precision.process, 1.0))
-    blind = conftest.Linear(np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0]))
+def test_process_variance_of_undetermined_joints_is_the_encoders(
+    world, monkeypatch, white_acceleration
+):
+    monkeypatch.setattr(
+        evidence_search, "least_error_process", lambda part, warned: (part.precision.process, 1.0)
+    )
+    blind = conftest.Linear(
+        np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0])
+    )
     for seed in range(3):
         drawn = world(seed, model=blind, pixel_std=0.1)
-        asked = EstimationSettings(method="smoother"), EstimationSettings(without=("vision",)), EstimationSettings()
-        beliefs = (estimate_from_features(drawn.features, drawn.body, settings) for settings in asked)
+        asked = (
+            EstimationSettings(method="smoother"),
+            EstimationSettings(without=("vision",)),
+            EstimationSettings(),
+        )
+        beliefs = (
+            estimate_from_features(drawn.features, drawn.body, settings) for settings in asked
+        )
         together, alone, found = (np.array(belief.settings["process"]) for belief in beliefs)
         assert found[2] == pytest.approx(alone[2], rel=0.02)
         share = (found - together)[:2] / (alone - together)[:2]
@@ -139,13 +167,23 @@ def test_process_variance_of_undetermined_joints_is_the_encoders(world, monkeypa
 def test_too_few_readings_to_learn_noise_from_give_a_warning(world, method, count, warned):
     drawn = world(0)
     joints, until = drawn.features.joints, drawn.features.joints.t[count - 1]
-    few = replace(joints, t=joints.t[:count], values=joints.values[:count], source_ns=joints.source_ns[:count])
+    few = replace(
+        joints, t=joints.t[:count], values=joints.values[:count], source_ns=joints.source_ns[:count]
+    )
     tracks = {name: _until(track, until) for name, track in drawn.features.tracks.items()}
-    found = estimate_from_features(replace(drawn.features, joints=few, tracks=tracks), drawn.body, EstimationSettings(method=method))
+    found = estimate_from_features(
+        replace(drawn.features, joints=few, tracks=tracks),
+        drawn.body,
+        EstimationSettings(method=method),
+    )
     warnings = [
-        f.text for f in found.findings if f.severity == "warning" and "too few to learn their noise from" in f.text
+        f.text
+        for f in found.findings
+        if f.severity == "warning" and "too few to learn their noise from" in f.text
     ]
-    assert len(warnings) == warned and all(f"{name} {count}" in text for text in warnings for name in drawn.body.joints)
+    assert len(warnings) == warned and all(
+        f"{name} {count}" in text for text in warnings for name in drawn.body.joints
+    )
 
 
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
@@ -156,9 +194,18 @@ def test_noise_far_above_the_bodys_is_learned_from_few_readings(world, method, c
         drawn = world(seed, duration=2.0)
         body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=(0.002**2,) * 3))
         joints = drawn.features.joints
-        few = replace(joints, t=joints.t[:count], values=joints.values[:count], source_ns=joints.source_ns[:count])
+        few = replace(
+            joints,
+            t=joints.t[:count],
+            values=joints.values[:count],
+            source_ns=joints.source_ns[:count],
+        )
         tracks = {name: _until(track, few.t[-1]) for name, track in drawn.features.tracks.items()}
-        estimated = estimate_from_features(replace(drawn.features, joints=few, tracks=tracks), body, EstimationSettings(method=method))
+        estimated = estimate_from_features(
+            replace(drawn.features, joints=few, tracks=tracks),
+            body,
+            EstimationSettings(method=method),
+        )
         error = estimated.joints.values - drawn.truth.values[:count]
         columns = [joints.names.index(name) for name in body.joints]
         found.append(np.square(error).mean())
@@ -173,14 +220,18 @@ def test_advice_on_few_readings_is_not_to_leave_out_vision(world):
     drawn = world(0, duration=0.3)
     body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=(0.0002**2,) * 3))
     found = estimate_from_features(drawn.features, body, EstimationSettings(method="smoother"))
-    (advice,) = [finding.text for finding in found.findings if "standard deviations" in finding.text]
+    (advice,) = [
+        finding.text for finding in found.findings if "standard deviations" in finding.text
+    ]
     assert "too few to learn their noise from" in advice and "without" not in advice
 
 
 def _until(track, t):
     rows = track.t <= t
     std = None if track.std is None else track.std[rows]
-    return replace(track, t=track.t[rows], values=track.values[rows], source_ns=track.source_ns[rows], std=std)
+    return replace(
+        track, t=track.t[rows], values=track.values[rows], source_ns=track.source_ns[rows], std=std
+    )
 
 
 @pytest.mark.parametrize("order", [2, 3])
@@ -193,9 +244,14 @@ def test_evidence_is_that_of_a_kalman_filter(order, known):
     fresh[[0, 150]] = True
     ratios = 10.0 ** np.arange(-1.0, 10.0)
     usual = 3e-4
-    score, noise, _ = encoder_evidence.compute_encoder_evidence(t, y, fresh, ratios, usual, order, known)
+    score, noise, _ = encoder_evidence.compute_encoder_evidence(
+        t, y, fresh, ratios, usual, order, known
+    )
     dt = np.diff(t, prepend=t[0])
-    left, vague = np.arange(order)[::-1], np.diag(1e8 / np.median(dt[1:]) ** (2.0 * np.arange(order)))
+    left, vague = (
+        np.arange(order)[::-1],
+        np.diag(1e8 / np.median(dt[1:]) ** (2.0 * np.arange(order))),
+    )
     for index, ratio in enumerate(ratios):
         squares = logs = count = 0.0
         since = -1
@@ -212,7 +268,9 @@ def test_evidence_is_that_of_a_kalman_filter(order, known):
                 squares, logs, count = squares + nu * nu / s, logs + np.log(s), count + 1
             x, p = x + p[0] / s * nu, p - np.outer(p[0], p[0]) / s
         own = np.linspace(-1e-3, 1e-3, 3) + np.log(noise[index])
-        nats = -0.5 * (count * own + squares * np.exp(-own) + logs + 0.5 * (own - np.log(usual)) ** 2)
+        nats = -0.5 * (
+            count * own + squares * np.exp(-own) + logs + 0.5 * (own - np.log(usual)) ** 2
+        )
         assert score[index] == pytest.approx(nats[1], abs=1e-3)
         assert known == pytest.approx(noise[index]) if known else nats.argmax() == 1
 
@@ -237,7 +295,9 @@ def test_noise_is_tuned_on_readings_beside_images(world, monkeypatch, end):
     assert len(part.evidence.encoders.t) <= 200
     frames = part.evidence.sightings[0].t
     # no image is left out beside the readings that are kept
-    kept = (track.t >= part.evidence.encoders.t[0]) & (track.t <= min(part.evidence.encoders.t[-1], end))
+    kept = (track.t >= part.evidence.encoders.t[0]) & (
+        track.t <= min(part.evidence.encoders.t[-1], end)
+    )
     assert len(frames) >= kept.sum() > 10
 
 
@@ -245,7 +305,10 @@ def test_noise_is_tuned_on_readings_beside_images(world, monkeypatch, end):
 def test_averages_of_close_readings_carry_their_noise(world, rows):
     drawn = world(0, duration=6.0, encoder_hz=100.0 * rows)
     problem = filtering.build_filter_problem(drawn.features, drawn.body, EstimationSettings())
-    few, all_of = evidence_search.thin_encoder_readings(problem).evidence.encoders, problem.evidence.encoders
+    few, all_of = (
+        evidence_search.thin_encoder_readings(problem).evidence.encoders,
+        problem.evidence.encoders,
+    )
     assert len(few.t) == len(all_of.t) // rows
     if rows == 1:
         return
@@ -283,4 +346,6 @@ def test_encoders_of_several_topics_are_averaged_apart(world):
     found = _thinned(world, t, values)
     assert len(found.t) == 2000
     assert np.isfinite(found.values).sum() == 3000
-    np.testing.assert_allclose(found.values, np.where(np.isfinite(found.values), found.t[:, None] * [1, 2, -1], np.nan))
+    np.testing.assert_allclose(
+        found.values, np.where(np.isfinite(found.values), found.t[:, None] * [1, 2, -1], np.nan)
+    )

@@ -10,7 +10,7 @@ from bodylog.estimation.inference import adjoint
 from bodylog.estimation.inference.filter_records import FilterDynamics, FilterReadings
 from bodylog.estimation.inference.gate import FLAT_COST_NATS, GATE_SIGMA
 from bodylog.estimation.inference.reacquisition import START_STD
-from bodylog.estimation.inference.scan import TraceDetail, restart_filter, filter_stretches
+from bodylog.estimation.inference.scan import TraceDetail, filter_stretches, restart_filter
 
 JOINTS = 3
 

@@ -12,7 +12,7 @@ import pytest
 
 from bodylog import body, pipeline, sim
 from bodylog.estimation import estimate_from_features
-from bodylog.evaluation.scores import truth_at_times, score_angles
+from bodylog.evaluation.scores import score_angles, truth_at_times
 from bodylog.settings import BodySettings, EstimationSettings, Settings, TopicSettings
 from tests.estimation import textbook
 

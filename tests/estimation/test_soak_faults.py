@@ -33,7 +33,9 @@ def lab(request):
     """A lab that keeps its logs from run to run while their inputs are unchanged."""
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     package = Path(__file__).parents[2] / "bodylog"
-    sources = sorted(path for stage in ("sim", "perception", "body") for path in (package / stage).rglob("*.py"))
+    sources = sorted(
+        path for stage in ("sim", "perception", "body") for path in (package / stage).rglob("*.py")
+    )
     digest = sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:12]
     return Lab(Path(request.config.cache.mkdir(f"soak-{digest}")))
 
@@ -46,19 +48,28 @@ def believed(lab, scenario, seed, options):
 
 @pytest.mark.parametrize(("scenario", "options"), SOUND)
 def test_faults_are_absent_for_sound_encoders(lab, scenario, options):
-    accused = {seed: found.faults for seed in SEEDS if (found := believed(lab, scenario, seed, options)[1]).faults}
+    accused = {
+        seed: found.faults
+        for seed in SEEDS
+        if (found := believed(lab, scenario, seed, options)[1]).faults
+    }
     print(f"{scenario:14s} {options.get('variant', ''):14s} {len(accused)} of {len(SEEDS)} accused")
     assert not accused
 
 
 @pytest.mark.parametrize(("scenario", "kind", "joint", "exceeds"), LYING)
-def test_faulty_encoder_is_named_within_two_seconds_and_replaced(lab, scenario, kind, joint, exceeds):
+def test_faulty_encoder_is_named_within_two_seconds_and_replaced(
+    lab, scenario, kind, joint, exceeds
+):
     for seed in SEEDS:
         run, found = believed(lab, scenario, seed, {})
         (fault,) = found.faults
         error = found.joints.values - run.true(found.joints.names, found.joints.t)
         late = np.sqrt(np.mean(error[found.joints.t > found.joints.t[-1] - 8.0] ** 2, axis=0))
-        print(f"{scenario:8s} {seed} since {fault.since:.2f} s, {fault.size:.3f} rad; last 8 s", late.round(4))
+        print(
+            f"{scenario:8s} {seed} since {fault.since:.2f} s, {fault.size:.3f} rad; last 8 s",
+            late.round(4),
+        )
         assert (fault.kind, fault.name) == (kind, joint)
         assert fault.since < exceeds + 2.0
         assert late.max() < 0.015
@@ -83,7 +94,11 @@ def test_encoder_step_of_several_deviations_is_always_named(world, size):
         drawn = world(seed, duration=16.0, encoder_std=0.01, pixel_std=0.5, camera_hz=20.0)
         joints = drawn.features.joints
         values = joints.values + size * np.outer(joints.t >= 8.0, np.array(joints.names) == "pan")
-        found = estimate_from_features(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, EstimationSettings())
+        found = estimate_from_features(
+            replace(drawn.features, joints=replace(joints, values=values)),
+            drawn.body,
+            EstimationSettings(),
+        )
         (fault,) = found.faults
         assert fault.name == "pan" and 7.9 < fault.since < 10.0
         assert fault.size == pytest.approx(size, abs=0.04)
@@ -95,8 +110,13 @@ def test_rubber_hand_moves_the_estimate_only_when_synchronous(lab):
         body, drift = lab.body("default", seed), {}
         for variant in ("synchronous", "asynchronous"):
             run = lab.observed("rubber-hand", seed, duration=20.0, variant=variant, place="left")
-            with_it, without = believe_by_default(run, body), believe_by_default(run, body, ("encoders",))
-            apart = [body.senses["effector"].predict(belief.x)[0][:, 0] for belief in (with_it, without)]
+            with_it, without = (
+                believe_by_default(run, body),
+                believe_by_default(run, body, ("encoders",)),
+            )
+            apart = [
+                body.senses["effector"].predict(belief.x)[0][:, 0] for belief in (with_it, without)
+            ]
             drift[variant] = float(np.abs(apart[0] - apart[1])[with_it.t > 5.0].max())
         print(seed, drift)
         assert drift["synchronous"] > 20.0 * drift["asynchronous"]

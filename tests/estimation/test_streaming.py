@@ -33,21 +33,30 @@ ANGLE, SPREAD, NATS = 1e-9, 1e-7, 1e-6
 Message = tuple[float, str, object]
 
 
-def messages_of(features: Features, body: BodyModel, late: Callable[[str], float] = lambda sense: 0.0) -> list[Message]:
+def messages_of(
+    features: Features, body: BodyModel, late: Callable[[str], float] = lambda sense: 0.0
+) -> list[Message]:
     """All readings as (time, sense, reading), in order of arrival when senses are `late` (s)."""
     messages: list[tuple[float, Message]] = []
     joints = features.joints
     if joints is not None:
         rows = [dict(zip(joints.names, row, strict=True)) for row in joints.values]
-        messages += [(t + late("joints"), (t, "joints", row)) for t, row in zip(joints.t, rows, strict=True)]
+        messages += [
+            (t + late("joints"), (t, "joints", row)) for t, row in zip(joints.t, rows, strict=True)
+        ]
     for name, track in features.tracks.items():
         if name in body.senses:
             places = track.values if track.std is None else np.hstack([track.values, track.std])
-            messages += [(t + late(name), (t, name, place)) for t, place in zip(track.t, places, strict=True)]
+            messages += [
+                (t + late(name), (t, name, place)) for t, place in zip(track.t, places, strict=True)
+            ]
     if features.touches:
         found, _ = touch.read_touch_sighting(features, body)
         places = np.hstack([found.values, np.sqrt(found.var)])
-        messages += [(at + late("touch"), (at, "touch", place)) for at, place in zip(found.t, places, strict=True)]
+        messages += [
+            (at + late("touch"), (at, "touch", place))
+            for at, place in zip(found.t, places, strict=True)
+        ]
     return [message for _, message in sorted(messages, key=lambda pair: pair[0])]
 
 
@@ -66,15 +75,23 @@ def assert_same(beliefs: list[Belief], batch: Estimate) -> None:
     apart = (np.array([b.cov for b in ours]) - batch.cov[at]) / (std[:, :, None] * std[:, None])
     np.testing.assert_allclose(apart, 0.0, atol=SPREAD)
     if batch.bias is not None:
-        np.testing.assert_allclose([b.bias for b in ours], batch.bias.values[at], atol=ANGLE, rtol=0)
+        np.testing.assert_allclose(
+            [b.bias for b in ours], batch.bias.values[at], atol=ANGLE, rtol=0
+        )
     end = max(batch.joints.t)
-    assert sum(b.free_energy for b in beliefs if b.t <= end) == pytest.approx(batch.free_energy.sum(), abs=NATS)
+    assert sum(b.free_energy for b in beliefs if b.t <= end) == pytest.approx(
+        batch.free_energy.sum(), abs=NATS
+    )
 
 
 def assert_same_errors(beliefs: list[Belief], messages: list[Message], batch: Estimate) -> None:
     for name, errors in batch.errors.items():
         sense = "joints" if name == "encoders" else name
-        accepted = {m[0]: b.errors[name] for b, m in zip(beliefs, messages, strict=True) if m[1] == sense and b.errors}
+        accepted = {
+            m[0]: b.errors[name]
+            for b, m in zip(beliefs, messages, strict=True)
+            if m[1] == sense and b.errors
+        }
         ours = [accepted[t] for t in errors.t]
         np.testing.assert_allclose(ours, errors.values, atol=SPREAD)
 
@@ -96,7 +113,10 @@ def simultaneous(world, seed: int, **options: float) -> tuple[Features, BodyMode
     track, rng = drawn.features.tracks["effector"], np.random.default_rng(seed)
     track = replace(track, t=drawn.features.joints.t[::4][: len(track.t)])
     side = replace(track, values=track.values + rng.normal(0, 1.0, track.values.shape), std=None)
-    body = replace(drawn.body, senses=dict.fromkeys(("effector", "side/effector"), drawn.body.senses["effector"]))
+    body = replace(
+        drawn.body,
+        senses=dict.fromkeys(("effector", "side/effector"), drawn.body.senses["effector"]),
+    )
     return replace(drawn.features, tracks={"effector": track, "side/effector": side}), body
 
 
@@ -123,7 +143,9 @@ def test_estimator_recovers_a_lost_belief_as_the_batch(world, seed, names):
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]
     gone = np.outer((joints.t >= 3.0) & (joints.t < end), np.isin(joints.names, names))
     keep, values = ~gone.all(axis=1), np.where(gone, np.nan, joints.values)
-    joints = replace(joints, t=joints.t[keep], values=values[keep], source_ns=joints.source_ns[keep])
+    joints = replace(
+        joints, t=joints.t[keep], values=values[keep], source_ns=joints.source_ns[keep]
+    )
     elsewhere = ((track.t >= 3.0) & (track.t < end) & (len(names) == 3))[:, None]
     tracks = {"effector": replace(track, values=np.where(elsewhere, [250.0, 60.0], track.values))}
     features = replace(drawn.features, joints=joints, tracks=tracks)
@@ -132,11 +154,15 @@ def test_estimator_recovers_a_lost_belief_as_the_batch(world, seed, names):
     batch = estimate_from_features(features, drawn.body, MODEL)
     lost = [belief for belief in beliefs if belief.lost is not None]
     texts = [finding.text for finding in batch.findings if finding.text.startswith("belief: lost")]
-    assert len(lost) == len(texts) and all(f"{b.t:.3f} s" in text for b, text in zip(lost, texts, strict=True))
+    assert len(lost) == len(texts) and all(
+        f"{b.t:.3f} s" in text for b, text in zip(lost, texts, strict=True)
+    )
     assert lost or len(names) == 2
 
 
-@pytest.mark.parametrize("end", [5.0, *(pytest.param(end, marks=pytest.mark.soak) for end in (8.0, 20.0))])
+@pytest.mark.parametrize(
+    "end", [5.0, *(pytest.param(end, marks=pytest.mark.soak) for end in (8.0, 20.0))]
+)
 @pytest.mark.parametrize("names", [["pan", "lift", "elbow"], ["elbow", "lift"]])
 @pytest.mark.parametrize("seed", seeds(1, 4))
 def test_joints_adrift_equal_the_batch(world, seed, names, end):
@@ -144,7 +170,9 @@ def test_joints_adrift_equal_the_batch(world, seed, names, end):
     joints = drawn.features.joints
     gone = np.outer((joints.t >= 3.0) & (joints.t < end), np.isin(joints.names, names))
     keep, values = ~gone.all(axis=1), np.where(gone, np.nan, joints.values)
-    joints = replace(joints, t=joints.t[keep], values=values[keep], source_ns=joints.source_ns[keep])
+    joints = replace(
+        joints, t=joints.t[keep], values=values[keep], source_ns=joints.source_ns[keep]
+    )
     check(replace(drawn.features, joints=joints), drawn.body)
 
 
@@ -158,33 +186,51 @@ def test_variances_learned_from_a_log_are_used_live(world, white_acceleration):
     for seed, speed in ((0, 0.5), (1, 0.0)):
         drawn = world(seed, duration=6.0, speed=speed, blunder=0.05)
         batch = estimate_from_features(drawn.features, drawn.body, EstimationSettings(bias="off"))
-        messages, settings = messages_of(drawn.features, drawn.body), json.loads(json.dumps(batch.settings))
+        messages, settings = (
+            messages_of(drawn.features, drawn.body),
+            json.loads(json.dumps(batch.settings)),
+        )
         assert_same(step(LiveEstimator(drawn.body, MODEL, learned=settings), messages), batch)
         assert (min(settings["stated"]) < 1.0) is (speed == 0.0)
     drawn = world(0, duration=6.0)
-    one, whole = (estimate_from_features(drawn.features, drawn.body, EstimationSettings(m, bias="off")) for m in ("laplace", "smoother"))
-    beliefs = step(LiveEstimator(drawn.body, MODEL, learned=whole.settings), messages_of(drawn.features, drawn.body))
+    one, whole = (
+        estimate_from_features(drawn.features, drawn.body, EstimationSettings(m, bias="off"))
+        for m in ("laplace", "smoother")
+    )
+    beliefs = step(
+        LiveEstimator(drawn.body, MODEL, learned=whole.settings),
+        messages_of(drawn.features, drawn.body),
+    )
     assert_same(beliefs, one)
 
 
 def test_motion_learned_from_a_log_is_used_live(world):
     drawn = world(0, duration=12.0, blunder=0.02)
-    batch, smooth = (estimate_from_features(drawn.features, drawn.body, EstimationSettings(m, bias="off")) for m in ("laplace", "smoother"))
+    batch, smooth = (
+        estimate_from_features(drawn.features, drawn.body, EstimationSettings(m, bias="off"))
+        for m in ("laplace", "smoother")
+    )
     assert batch.settings["order"] == smooth.settings["order"] == 3
     messages = messages_of(drawn.features, drawn.body)
     for learned in (batch, smooth):
         settings = json.loads(json.dumps(learned.settings))
         assert_same(step(LiveEstimator(drawn.body, MODEL, learned=settings), messages), batch)
-    late = messages_of(drawn.features, drawn.body, lambda sense: 0.06 if sense == "effector" else 0.0)
+    late = messages_of(
+        drawn.features, drawn.body, lambda sense: 0.06 if sense == "effector" else 0.0
+    )
     last = step(LiveEstimator(drawn.body, MODEL, learned=batch.settings), late)[-1]
     np.testing.assert_allclose(last.x, batch.joints.values[-1], atol=1e-9, rtol=0)
 
 
-@pytest.mark.parametrize("encoder", [None, "loud", [1.0], [1e-4, 1e-4, 0.0], [1e-4, 1e-4, float("nan")]])
+@pytest.mark.parametrize(
+    "encoder", [None, "loud", [1.0], [1e-4, 1e-4, 0.0], [1e-4, 1e-4, float("nan")]]
+)
 def test_variances_that_are_not_the_bodys_are_refused(world, encoder):
     drawn = world(0, duration=1.0)
     settings = {"encoder": encoder, "process": [0.1] * 3, "stated": [1.0] * 3}
-    with pytest.raises(UsageError, match=re.escape(f"learned: encoder is {encoder!r}, possible: 3 numbers above 0")):
+    with pytest.raises(
+        UsageError, match=re.escape(f"learned: encoder is {encoder!r}, possible: 3 numbers above 0")
+    ):
         LiveEstimator(drawn.body, MODEL, learned=settings)
 
 
@@ -208,7 +254,10 @@ def test_missing_joints_gaps_and_times_that_run_backwards(world):
     spoilt = Series(t[keep], values[keep], joints.names, joints.unit, joints.source_ns[keep])
     frames = track.t.copy()
     frames[40] = frames[39]
-    check(replace(drawn.features, joints=spoilt, tracks={"effector": replace(track, t=frames)}), drawn.body)
+    check(
+        replace(drawn.features, joints=spoilt, tracks={"effector": replace(track, t=frames)}),
+        drawn.body,
+    )
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
@@ -231,7 +280,9 @@ def test_simultaneous_senses_in_any_order_and_in_one_call(world, seed):
 def test_late_images_are_applied_at_their_time(world, seed):
     features, body = simultaneous(world, seed, blunder=0.05)
     late, rng = {"effector": 0.08, "side/effector": 0.13}, np.random.default_rng(seed)
-    messages = messages_of(features, body, lambda sense: late.get(sense, 0.0) * rng.uniform(0.9, 1.1))
+    messages = messages_of(
+        features, body, lambda sense: late.get(sense, 0.0) * rng.uniform(0.9, 1.1)
+    )
     assert any(one[0] > next_[0] for one, next_ in pairwise(messages))
     live, batch = LiveEstimator(body), estimate_from_features(features, body, MODEL)
     beliefs = step(live, messages)
@@ -281,7 +332,9 @@ def test_belief_is_available_at_any_time(world):
     batch = estimate_from_features(drawn.features, drawn.body, replace(MODEL, rate=37.0))
     live, beliefs = LiveEstimator(drawn.body), []
     asked = [(t, "", None) for t in batch.joints.t]
-    for t, sense, reading in sorted([*messages_of(drawn.features, drawn.body), *asked], key=lambda message: message[0]):
+    for t, sense, reading in sorted(
+        [*messages_of(drawn.features, drawn.body), *asked], key=lambda message: message[0]
+    ):
         beliefs.append(live.step(t, **({sense: reading} if sense else {})))  # type: ignore[arg-type]
     assert_same(beliefs, batch)
 
@@ -312,14 +365,30 @@ def test_unfit_readings_are_refused_in_one_line_and_change_nothing(world):
     refused: list[tuple[type[Exception], str, dict[str, object]]] = [
         (UsageError, "t: nan found", {"t": np.nan}),
         (UsageError, "t: 'now' found", {"t": "now"}),
-        (UsageError, r"joints: \[1.0, 2.0\] found, possible: one angle in rad for each of pan", {"joints": [1.0, 2.0]}),
+        (
+            UsageError,
+            r"joints: \[1.0, 2.0\] found, possible: one angle in rad for each of pan",
+            {"joints": [1.0, 2.0]},
+        ),
         (UsageError, "joints: .* found", {"joints": np.zeros((1, 3))}),
         (UsageError, "joints: .* found", {"joints": ["a", "b", "c"]}),
-        (ModelError, "j1, j2 found, possible: pan, lift, elbow", {"joints": {"j1": 1.0, "j2": 2.0}}),
-        (UsageError, r"effector: .* found, possible: \(u, v\) or \(u, v, std_u, std_v\) in px", {"effector": 1.0}),
+        (
+            ModelError,
+            "j1, j2 found, possible: pan, lift, elbow",
+            {"joints": {"j1": 1.0, "j2": 2.0}},
+        ),
+        (
+            UsageError,
+            r"effector: .* found, possible: \(u, v\) or \(u, v, std_u, std_v\) in px",
+            {"effector": 1.0},
+        ),
         (UsageError, "effector: .* found", {"effector": (1.0, 2.0, 3.0)}),
         (UsageError, r"touch: .* possible: \(u, v, std_u, std_v\)", {"touch": (1.0, 2.0)}),
-        (UsageError, "hand: the body has no such sense; it has effector, touch", {"hand": (1.0, 2.0)}),
+        (
+            UsageError,
+            "hand: the body has no such sense; it has effector, touch",
+            {"hand": (1.0, 2.0)},
+        ),
     ]
     for kind, text, given in refused:
         with pytest.raises(kind, match=text) as problem:
@@ -333,7 +402,10 @@ def test_unfit_readings_are_refused_in_one_line_and_change_nothing(world):
     ("settings", "text"),
     [
         (EstimationSettings(), "precision: 'auto' needs the whole log; possible live: model"),
-        (EstimationSettings(precision="model"), "bias: 'auto' needs the whole log; possible live: off or on"),
+        (
+            EstimationSettings(precision="model"),
+            "bias: 'auto' needs the whole log; possible live: off or on",
+        ),
         (replace(MODEL, method="smoother"), "method: 'smoother' needs the whole log"),
         (replace(MODEL, start=(1.0,)), "start: 1 angles given, the body has 3 joints"),
         (replace(MODEL, senses=("nose",)), "senses: 'nose' found, possible:"),
@@ -360,7 +432,10 @@ def test_readings_before_all_joints_are_known_are_applied_then(world):
         try:
             beliefs += step(live, [message])
         except LogError as problem:
-            assert re.search("no reading of .*pan.* yet; pass every joint once", str(problem)) and not beliefs
+            assert (
+                re.search("no reading of .*pan.* yet; pass every joint once", str(problem))
+                and not beliefs
+            )
     assert_same(beliefs, estimate_from_features(features, drawn.body, MODEL))
     assert live.used["effector"].used == len(track.t) and not live.used["encoders"].rejected
     late = LiveEstimator(drawn.body, lag=0.05)
@@ -393,12 +468,17 @@ def test_step_equals_the_matrix_form(seed, offsets, order):
     root = rng.normal(size=(k, k))
     z, p, var = rng.normal(size=k), root @ root.T / k, rng.uniform(1e-4, 1e-2, m)
     f, q = np.eye(k), np.zeros((k, k))
-    f[: order * m, : order * m], q[: order * m, : order * m] = discretised(more * dynamics.process, dt, order)
+    f[: order * m, : order * m], q[: order * m, : order * m] = discretised(
+        more * dynamics.process, dt, order
+    )
     q[order * m :, order * m :] = np.diag([] if drift is None else drift * dt)
     step, begin = FilterStep(dynamics, 2, 2), (z, p)
     z, p = f @ z, f @ p @ f.T + q
     readings = np.where(rng.random(m) < 0.3, np.nan, z[:m] + rng.normal(size=m) * (1.0, 1.0, 90.0))
-    lines = [Line(jac := rng.normal(size=(n, m)), jac @ z[:m], rng.uniform(0.1, 1.0, n), LastFrame()) for n in (2, 1)]
+    lines = [
+        Line(jac := rng.normal(size=(n, m)), jac @ z[:m], rng.uniform(0.1, 1.0, n), LastFrame())
+        for n in (2, 1)
+    ]
     found = step(*begin, dt, readings, var, lines, more=more)
     np.testing.assert_allclose(found.x, z[:m], atol=1e-12)
     np.testing.assert_allclose(found.cov, p[:m, :m], atol=1e-12)
@@ -415,7 +495,11 @@ def test_step_equals_the_matrix_form(seed, offsets, order):
     np.testing.assert_allclose(found.p, p - gain @ h @ p, atol=1e-9)
     nats = 0.5 * (nu @ np.linalg.inv(s) @ nu + np.linalg.slogdet(2.0 * np.pi * s)[1])
     # outliers cost more than by their inflated noise
-    assert found.nats > nats + 1.0 if (np.abs(d) > 5.0).any() else found.nats == pytest.approx(nats, abs=1e-9)
+    assert (
+        found.nats > nats + 1.0
+        if (np.abs(d) > 5.0).any()
+        else found.nats == pytest.approx(nats, abs=1e-9)
+    )
 
 
 def test_step_that_rounding_broke_is_refused():
@@ -434,5 +518,9 @@ def test_search_that_is_satisfied_at_once_linearises_at_the_prior_mean(world):
     for rest, kept in ((np.inf, True), (1e-8, False)):
         steps = SequentialFilter(dynamics, None, rest)
         found = steps.step(steps.first(start), 0.0, [np.nan] * 3, [1e-4] * 3, {"effector": frame})
-        assert np.array_equal(found.point, start) == np.array_equal(found.seen["effector"].memory.point, start) == kept
+        assert (
+            np.array_equal(found.point, start)
+            == np.array_equal(found.seen["effector"].memory.point, start)
+            == kept
+        )
         assert np.abs(found.z[:3] - start).max() > 1e-3

@@ -21,9 +21,16 @@ def freeze(drawn, begin, end=np.inf):
 @pytest.mark.parametrize("seed", range(2))
 def test_frozen_camera_is_named_and_its_images_removed(world, method, seed):
     drawn = world(seed, duration=12.0, camera_hz=20.0)
-    found = estimate_from_features(freeze(drawn, 6.0), drawn.body, EstimationSettings(method=method))
+    found = estimate_from_features(
+        freeze(drawn, 6.0), drawn.body, EstimationSettings(method=method)
+    )
     ((fault),) = found.faults
-    assert (fault.sense, fault.name, fault.kind, fault.unit) == ("vision", "effector", "frozen", "px")
+    assert (fault.sense, fault.name, fault.kind, fault.unit) == (
+        "vision",
+        "effector",
+        "frozen",
+        "px",
+    )
     assert 6.0 <= fault.since < 6.2 and fault.size > 5.0
     health = found.used["effector"]
     assert health.rejected["frozen"] == 119 and health.used == 121
@@ -49,8 +56,12 @@ def test_frozen_camera_ignores_one_drifting_encoder_at_rest(world):
     drawn = world(3, duration=14.0, camera_hz=20.0, speed=0.0, encoder_std=0.005, pixel_std=0.1)
     features = freeze(drawn, 0.0)
     joints = features.joints
-    values = joints.values + np.outer(np.clip((joints.t - 5.0) * 0.03, 0.0, None), np.arange(3) == 0)
-    found = estimate_from_features(replace(features, joints=replace(joints, values=values)), drawn.body, EstimationSettings())
+    values = joints.values + np.outer(
+        np.clip((joints.t - 5.0) * 0.03, 0.0, None), np.arange(3) == 0
+    )
+    found = estimate_from_features(
+        replace(features, joints=replace(joints, values=values)), drawn.body, EstimationSettings()
+    )
     assert [(fault.sense, fault.name) for fault in found.faults] == [("encoders", joints.names[0])]
 
 
@@ -59,8 +70,14 @@ def test_frozen_camera_is_named_with_encoders_on_separate_topics(world):
     features = freeze(drawn, 6.0)
     values = features.joints.values.copy()
     values[::2, 0], values[1::2, 1:] = np.nan, np.nan
-    found = estimate_from_features(replace(features, joints=replace(features.joints, values=values)), drawn.body, EstimationSettings())
-    assert [(fault.sense, fault.name, fault.kind) for fault in found.faults] == [("vision", "effector", "frozen")]
+    found = estimate_from_features(
+        replace(features, joints=replace(features.joints, values=values)),
+        drawn.body,
+        EstimationSettings(),
+    )
+    assert [(fault.sense, fault.name, fault.kind) for fault in found.faults] == [
+        ("vision", "effector", "frozen")
+    ]
 
 
 def test_frozen_camera_ignores_two_jumping_encoders_at_rest(world):
@@ -69,6 +86,8 @@ def test_frozen_camera_ignores_two_jumping_encoders_at_rest(world):
     features = freeze(drawn, 0.0)
     joints = features.joints
     values = joints.values + 0.15 * np.outer(joints.t >= 6.0, np.arange(3) < 2)
-    found = estimate_from_features(replace(features, joints=replace(joints, values=values)), drawn.body, EstimationSettings())
+    found = estimate_from_features(
+        replace(features, joints=replace(joints, values=values)), drawn.body, EstimationSettings()
+    )
     assert {(fault.sense, fault.kind) for fault in found.faults} == {("encoders", "jumping")}
     assert {fault.name for fault in found.faults} == set(joints.names[:2])

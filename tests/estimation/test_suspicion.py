@@ -28,7 +28,10 @@ def error(found, drawn, since=0.0):
     """Root mean square error (rad) of an estimate from `since` s on."""
     t, truth = found.joints.t, drawn.truth
     x = np.column_stack(
-        [np.interp(t, truth.t, truth.values[:, truth.names.index(name)]) for name in found.joints.names]
+        [
+            np.interp(t, truth.t, truth.values[:, truth.names.index(name)])
+            for name in found.joints.names
+        ]
     )
     return np.sqrt(np.mean((found.joints.values - x)[t >= since] ** 2))
 
@@ -45,7 +48,9 @@ def test_offset_score_is_the_evidence_with_an_offset(world, seed, size):
     drawn = world(seed, duration=14.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     problem, found = solved(lying(drawn, size), drawn.body)
     cost = partial(filtering.filter_free_energy, warm=found)
-    wins = [cost(problem) - cost(encoder_offset.with_drift(problem, WALK * row)) for row in np.eye(3)]
+    wins = [
+        cost(problem) - cost(encoder_offset.with_drift(problem, WALK * row)) for row in np.eye(3)
+    ]
     np.testing.assert_allclose(offset_score(problem, found, WALK)[0], wins, atol=20.0, rtol=0.3)
     assert (max(wins) > encoder_offset.EVIDENCE_THRESHOLD_NATS) is (size > 0)
 
@@ -59,7 +64,9 @@ def test_offset_score_without_images_is_zero(world):
 @pytest.fixture
 def learned(world):
     """A body learned from images, with model error."""
-    explored = world(1, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
+    explored = world(
+        1, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3
+    )
     return body.learn_body([explored.features], Settings(), {}).model
 
 
@@ -77,15 +84,25 @@ def test_offset_search_skips_sound_logs(world, monkeypatch):
 def test_offset_search_ignores_the_smoothers_forward_lag(world, learned, monkeypatch):
     monkeypatch.setattr(encoder_offset, "choose_encoder_offsets", _never)
     for seed in (7, 8):
-        drawn = world(seed, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
-        assert not estimate_from_features(drawn.features, learned, EstimationSettings(method="smoother")).faults
+        drawn = world(
+            seed, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3
+        )
+        assert not estimate_from_features(
+            drawn.features, learned, EstimationSettings(method="smoother")
+        ).faults
 
 
-def test_offset_score_decreases_with_a_smoothers_lag(world, learned, monkeypatch, white_acceleration):
+def test_offset_score_decreases_with_a_smoothers_lag(
+    world, learned, monkeypatch, white_acceleration
+):
     scored, named = [], "offset_score"
-    monkeypatch.setattr(encoder_offset, named, lambda *given: scored.append(offset_score(*given)) or scored[-1])
+    monkeypatch.setattr(
+        encoder_offset, named, lambda *given: scored.append(offset_score(*given)) or scored[-1]
+    )
     for seed in (2, 3):
-        drawn = world(seed, duration=120.0, encoder_hz=100.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
+        drawn = world(
+            seed, duration=120.0, encoder_hz=100.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0
+        )
         estimate_from_features(drawn.features, learned, EstimationSettings(method="smoother"))
     assert len(scored) == 2
     # a nat per eight half-second spans, so a log of ten minutes stays far from NATS
@@ -101,9 +118,15 @@ def test_model_error_gives_no_encoder_fault(world, learned):
 
 @pytest.mark.parametrize("seed", seeds(2, 12))
 def test_body_of_a_short_exploration_gives_no_encoder_fault(world, seed):
-    explored = world(seed, duration=5.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
+    explored = world(
+        seed, duration=5.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3
+    )
     drawn = world(1000 + seed, duration=20.0, encoder_std=0.02, pixel_std=0.3, camera_hz=20.0)
-    found = estimate_from_features(drawn.features, body.learn_body([explored.features], Settings(), {}).model, EstimationSettings())
+    found = estimate_from_features(
+        drawn.features,
+        body.learn_body([explored.features], Settings(), {}).model,
+        EstimationSettings(),
+    )
     assert not found.faults and error(found, drawn) < 0.012
 
 
@@ -120,7 +143,9 @@ def test_encoder_step_near_the_noise_is_named(world, seed, joint):
 @pytest.mark.parametrize("seed", seeds(1, 20))
 def test_encoder_step_has_its_time_and_its_size_within_its_error(world, seed, joint, size):
     drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
-    (fault,) = estimate_from_features(lying(drawn, size, joint), drawn.body, EstimationSettings()).faults
+    (fault,) = estimate_from_features(
+        lying(drawn, size, joint), drawn.body, EstimationSettings()
+    ).faults
     assert (fault.name, fault.kind) == (joint, "jumping") and abs(fault.since - 8.0) < 0.1
     assert abs(fault.size - size) < 4.0 * fault.std < 0.03
 
@@ -129,14 +154,21 @@ def test_encoder_step_has_its_time_and_its_size_within_its_error(world, seed, jo
 def test_encoder_step_leaves_the_filters_error_as_it_is_without(world, seed):
     drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
     features = (drawn.features, lying(drawn, 0.1, "elbow"))
-    sound, stepped = (error(estimate_from_features(each, drawn.body, EstimationSettings()), drawn, since=8.0) for each in features)
+    sound, stepped = (
+        error(estimate_from_features(each, drawn.body, EstimationSettings()), drawn, since=8.0)
+        for each in features
+    )
     assert stepped < 1.06 * sound
 
 
-@pytest.mark.parametrize("seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(3, 12))])
+@pytest.mark.parametrize(
+    "seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(3, 12))]
+)
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 def test_large_encoder_step_is_a_step_and_no_drift(world, seed, method):
-    explored = world(5000 + seed, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
+    explored = world(
+        5000 + seed, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3
+    )
     model, drawn = body.learn_body([explored.features], Settings(), {}).model, world(7000 + seed)
     found = estimate_from_features(lying(drawn, 0.3), model, EstimationSettings(method=method))
     assert [(fault.name, fault.kind) for fault in found.faults] == [("pan", "jumping")]
@@ -146,24 +178,35 @@ def test_large_encoder_step_is_a_step_and_no_drift(world, seed, method):
 @pytest.mark.parametrize(("size", "silence"), [(0.1, 2.0), (0.1, 5.0), (1.0, 0.2)])
 @pytest.mark.parametrize("seed", seeds(1, 6))
 def test_step_after_a_silence_of_all_encoders_is_named(world, seed, size, silence):
-    explored = world(5000, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
+    explored = world(
+        5000, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3
+    )
     drawn = world(9000 + seed, encoder_std=0.005)
     features = lying(drawn, size)
     read = (features.joints.t < 8.0) | (features.joints.t >= 8.0 + silence)
     t, values, source_ns = (
-        part[read] for part in (features.joints.t, features.joints.values, features.joints.source_ns)
+        part[read]
+        for part in (features.joints.t, features.joints.values, features.joints.source_ns)
     )
-    features = replace(features, joints=replace(features.joints, t=t, values=values, source_ns=source_ns))
-    found = estimate_from_features(features, body.learn_body([explored.features], Settings(), {}).model, EstimationSettings())
+    features = replace(
+        features, joints=replace(features.joints, t=t, values=values, source_ns=source_ns)
+    )
+    found = estimate_from_features(
+        features, body.learn_body([explored.features], Settings(), {}).model, EstimationSettings()
+    )
     assert [fault.name for fault in found.faults] == ["pan"]
     assert found.faults[0].size == pytest.approx(size, abs=0.01)
     assert error(found, drawn, since=8.0 + silence) < 0.006
 
 
-@pytest.mark.parametrize(("seed", "joint", "size"), [(3, "elbow", 0.02), (4, "elbow", 0.05), (0, "pan", 0.02)])
+@pytest.mark.parametrize(
+    ("seed", "joint", "size"), [(3, "elbow", 0.02), (4, "elbow", 0.05), (0, "pan", 0.02)]
+)
 def test_encoder_step_that_a_filter_takes_for_motion_is_a_step(world, seed, joint, size):
     drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
-    (fault,) = estimate_from_features(lying(drawn, size, joint), drawn.body, EstimationSettings()).faults
+    (fault,) = estimate_from_features(
+        lying(drawn, size, joint), drawn.body, EstimationSettings()
+    ).faults
     assert (fault.name, fault.kind) == (joint, "jumping") and abs(fault.since - 8.0) < 0.25
     assert abs(fault.size - size) < 4.0 * fault.std < 0.02
 
@@ -171,8 +214,14 @@ def test_encoder_step_that_a_filter_takes_for_motion_is_a_step(world, seed, join
 def test_drift_has_a_size_with_its_error(world):
     drawn = world(1, duration=16.0, encoder_std=0.01, camera_hz=20.0)
     joints = drawn.features.joints
-    values = joints.values + np.outer(0.02 * np.clip(joints.t - 8.0, 0.0, None), np.array(joints.names) == "pan")
-    (fault,) = estimate_from_features(replace(drawn.features, joints=replace(joints, values=values)), drawn.body, EstimationSettings()).faults
+    values = joints.values + np.outer(
+        0.02 * np.clip(joints.t - 8.0, 0.0, None), np.array(joints.names) == "pan"
+    )
+    (fault,) = estimate_from_features(
+        replace(drawn.features, joints=replace(joints, values=values)),
+        drawn.body,
+        EstimationSettings(),
+    ).faults
     assert fault.kind == "drifting" and abs(fault.size - 0.16) < 4.0 * fault.std < 0.05
 
 

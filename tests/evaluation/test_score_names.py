@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bodylog.score_names import FIGURES, RENAMED, split_score_name, score_unit
+from bodylog.score_names import FIGURES, RENAMED, score_unit, split_score_name
 
 ROOT = Path(__file__).parents[2]
 ROWS = dict(re.findall(r"^\| `([^`]+)` \|([^|]*)\|", (ROOT / "docs" / "metrics.md").read_text(), re.MULTILINE))

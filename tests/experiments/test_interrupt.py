@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import pytest
 
 from bodylog.errors import PartError
-from bodylog.experiments import Reproduction, run_reproduction, run
+from bodylog.experiments import Reproduction, run, run_reproduction
 
 RUN = """
 import sys

@@ -5,7 +5,14 @@ import math
 import pytest
 
 from bodylog.experiments.claims import Bound, Control, Counts
-from bodylog.experiments.judging import judge_comparison, median_interval, judge_own_claim, judge_paper_claim, untestable_claim, judge_variants
+from bodylog.experiments.judging import (
+    judge_comparison,
+    judge_own_claim,
+    judge_paper_claim,
+    judge_variants,
+    median_interval,
+    untestable_claim,
+)
 
 LOW, HIGH, NAN = (0.1,) * 10, (2.0,) * 10, (float("nan"),) * 10
 

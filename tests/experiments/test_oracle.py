@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from bodylog.experiments.oracle import DENSITIES, OracleInputs, _filter_forward, estimate_by_oracle, discretise_motion
+from bodylog.experiments.oracle import (
+    DENSITIES,
+    OracleInputs,
+    _filter_forward,
+    discretise_motion,
+    estimate_by_oracle,
+)
 from bodylog.sim.arms import ARMS
 from tests.estimation import textbook
 

@@ -11,7 +11,16 @@ from bodylog.estimation.methods.grid import GridProblem, GridSense
 from bodylog.estimation.methods.paper_touch import PaperTouch
 from bodylog.experiments.cases import HAND_STD_PX, ExplorationSamples, build_case, place_hand
 from bodylog.experiments.drawn import place_in_image as true_place
-from bodylog.experiments.printed import DT, Case, CaseSenses, Map, Signals, Touching, run_printed_model, filter_encoders
+from bodylog.experiments.printed import (
+    DT,
+    Case,
+    CaseSenses,
+    Map,
+    Signals,
+    Touching,
+    filter_encoders,
+    run_printed_model,
+)
 
 WIDTH = 320.0
 STEPS = 80

@@ -9,12 +9,12 @@ from bodylog.experiments.readings import (
     CONSTANTS,
     TOGETHER,
     design_readings,
+    list_sweeps,
+    parse_reading,
     reading_key,
     reading_number,
-    parse_reading,
-    restrict_readings,
-    list_sweeps,
     reading_value,
+    restrict_readings,
 )
 
 

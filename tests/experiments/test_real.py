@@ -7,7 +7,7 @@ import pytest
 from bodylog.errors import UsageError
 from bodylog.experiments import Reproduction, run_reproduction
 from bodylog.experiments.claims import OWN_HOLDS
-from bodylog.experiments.real import EXPERIMENT, ROBOTS, has_all_files, digest_tables, measure_nao
+from bodylog.experiments.real import EXPERIMENT, ROBOTS, digest_tables, has_all_files, measure_nao
 from bodylog.experiments.records import ExperimentReadings
 
 REAL = Path(__file__).parents[3] / "shared" / "real"

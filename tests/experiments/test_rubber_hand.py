@@ -22,7 +22,9 @@ def test_displaced_delays_and_shifts_the_hand_and_recomputes_synchrony():
     )
     assert [pair.delay for pair in found.synchrony] == pytest.approx([0.12, 0.12])
     assert [pair.weight for pair in found.synchrony] == pytest.approx([0.5, 0.5])
-    assert rubber_hand.has_weighted_touch(found) and not rubber_hand.has_weighted_touch(rubber_hand.displace_hand(log, 1.0, 1.0, 1.0).features)
+    assert rubber_hand.has_weighted_touch(found) and not rubber_hand.has_weighted_touch(
+        rubber_hand.displace_hand(log, 1.0, 1.0, 1.0).features
+    )
 
 
 @pytest.mark.soak
@@ -34,8 +36,12 @@ def test_rubber_hand_drifts_with_synchronous_touch_only(tmp_path):
     figures = trial["figures"]
     assert figures["in time"] >= 0.15 and figures["late"] <= 0.02 and figures["rise"] < 0.0
     assert figures["noise 0.02 right"] < figures["asynchrony 0 right"] < figures["noise 0.3 right"]
-    assert figures["displacement 0.5 right px"] == pytest.approx(0.5 * figures["asynchrony 0 right px"], rel=0.2)
-    assert figures["asynchrony 0 right cm"] == pytest.approx(figures["asynchrony 0 right px"] / 2.4, rel=0.05)
+    assert figures["displacement 0.5 right px"] == pytest.approx(
+        0.5 * figures["asynchrony 0 right px"], rel=0.2
+    )
+    assert figures["asynchrony 0 right cm"] == pytest.approx(
+        figures["asynchrony 0 right px"] / 2.4, rel=0.05
+    )
     claims = rubber_hand.EXPERIMENT.claims([trial], ExperimentReadings(({},)))
     assert [claim.verdict for claim in claims] == [OWN_HOLDS] * 5
     assert len(rubber_hand.EXPERIMENT.tables([trial])) == 4

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from bodylog.errors import UsageError
-from bodylog.experiments import EXPERIMENTS, run_reproduction, run
+from bodylog.experiments import EXPERIMENTS, run, run_reproduction
 from bodylog.experiments.records import Experiment
 
 

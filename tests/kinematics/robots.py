@@ -8,8 +8,8 @@ from bodylog.kinematics import urdf
 from bodylog.kinematics.calibration import Sighted
 from bodylog.kinematics.camera import lens_without_distortion
 from bodylog.kinematics.chain import chain_between
-from bodylog.kinematics.rig import RigCamera, Carrier, Rig, Sight
-from bodylog.kinematics.rotations import rotation_from_vector, make_transform
+from bodylog.kinematics.rig import Carrier, Rig, RigCamera, Sight
+from bodylog.kinematics.rotations import make_transform, rotation_from_vector
 
 JOINTS = ("pan", "lift", "elbow", "wrist")
 ARM = """<?xml version="1.0"?>

@@ -8,9 +8,9 @@ import pytest
 from bodylog.kinematics import identifiability, urdf
 from bodylog.kinematics.calibration import Sighted, calibrate_rig
 from bodylog.kinematics.links import CameraHint, MarkerTrack, find_links
-from bodylog.kinematics.rig import RigCamera, Carrier, Rig, Sight
-from bodylog.kinematics.rotations import rotation_from_vector, make_transform
-from bodylog.kinematics.starts import hand_eye, planar_board_pose, resect_pose, find_starts
+from bodylog.kinematics.rig import Carrier, Rig, RigCamera, Sight
+from bodylog.kinematics.rotations import make_transform, rotation_from_vector
+from bodylog.kinematics.starts import find_starts, hand_eye, planar_board_pose, resect_pose
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS, board
 

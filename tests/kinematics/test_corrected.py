@@ -9,7 +9,7 @@ from bodylog.errors import ModelError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import chain_between
 from bodylog.kinematics.corrected import CameraFrame, correct_urdf
-from bodylog.kinematics.rotations import rotation_from_vector, make_transform
+from bodylog.kinematics.rotations import make_transform, rotation_from_vector
 from tests.kinematics.robots import MIXED
 from tests.kinematics.test_chain import ends_of
 

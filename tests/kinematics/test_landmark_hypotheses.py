@@ -5,7 +5,14 @@ import pytest
 
 from bodylog.kinematics.landmark_errors import unknowns_covariance
 from bodylog.kinematics.landmark_fit import search_delay, staged_fit
-from bodylog.kinematics.landmark_hypotheses import CAMERA, SOUND, ChangeHypothesis, information_of_log, weigh_hypotheses, widen_zero_belief
+from bodylog.kinematics.landmark_hypotheses import (
+    CAMERA,
+    SOUND,
+    ChangeHypothesis,
+    information_of_log,
+    weigh_hypotheses,
+    widen_zero_belief,
+)
 from bodylog.kinematics.landmarks import LandmarkBelief
 from bodylog.types import Array
 

@@ -8,10 +8,27 @@ import pytest
 from bodylog.errors import ModelError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.joint_motion import JointCurve, curve_through_samples
-from bodylog.kinematics.landmark_adjustment import Landmarks, adjust_landmarks, assign_pieces, reduce_normal, whiten_residuals
+from bodylog.kinematics.landmark_adjustment import (
+    Landmarks,
+    adjust_landmarks,
+    assign_pieces,
+    reduce_normal,
+    whiten_residuals,
+)
 from bodylog.kinematics.landmark_errors import unknowns_covariance
-from bodylog.kinematics.landmark_fit import LandmarkFit, build_model, choose_pieces, search_delay, staged_fit
-from bodylog.kinematics.landmarks import LandmarkBelief, LandmarkModel, LandmarkSightings, join_landmark_tracks
+from bodylog.kinematics.landmark_fit import (
+    LandmarkFit,
+    build_model,
+    choose_pieces,
+    search_delay,
+    staged_fit,
+)
+from bodylog.kinematics.landmarks import (
+    LandmarkBelief,
+    LandmarkModel,
+    LandmarkSightings,
+    join_landmark_tracks,
+)
 from bodylog.kinematics.links import FREE_LENS, TF_POSE, Space
 from bodylog.kinematics.rig import RigCamera
 from bodylog.types import Array

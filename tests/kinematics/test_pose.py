@@ -7,7 +7,11 @@ from bodylog.evaluation import poses as figures
 from bodylog.evaluation.truth import load_poses
 from bodylog.kinematics import urdf
 from bodylog.kinematics.pose import find_base, pose_in_base
-from bodylog.kinematics.rotations import rotation_from_vector, vector_from_rotation, quaternions_from_rotations
+from bodylog.kinematics.rotations import (
+    quaternions_from_rotations,
+    rotation_from_vector,
+    vector_from_rotation,
+)
 from bodylog.types import Poses
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM

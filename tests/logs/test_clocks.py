@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from bodylog.recording.clocks import is_sound, largest_gap, order_by_time, repeats_earlier_times, seconds_since
+from bodylog.recording.clocks import (
+    is_sound,
+    largest_gap,
+    order_by_time,
+    repeats_earlier_times,
+    seconds_since,
+)
 
 T0 = 1_700_000_000_000_000_000
 MS = 1_000_000

@@ -10,7 +10,12 @@ from bodylog.errors import LogError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import chain_between
 from bodylog.kinematics.frame_robot import BASE, frame_robot
-from bodylog.kinematics.rotations import rotation_from_vector, rotation_from_rpy, quaternions_from_rotations, rpy_from_rotation
+from bodylog.kinematics.rotations import (
+    quaternions_from_rotations,
+    rotation_from_rpy,
+    rotation_from_vector,
+    rpy_from_rotation,
+)
 from bodylog.logs.formats import open_log
 from bodylog.logs.tables.frame_columns import frame_of, frame_poses
 from bodylog.robot_model import joints_of_urdf

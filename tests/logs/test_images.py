@@ -20,7 +20,7 @@ from bodylog.logs.decode.layout import Picker
 from bodylog.logs.images import video_file
 from bodylog.logs.images.codecs import check_size
 from bodylog.logs.images.header_sizes import stated_size
-from bodylog.logs.images.messages import ENCODINGS, make_image_decoder, explain_refused_image
+from bodylog.logs.images.messages import ENCODINGS, explain_refused_image, make_image_decoder
 from bodylog.logs.limits import Input
 from bodylog.types import LazyImage, Topic
 

@@ -10,7 +10,7 @@ from bodylog.body import storage
 from bodylog.body.kinematic.offsets import learned_zeros
 from bodylog.config import load_settings
 from bodylog.errors import ConfigError
-from bodylog.logs.joint_units import UNIT, parse_count_unit, joint_unit
+from bodylog.logs.joint_units import UNIT, joint_unit, parse_count_unit
 from bodylog.settings import BodySettings, KinematicsSettings, Settings
 from tests.body.test_kinematic import OFFSETS, features
 from tests.kinematics.robots import ARM, JOINTS, angles

@@ -10,7 +10,7 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bodylog.errors import BodylogError
-from bodylog.logs.decode.columns import read_topic_columns, definition_of
+from bodylog.logs.decode.columns import definition_of, read_topic_columns
 from bodylog.logs.decode.definitions import PRIMITIVES, TEXTS, TIMES, Definition
 from bodylog.logs.decode.parts import TopicColumns
 from bodylog.logs.formats import open_log, payload_views

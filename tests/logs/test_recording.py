@@ -18,7 +18,19 @@ from bodylog.recording.recording import read_recording
 from bodylog.settings import BodySettings, Settings, TimeSettings, TopicSettings
 from bodylog.types import LazyImage
 
-from .writing import T0, Stream, camera, cdr, compressed, define, header, joint_state, joints, register, write
+from .writing import (
+    T0,
+    Stream,
+    camera,
+    cdr,
+    compressed,
+    define,
+    header,
+    joint_state,
+    joints,
+    register,
+    write,
+)
 
 MS = 1_000_000
 NAMES = ("shoulder", "elbow", "wrist")

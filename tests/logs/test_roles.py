@@ -6,7 +6,12 @@ import pytest
 
 from bodylog.errors import ConfigError, LogError
 from bodylog.recording.cameras import camera_name_of_source
-from bodylog.recording.role_hints import advice_on_roles, find_unreadable_topics, unused_cameras, unused_joints
+from bodylog.recording.role_hints import (
+    advice_on_roles,
+    find_unreadable_topics,
+    unused_cameras,
+    unused_joints,
+)
 from bodylog.recording.roles import assign_roles
 from bodylog.settings import TopicSettings
 from bodylog.types import Topic

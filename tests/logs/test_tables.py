@@ -6,7 +6,7 @@ import pytest
 
 from bodylog.errors import UsageError
 from bodylog.recording.recording import read_recording
-from bodylog.recording.tables import export_signals, export_features
+from bodylog.recording.tables import export_features, export_signals
 from bodylog.recording.tidy import signals_by_role
 from bodylog.settings import Settings
 from bodylog.types import Features, Recording, Series, Stroke, Synchrony, Touch

@@ -11,7 +11,7 @@ from rosbags.highlevel import AnyReader
 from bodylog.errors import LogError, UsageError
 from bodylog.logs.limits import Input
 from bodylog.recording.recording import read_recording
-from bodylog.recording.tidy import cut_to_window, write_tidy_log, signals_by_role
+from bodylog.recording.tidy import cut_to_window, signals_by_role, write_tidy_log
 from bodylog.settings import Settings, TimeSettings, TopicSettings
 
 from .written import START, by_pybag, by_rosbags, source

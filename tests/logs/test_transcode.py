@@ -12,7 +12,17 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from bodylog.annotating.annotate import annotate_log
 from bodylog.logs.topic_names import PREFIX
 
-from .written import START, UNSUITED, amount, by_pybag, by_rosbags, foreign, outgoing, source, streamed
+from .written import (
+    START,
+    UNSUITED,
+    amount,
+    by_pybag,
+    by_rosbags,
+    foreign,
+    outgoing,
+    source,
+    streamed,
+)
 
 CUSTOM = """Header header
 time when

@@ -10,7 +10,18 @@ from pybag.mcap.record_reader import McapRecordReaderFactory
 from rosbags.highlevel import AnyReader
 
 from bodylog.annotating.messages import from_estimate, from_features
-from bodylog.types import Estimate, Fault, Features, Finding, Health, Poses, Series, Stroke, Synchrony, Touch
+from bodylog.types import (
+    Estimate,
+    Fault,
+    Features,
+    Finding,
+    Health,
+    Poses,
+    Series,
+    Stroke,
+    Synchrony,
+    Touch,
+)
 
 START = 1_700_000_000_123_456_789
 LATE = 4_000_000

@@ -12,7 +12,7 @@ from bodylog.errors import ConfigError, FormatError
 from bodylog.perception import observe_recording
 from bodylog.perception.colours import blob_measurement, colour_tracker, hsv_ranges
 from bodylog.settings import Colour, ColourSettings, Settings
-from bodylog.types import Array, LazyImage, Health, Series
+from bodylog.types import Array, Health, LazyImage, Series
 from tests.perception import scenes
 from tests.perception.scenes import Disc
 

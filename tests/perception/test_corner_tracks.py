@@ -6,7 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from bodylog.perception.surface.corner_tracks import CornerTracker, moving_pieces, places_by_piece, track_corners
+from bodylog.perception.surface.corner_tracks import (
+    CornerTracker,
+    moving_pieces,
+    places_by_piece,
+    track_corners,
+)
 from bodylog.types import Array, LazyImage
 
 

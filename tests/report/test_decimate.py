@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bodylog.report.page.decimate import thin_band, extreme_indices, thin_curve
+from bodylog.report.page.decimate import extreme_indices, thin_band, thin_curve
 
 
 @given(st.integers(0, 5000), st.integers(3, 900), st.integers(0, 2**32 - 1))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import FormatError, UsageError
-from bodylog.report.viewers.image_overlay import draw_overlay, overlay_sheet, draw_pictures
+from bodylog.report.viewers.image_overlay import draw_overlay, draw_pictures, overlay_sheet
 from bodylog.types import LazyImage
 
 from .records import estimate, features, recording

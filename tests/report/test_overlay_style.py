@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from bodylog.annotating.image_annotations import draw_image_annotations
-from bodylog.overlay_style import CORNERS, MEASURED, OTHER, PREDICTED, ellipse_corners, measurement_ink
+from bodylog.overlay_style import (
+    CORNERS,
+    MEASURED,
+    OTHER,
+    PREDICTED,
+    ellipse_corners,
+    measurement_ink,
+)
 from bodylog.report.page.template import render_document
 from bodylog.report.viewers.image_overlay import draw_overlay
 

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from bodylog.report.figures import figures, reprojection
-from bodylog.report.figures.reprojection import ReprojectionSheet, JointZero, render_section, build_sheets, parse_zeros
+from bodylog.report.figures.reprojection import (
+    JointZero,
+    ReprojectionSheet,
+    build_sheets,
+    parse_zeros,
+    render_section,
+)
 
 from .records import estimate, features, series
 

@@ -5,7 +5,14 @@ import pytest
 
 from bodylog.errors import UsageError
 from bodylog.sim.arms import ARMS
-from bodylog.sim.hardware import Hardware, add_play, add_stick, encoder_noise, parse_hardware, rounded_to_counts
+from bodylog.sim.hardware import (
+    Hardware,
+    add_play,
+    add_stick,
+    encoder_noise,
+    parse_hardware,
+    rounded_to_counts,
+)
 from bodylog.sim.joint_motion import move_joints
 from bodylog.sim.motion import wander_through_points
 

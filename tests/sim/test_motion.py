@@ -6,7 +6,11 @@ from bodylog.sim import motion
 POINTS = motion.spread_points(12, np.array([0.4, 0.3, 0.0]), np.random.default_rng(0))
 
 
-PATHS = {"wander": motion.wander_through_points(POINTS, 1.0), "reaches": motion.reach_between_points(POINTS, 1.5), "still": motion.stand_still(POINTS[0])}
+PATHS = {
+    "wander": motion.wander_through_points(POINTS, 1.0),
+    "reaches": motion.reach_between_points(POINTS, 1.5),
+    "still": motion.stand_still(POINTS[0]),
+}
 
 
 @pytest.mark.parametrize("path", PATHS.values(), ids=PATHS)
@@ -18,12 +22,18 @@ def test_rate_is_the_derivative_of_position(path):
 
 def test_paths_go_through_their_points():
     t = np.arange(12.0)
-    np.testing.assert_allclose(motion.wander_through_points(POINTS, 1.0).position(t), POINTS, atol=1e-12)
-    np.testing.assert_allclose(motion.reach_between_points(POINTS, 1.0).position(t), POINTS, atol=1e-12)
+    np.testing.assert_allclose(
+        motion.wander_through_points(POINTS, 1.0).position(t), POINTS, atol=1e-12
+    )
+    np.testing.assert_allclose(
+        motion.reach_between_points(POINTS, 1.0).position(t), POINTS, atol=1e-12
+    )
 
 
 def test_reaches_rest_at_every_point():
-    np.testing.assert_allclose(motion.reach_between_points(POINTS, 1.5).rate(np.arange(12) * 1.5), 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        motion.reach_between_points(POINTS, 1.5).rate(np.arange(12) * 1.5), 0.0, atol=1e-9
+    )
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -11,7 +11,13 @@ import pytest
 
 from bodylog.estimation.inference import tangents
 from bodylog.estimation.methods import filtering
-from bodylog.estimation.noise import correlated_noise, encoder_noise, evidence_search, noise_model, quantisation
+from bodylog.estimation.noise import (
+    correlated_noise,
+    encoder_noise,
+    evidence_search,
+    noise_model,
+    quantisation,
+)
 from bodylog.estimation.noise.noise_model import NoiseModel
 from tests.estimation.resting import Drawn, drawn
 from tests.validation import error_bars, figures, logs

@@ -20,4 +20,11 @@ def table():
 def accused(moves, senses):
     """Logs of this motion in which a fault is named."""
     worlds = (drawn(seed, Drawn(moves, **how)) for how in READ for seed in SEEDS)
-    return sum(bool(estimate_from_features(world.features, world.body, EstimationSettings(senses=senses)).faults) for world in worlds)
+    return sum(
+        bool(
+            estimate_from_features(
+                world.features, world.body, EstimationSettings(senses=senses)
+            ).faults
+        )
+        for world in worlds
+    )

@@ -14,7 +14,7 @@ from bodylog.body.kinematic.sightings import gather_sightings
 from bodylog.kinematics import urdf
 from bodylog.kinematics.identifiability import Offset, joint_zeros
 from bodylog.kinematics.links import CameraHint, MarkerTrack, find_links
-from bodylog.kinematics.rotations import rotation_from_vector, invert_transform, make_transform
+from bodylog.kinematics.rotations import invert_transform, make_transform, rotation_from_vector
 from bodylog.types import Features, Series
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS

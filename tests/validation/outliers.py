@@ -22,7 +22,9 @@ def images(share, size, run=1):
         for name, track in log.features.tracks.items():
             begins, n = np.flatnonzero(rng.random(len(track.t)) < share / run), len(track.t)
             moved = np.zeros(track.values.shape)
-            for begin, offset in zip(begins, size * rng.standard_normal((len(begins), 2)), strict=True):
+            for begin, offset in zip(
+                begins, size * rng.standard_normal((len(begins), 2)), strict=True
+            ):
                 moved[begin : min(begin + run, n)] = offset
             tracks[name] = replace(track, values=track.values + moved)
         return replace(log, features=replace(log.features, tracks=tracks))
@@ -36,7 +38,9 @@ def encoders(change):
     def spoil(log, rng):
         values = log.features.joints.values.copy()
         change(values, rng)
-        return replace(log, features=replace(log.features, joints=replace(log.features.joints, values=values)))
+        return replace(
+            log, features=replace(log.features, joints=replace(log.features.joints, values=values))
+        )
 
     return spoil
 
@@ -71,20 +75,36 @@ def table():
     """A row for each kind of log and of wrong readings."""
     head = ("log", "wrong readings", "`laplace`, mrad", "its NEES of pan, lift, elbow", "`smoother`, mrad", "its NEES",
             "with the filter's gate alone, mrad", "its NEES")  # fmt: skip
-    drawn = [(logs.of(world), world.body) for world in (draw(seed, duration=LENGTH) for seed in range(COUNT))]
-    reaches = [(logs.drawn("reach", seed, LENGTH, 2), logs.learned(seed + 1, 2)) for seed in range(COUNT)]
+    drawn = [
+        (logs.of(world), world.body)
+        for world in (draw(seed, duration=LENGTH) for seed in range(COUNT))
+    ]
+    reaches = [
+        (logs.drawn("reach", seed, LENGTH, 2), logs.learned(seed + 1, 2)) for seed in range(COUNT)
+    ]
     both = {"sines": drawn, "reaches, two cameras": reaches}
-    return figures.table(head, [row(name, those, kind) for name, those in both.items() for kind in KINDS])
+    return figures.table(
+        head, [row(name, those, kind) for name, those in both.items() for kind in KINDS]
+    )
 
 
 def row(name, those, kind):
     """Errors from 2 s on over all logs, by each method."""
-    spoilt = [(KINDS[kind](log, np.random.default_rng(seed)), body) for seed, (log, body) in enumerate(those)]
+    spoilt = [
+        (KINDS[kind](log, np.random.default_rng(seed)), body)
+        for seed, (log, body) in enumerate(those)
+    ]
     cells = (name, kind)
     for method, gated in (("laplace", False), ("smoother", False), ("smoother", True)):
         with pytest.MonkeyPatch.context() as patch:
             if gated:
-                patch.setattr(smoother, "remove_outliers", lambda problem, smooth: SmoothedWithResiduals.of(smooth, predict_left_out(problem, smooth)))
+                patch.setattr(
+                    smoother,
+                    "remove_outliers",
+                    lambda problem, smooth: SmoothedWithResiduals.of(
+                        smooth, predict_left_out(problem, smooth)
+                    ),
+                )
             runs = [figures.found(log, body, method=method).within(2.0) for log, body in spoilt]
         cells += (figures.mrad(runs), figures.mean_nees(runs))
     return cells

@@ -9,7 +9,9 @@ from ...types import Array
 from .angle_smoother import ReadingChain, WhiteMotion, covariance_between_times, smooth_angles
 
 STILL = 1e-3
-"""rad: assumed std of encoders in still poses, which poses alone do not determine; a servo's resolution."""
+"""rad: assumed std of encoders in still poses, which
+poses alone do not determine; a servo's resolution.
+"""
 _SAME = 1e-6
 
 
@@ -24,7 +26,9 @@ class Angles(Protocol):
         """Angle (N,) rad at the times t (N,) s, NaN where unknown, and its variance (N,) rad²."""
 
     def coupling(self, t: Array) -> tuple[Array, Array, Array]:
-        """Covariance of the errors between times t (N,) s ascending: rows i > columns j, value (L,) rad²."""
+        """Covariance of the errors between times t (N,)
+        s ascending: rows i > columns j, value (L,) rad².
+        """
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +54,9 @@ class Moving:
 
 @dataclass(frozen=True, eq=False)
 class Posed:
-    """A joint in still poses: times t (K,) s ascending and readings z (K,) rad, independent of each other."""
+    """A joint in still poses: times t (K,) s ascending
+    and readings z (K,) rad, independent of each other.
+    """
 
     t: Array
     z: Array

@@ -10,7 +10,7 @@ from ...errors import ConfigError, EvidenceError, LogError
 from ...types import Array, Features, Finding, Series
 from ..gp.fit import Coupling
 from .angle_smoother import ReadingChain, WhiteMotion, build_reading_chain, fit_white_motion
-from .angles import Angles, Moving, poses_with_readings, motion_of_resting_joint
+from .angles import Angles, Moving, motion_of_resting_joint, poses_with_readings
 
 _LEAST_RANGE = 0.02
 _BLOCKS = 10
@@ -45,7 +45,9 @@ class Pairs:
     def rows(self, chosen: Array) -> "Pairs":
         """Return some rows, in ascending order."""
         x, variance, y, floor = (a[chosen] for a in (self.x, self.variance, self.y, self.floor))
-        return Pairs(x, variance, y, floor, self.block[chosen], self.log[chosen], self.t[chosen], self.frames)
+        return Pairs(
+            x, variance, y, floor, self.block[chosen], self.log[chosen], self.t[chosen], self.frames
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +66,13 @@ class SmoothedJoint:
         return float(high - low)
 
 
-def smooth_all_joints(features: Sequence[Features], wanted: tuple[str, ...] | None) -> list[SmoothedJoint]:
+def smooth_all_joints(
+    features: Sequence[Features], wanted: tuple[str, ...] | None
+) -> list[SmoothedJoint]:
     """The joints with readings in all logs, or those wanted.
 
-    LogError without readings, ConfigError for an unknown name, EvidenceError where logs share no joint or a wanted
-    joint has too few readings.
+    LogError without readings, ConfigError for an unknown name, EvidenceError where logs share no
+    joint or a wanted joint has too few readings.
     """
     readings = [_require_readings(f, i, len(features)) for i, f in enumerate(features)]
     common = [n for n in readings[0].names if all(n in r.names for r in readings)]
@@ -77,28 +81,40 @@ def smooth_all_joints(features: Sequence[Features], wanted: tuple[str, ...] | No
         raise EvidenceError(f"the logs share no joint: {have}; fit one body for each robot")
     unknown = [n for n in wanted or () if n not in common]
     if unknown:
-        raise ConfigError(f"[body] joints: found {unknown[0]!r}, possible: {', '.join(common)}; type: bodylog info LOG")
+        raise ConfigError(
+            f"[body] joints: found {unknown[0]!r}, possible: {', '.join(common)}; type: "
+            "bodylog info LOG"
+        )
     sparse = sparse_joints(features)
     if missing := [sparse[n] for n in wanted or () if n in sparse]:
         raise EvidenceError(f"{missing[0]}, but [body] joints names it; type: bodylog info LOG")
     still = [f.poses for f in features]
-    return [_smooth_joint_over_logs(n, readings, still) for n in wanted or common if n not in sparse]
+    return [
+        _smooth_joint_over_logs(n, readings, still) for n in wanted or common if n not in sparse
+    ]
 
 
 def sparse_joints(features: Sequence[Features]) -> dict[str, str]:
     """A message for each joint with too few readings in some log."""
-    found, few = {}, f"{_FEWEST} are needed"
+    found = {}
+    few = f"{_FEWEST} are needed"
     for index, readings in enumerate(f.joints for f in features if f.joints is not None):
         for name, column in zip(readings.names, readings.values.T, strict=True):
             count = len(np.unique(readings.t[np.isfinite(column)]))
             if count < _FEWEST:
-                found[name] = f"{name}: only {count} of {len(column)} readings in log {index + 1} are numbers, {few}"
+                found[name] = (
+                    f"{name}: only {count} of {len(column)} readings in log {index + 1} are "
+                    f"numbers, {few}"
+                )
     return found
 
 
 def drop_impossible_values(features: Sequence[Features]) -> tuple[list[Features], list[Finding]]:
-    """Remove impossible readings and positions, and return a remark for each joint and track that had some."""
-    kept, findings = [], []
+    """Remove impossible readings and positions, and return
+    a remark for each joint and track that had some.
+    """
+    kept = []
+    findings = []
     for index, found in enumerate(features):
         found, far = _drop_far_positions(found, index)
         findings += far
@@ -107,10 +123,15 @@ def drop_impossible_values(features: Sequence[Features]) -> tuple[list[Features]
             absurd = np.zeros((0, 0), bool) if series is None else np.abs(series.values) > _ABSURD
             if not absurd.any():
                 continue
-            found = replace(found, **{role: replace(series, values=np.where(absurd, np.nan, series.values))})
+            found = replace(
+                found, **{role: replace(series, values=np.where(absurd, np.nan, series.values))}
+            )
             for m in np.flatnonzero(absurd.any(axis=0)):
                 example = f"{series.values[absurd[:, m], m][0]:.3g} {series.unit}"
-                what = f"{series.names[m]}: {absurd[:, m].sum()} of {len(absurd)} readings in log {index + 1}"
+                what = (
+                    f"{series.names[m]}: {absurd[:, m].sum()} of {len(absurd)} readings in log "
+                    f"{index + 1}"
+                )
                 findings.append(Finding("warning", f"{what} left out: no joint reaches {example}"))
         kept.append(found)
     return kept, findings
@@ -118,7 +139,8 @@ def drop_impossible_values(features: Sequence[Features]) -> tuple[list[Features]
 
 def _drop_far_positions(found: Features, index: int) -> tuple[Features, list[Finding]]:
     """Remove positions beyond any image, and return a remark for each track that had some."""
-    tracks, findings = dict(found.tracks), []
+    tracks = dict(found.tracks)
+    findings = []
     for name, track in found.tracks.items():
         far: Array = np.asarray((np.abs(track.values) > _FAR_PX).any(axis=1))
         if far.any():
@@ -144,17 +166,30 @@ def find_moving_joints(features: Sequence[Features]) -> list[str]:
     return list(found)
 
 
-def pair_sightings(features: Sequence[Features], track: str, chosen: Sequence[SmoothedJoint], every: int) -> Pairs:
+def pair_sightings(
+    features: Sequence[Features], track: str, chosen: Sequence[SmoothedJoint], every: int
+) -> Pairs:
     """Sightings of one track with the angles of the chosen joints at the same times."""
-    parts = [_pair_track(f.tracks[track], i, chosen, every) for i, f in enumerate(features) if track in f.tracks]
+    parts = [
+        _pair_track(f.tracks[track], i, chosen, every)
+        for i, f in enumerate(features)
+        if track in f.tracks
+    ]
     still = [f.poses for f in features if track in f.tracks]
-    return join_pairs([_shuffle_blocks(part) if posed else part for part, posed in zip(parts, still, strict=True)])
+    return join_pairs(
+        [_shuffle_blocks(part) if posed else part for part, posed in zip(parts, still, strict=True)]
+    )
 
 
 def pairs_of_samples(x: Array, y: Array, spread: Array) -> Pairs:
-    """The samples of an existing body, whose variance spread (n,D) already includes that of the angles."""
-    label, block = np.full(len(x), _EARLIER), np.arange(len(x)) * _BLOCKS // len(x) - _BLOCKS
-    return Pairs(x, np.zeros(x.shape), y, spread, block, label, np.arange(len(x), dtype=float), len(x))
+    """The samples of an existing body, whose variance
+    spread (n,D) already includes that of the angles.
+    """
+    label = np.full(len(x), _EARLIER)
+    block = np.arange(len(x)) * _BLOCKS // len(x) - _BLOCKS
+    return Pairs(
+        x, np.zeros(x.shape), y, spread, block, label, np.arange(len(x), dtype=float), len(x)
+    )
 
 
 def join_pairs(parts: Sequence[Pairs]) -> Pairs:
@@ -176,23 +211,35 @@ def correlate_angle_errors(part: Pairs, chosen: Sequence[SmoothedJoint]) -> Coup
 
 
 def _shuffle_blocks(part: Pairs) -> Pairs:
-    """Poses in random blocks: they often lie on a grid, of which no contiguous part predicts the rest."""
+    """Poses in random blocks: they often lie on a grid,
+    of which no contiguous part predicts the rest.
+    """
     return replace(part, block=np.random.default_rng(_SEED).permutation(part.block))
 
 
 def _require_readings(features: Features, index: int, count: int) -> Series:
     if features.joints is None or not len(features.joints.t):
-        raise LogError(f"log {index + 1} of {count}: no joint readings to learn from; type: bodylog info LOG")
+        raise LogError(
+            f"log {index + 1} of {count}: no joint readings to learn from; type: bodylog info LOG"
+        )
     return features.joints
 
 
-def _smooth_joint_over_logs(name: str, readings: Sequence[Series], still: Sequence[bool]) -> SmoothedJoint:
+def _smooth_joint_over_logs(
+    name: str, readings: Sequence[Series], still: Sequence[bool]
+) -> SmoothedJoint:
     columns = [(r.t, r.values[:, r.names.index(name)]) for r in readings]
     chains = {k: build_reading_chain(*column) for k, column in enumerate(columns) if not still[k]}
     pooled = fit_white_motion(list(chains.values()), 2) if chains else motion_of_resting_joint()
-    each = {k: pooled if len(chains) == 1 else fit_white_motion([one], 2) for k, one in chains.items()}
+    each = {
+        k: pooled if len(chains) == 1 else fit_white_motion([one], 2) for k, one in chains.items()
+    }
     moving = {k: Moving(one, _likelier_motion(one, each[k])) for k, one in chains.items()}
-    return SmoothedJoint(name, tuple(moving.get(k) or poses_with_readings(*column) for k, column in enumerate(columns)), pooled)
+    return SmoothedJoint(
+        name,
+        tuple(moving.get(k) or poses_with_readings(*column) for k, column in enumerate(columns)),
+        pooled,
+    )
 
 
 def _likelier_motion(signal: ReadingChain, acceleration: WhiteMotion) -> WhiteMotion:
@@ -203,12 +250,15 @@ def _likelier_motion(signal: ReadingChain, acceleration: WhiteMotion) -> WhiteMo
 
 def _pair_track(track: Series, log: int, chosen: Sequence[SmoothedJoint], every: int) -> Pairs:
     rows = np.argsort(track.t, kind="stable")[::every]
-    t, y = track.t[rows], track.values[rows]
+    t = track.t[rows]
+    y = track.values[rows]
     floor = np.zeros_like(y) if track.std is None else track.std[rows] ** 2
     both = [j.angles[log].at(t) for j in chosen]
     x, variance = (np.column_stack(part) for part in zip(*both, strict=True))
     sound = np.isfinite(y).all(axis=1) & np.isfinite(x).all(axis=1) & np.isfinite(floor).all(axis=1)
-    sound &= (variance <= np.square([_VAGUE * max(j.range, _LEAST_RANGE) for j in chosen])).all(axis=1)
+    sound &= (variance <= np.square([_VAGUE * max(j.range, _LEAST_RANGE) for j in chosen])).all(
+        axis=1
+    )
     block = log * _BLOCKS + np.arange(sound.sum()) * _BLOCKS // max(sound.sum(), 1)
     label = np.full(sound.sum(), log)
     return Pairs(x[sound], variance[sound], y[sound], floor[sound], block, label, t[sound], len(t))

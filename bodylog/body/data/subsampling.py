@@ -1,4 +1,6 @@
-"""Subsampling: farthest points to thin an exploration, greatest variance to choose inducing points."""
+"""Subsampling: farthest points to thin an exploration,
+greatest variance to choose inducing points.
+"""
 
 import numpy as np
 
@@ -11,7 +13,9 @@ def choose_spaced_rows(total: int, count: int) -> Array:
 
 
 def choose_farthest_rows(x: Array, count: int) -> Array:
-    """Rows of x (N,M) rad, ascending, that cover it best: each the farthest from those before (Gonzalez 1985)."""
+    """Rows of x (N,M) rad, ascending, that cover it best:
+    each the farthest from those before (Gonzalez 1985).
+    """
     if len(x) <= count:
         return np.arange(len(x))
     chosen = np.empty(count, np.int64)
@@ -24,9 +28,11 @@ def choose_farthest_rows(x: Array, count: int) -> Array:
 
 
 def choose_pivot_rows(z: Array, most: int, tolerance: float) -> Array:
-    """Rows of z (N,M), in length scales, each of greatest variance given those before; ends below `tolerance`.
+    """Rows of z (N,M), in length scales, each of greatest
+    variance given those before; ends below `tolerance`.
 
-    A Cholesky factorisation with pivots (Foster et al. 2009), so the kernel of the rows is well conditioned.
+    A Cholesky factorisation with pivots (Foster et al.
+    2009), so the kernel of the rows is well conditioned.
     """
     left = np.ones(len(z))
     factor = np.empty((min(most, len(z)), len(z)))

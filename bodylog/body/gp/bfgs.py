@@ -15,10 +15,15 @@ _SETTLED = 1e-6
 Loss = Callable[[Array], tuple[float, Array]]
 
 
-def minimise_with_bfgs(loss: Loss, first: Array, low: Array, high: Array, curvature: Array) -> Array:
-    """Minimise a loss (value, gradient (p,)) from `first` (p,); curvature (p,p): a positive definite guess."""
+def minimise_with_bfgs(
+    loss: Loss, first: Array, low: Array, high: Array, curvature: Array
+) -> Array:
+    """Minimise a loss (value, gradient (p,)) from `first`
+    (p,); curvature (p,p): a positive definite guess.
+    """
     guess = np.linalg.inv(curvature)
-    here, inverse = first, guess
+    here = first
+    inverse = guess
     value, gradient = loss(here)
     for _ in range(_STEPS):
         step = _bounded_step(here, gradient, inverse, low, high)
@@ -33,7 +38,8 @@ def minimise_with_bfgs(loss: Loss, first: Array, low: Array, high: Array, curvat
             continue
         there, value, slope = found
         inverse = _update_inverse_hessian(inverse, there - here, slope - gradient)
-        here, gradient = there, slope
+        here = there
+        gradient = slope
     return here
 
 
@@ -62,7 +68,9 @@ def _search_along_step(
         if found <= value + _ENOUGH * fall:
             return there, found, slope
         # minimum of the parabola through both values and the first slope
-        share *= min(0.5, max(0.1, -0.5 * fall / (found - value - fall))) if np.isfinite(found) else 0.1
+        share *= (
+            min(0.5, max(0.1, -0.5 * fall / (found - value - fall))) if np.isfinite(found) else 0.1
+        )
     return None
 
 
@@ -74,5 +82,7 @@ def _update_inverse_hessian(inverse: Array, step: Array, bend: Array) -> Array:
     turned = inverse @ bend
     cross = step[:, None] * turned
     return np.asarray(
-        inverse - (cross + cross.T) / along + (1.0 + float(bend @ turned) / along) / along * step[:, None] * step
+        inverse
+        - (cross + cross.T) / along
+        + (1.0 + float(bend @ turned) / along) / along * step[:, None] * step
     )

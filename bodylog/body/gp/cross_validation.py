@@ -1,4 +1,6 @@
-"""Held-out residuals without refitting: leave one block of time out, in closed form (R&W 5.12; sums if sparse)."""
+"""Held-out residuals without refitting: leave one block
+of time out, in closed form (R&W 5.12; sums if sparse).
+"""
 
 import numpy as np
 
@@ -9,8 +11,11 @@ from .marginal_likelihood import condition_gp, inverse_lower
 
 
 def held_out_residuals(data: Samples, found: FittedKernels, block: Array) -> tuple[Array, Array]:
-    """Residual (n,D) of each sample predicted without its block, and its predicted variance (n,D), noise included."""
-    residual, variance = np.empty(data.y.shape), np.empty(data.y.shape)
+    """Residual (n,D) of each sample predicted without its
+    block, and its predicted variance (n,D), noise included.
+    """
+    residual = np.empty(data.y.shape)
+    variance = np.empty(data.y.shape)
     blocks = [np.flatnonzero(block == label) for label in np.unique(block)]
     for index, group in enumerate(found.groups):
         left_out = _hold_out_exact if len(data.x) <= EXACT else _hold_out_sparse
@@ -20,10 +25,14 @@ def held_out_residuals(data: Samples, found: FittedKernels, block: Array) -> tup
 
 
 def leave_one_out_deviations(data: Samples, found: FittedKernels) -> Array:
-    """Each sample's leave-one-out residual (n,D) in deviations; on inducing points it is left in, one of many."""
+    """Each sample's leave-one-out residual (n,D) in
+    deviations; on inducing points it is left in, one of many.
+    """
     result = np.empty(data.y.shape)
     for index, group in enumerate(found.groups):
-        kernel, spread, y = found.kernels[index], found.spreads[index], data.y[:, group]
+        kernel = found.kernels[index]
+        spread = found.spreads[index]
+        y = data.y[:, group]
         if len(data.x) <= EXACT:
             whole = condition_gp(kernel, data.x, y, spread)
             own = np.square(inverse_lower(whole.chol)).sum(axis=0)
@@ -36,17 +45,24 @@ def leave_one_out_deviations(data: Samples, found: FittedKernels) -> Array:
     return result
 
 
-def _hold_out_exact(data: Samples, found: FittedKernels, index: int, blocks: list[Array]) -> tuple[Array, Array]:
+def _hold_out_exact(
+    data: Samples, found: FittedKernels, index: int, blocks: list[Array]
+) -> tuple[Array, Array]:
     y = data.y[:, found.groups[index]]
     whole = condition_gp(found.kernels[index], data.x, y, found.spreads[index])
     inverse = inverse_lower(whole.chol)
-    residual, variance = np.empty(y.shape), np.empty(len(y))
+    residual = np.empty(y.shape)
+    variance = np.empty(len(y))
     for rows in blocks:
         inner = np.linalg.inv(inverse[:, rows].T @ inverse[:, rows])
         residual[rows], variance[rows] = inner @ whole.alpha[rows], np.diag(inner)
     return residual, variance
 
 
-def _hold_out_sparse(data: Samples, found: FittedKernels, index: int, blocks: list[Array]) -> tuple[Array, Array]:
+def _hold_out_sparse(
+    data: Samples, found: FittedKernels, index: int, blocks: list[Array]
+) -> tuple[Array, Array]:
     base = inducing_bases(data, found)[index]
-    return inducing.sparse_held_out_residuals(base, data.x, data.y[:, found.groups[index]], found.spreads[index], blocks)
+    return inducing.sparse_held_out_residuals(
+        base, data.x, data.y[:, found.groups[index]], found.spreads[index], blocks
+    )

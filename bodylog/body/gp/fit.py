@@ -1,4 +1,6 @@
-"""Fit a GP to samples: kernels by evidence, input noise as output noise (McHutchon & Rasmussen 2011)."""
+"""Fit a GP to samples: kernels by evidence, input
+noise as output noise (McHutchon & Rasmussen 2011).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -8,14 +10,28 @@ import numpy as np
 from ...types import Array
 from ..data.subsampling import choose_spaced_rows
 from .inducing import Basis, build_basis, choose_inducing_points, sparse_posterior, sufficient_sums
-from .marginal_likelihood import FLAT, Hyper, Prior, Spread, condition_gp, independent_noise, inverse_lower, maximise_evidence, draw_kernel_starts
+from .marginal_likelihood import (
+    FLAT,
+    Hyper,
+    Prior,
+    Spread,
+    condition_gp,
+    draw_kernel_starts,
+    independent_noise,
+    inverse_lower,
+    maximise_evidence,
+)
 from .model import GP
 
 EXACT = 500
-"""Most samples for which kernels and held-out residuals use the exact posterior, at a cost of O(n³)."""
+"""Most samples for which kernels and held-out
+residuals use the exact posterior, at a cost of O(n³).
+"""
 
 FEW = 100
-"""Most samples for exact predictions; inducing points predict the same from more samples, faster."""
+"""Most samples for exact predictions; inducing
+points predict the same from more samples, faster.
+"""
 
 CANDIDATES = 12
 """First guesses compared before the search for a kernel."""
@@ -27,7 +43,9 @@ _SETTLED = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Coupling:
-    """Covariance of input errors between samples: value (L,) rad² of samples i > j (L,) in one input `joint` (L,)."""
+    """Covariance of input errors between samples: value (L,)
+    rad² of samples i > j (L,) in one input `joint` (L,).
+    """
 
     i: Array
     j: Array
@@ -37,7 +55,9 @@ class Coupling:
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """x (n,M) rad · y (n,D) · floor (n,D) known variance · variance (n,M) rad² of x, coupled between samples."""
+    """x (n,M) rad · y (n,D) · floor (n,D) known variance
+    · variance (n,M) rad² of x, coupled between samples.
+    """
 
     x: Array
     y: Array
@@ -53,7 +73,9 @@ class Samples:
 
 @dataclass(frozen=True, eq=False)
 class FittedKernels:
-    """Kernels, one for each group of outputs, and the known noise of the samples they were fitted to."""
+    """Kernels, one for each group of outputs, and the
+    known noise of the samples they were fitted to.
+    """
 
     groups: tuple[slice, ...]
     kernels: tuple[Hyper, ...]
@@ -65,53 +87,85 @@ def samples_without_noise(x: Array, y: Array) -> Samples:
     return Samples(x, y, np.zeros(y.shape))
 
 
-def train_gp(data: Samples, outputs: tuple[str, ...], unit: str, seed: int = 0, exact: int = EXACT) -> GP:
-    """The GP of greatest evidence, one kernel for all outputs, fitted to at most `exact` samples."""
+def train_gp(
+    data: Samples, outputs: tuple[str, ...], unit: str, seed: int = 0, exact: int = EXACT
+) -> GP:
+    """The GP of greatest evidence, one kernel for
+    all outputs, fitted to at most `exact` samples.
+    """
     return build_gp(data, fit_kernels(data, FLAT, True, seed, exact), outputs, unit)
 
 
-def fit_kernels(data: Samples, prior: Prior, shared: bool, seed: int, exact: int = EXACT) -> FittedKernels:
-    """Kernels of greatest evidence, from at most `exact` of the samples, and the noise of all samples under them."""
+def fit_kernels(
+    data: Samples, prior: Prior, shared: bool, seed: int, exact: int = EXACT
+) -> FittedKernels:
+    """Kernels of greatest evidence, from at most `exact` of
+    the samples, and the noise of all samples under them.
+    """
     if len(data.x) <= exact:
         return fit_kernels_and_noise(data, prior, shared, seed)
     part = data.rows(choose_spaced_rows(len(data.x), exact))
     found = fit_kernels_and_noise(part, prior, shared, seed)
     if data.variance is None:
-        return replace(found, spreads=tuple(independent_noise(data.floor[:, g]) for g in found.groups))
-    return replace(found, spreads=propagate_input_noise(data, assemble_exact_gp(part, found, (), ""), found.groups))
+        return replace(
+            found, spreads=tuple(independent_noise(data.floor[:, g]) for g in found.groups)
+        )
+    return replace(
+        found,
+        spreads=propagate_input_noise(data, assemble_exact_gp(part, found, (), ""), found.groups),
+    )
 
 
-def build_gp(data: Samples, found: FittedKernels, outputs: tuple[str, ...], unit: str, few: int = FEW) -> GP:
+def build_gp(
+    data: Samples, found: FittedKernels, outputs: tuple[str, ...], unit: str, few: int = FEW
+) -> GP:
     """The GP with given kernels: exact for up to `few` samples, on inducing points for more."""
     make = assemble_exact_gp if len(data.x) <= few else assemble_sparse_gp
     return make(data, found, outputs, unit)
 
 
 def fit_kernels_and_noise(data: Samples, prior: Prior, shared: bool, seed: int) -> FittedKernels:
-    """Kernels of greatest evidence under the prior; noise from the inputs is refined until it settles."""
+    """Kernels of greatest evidence under the prior;
+    noise from the inputs is refined until it settles.
+    """
     count = data.y.shape[1]
     groups = (slice(0, count),) if shared else tuple(slice(d, d + 1) for d in range(count))
     spreads = tuple(independent_noise(data.floor[:, g]) for g in groups)
-    kernels = tuple(search_kernel(data.x, data.y[:, g], s, prior, seed) for g, s in zip(groups, spreads, strict=True))
+    kernels = tuple(
+        search_kernel(data.x, data.y[:, g], s, prior, seed)
+        for g, s in zip(groups, spreads, strict=True)
+    )
     for _ in range(_ROUNDS):
         if data.variance is None:
             break
-        before = np.concatenate([s.diagonal + k.noise for s, k in zip(spreads, kernels, strict=True)])
-        spreads = propagate_input_noise(data, assemble_exact_gp(data, FittedKernels(groups, kernels, spreads), (), ""), groups)
+        before = np.concatenate(
+            [s.diagonal + k.noise for s, k in zip(spreads, kernels, strict=True)]
+        )
+        spreads = propagate_input_noise(
+            data, assemble_exact_gp(data, FittedKernels(groups, kernels, spreads), (), ""), groups
+        )
         parts = zip(kernels, groups, spreads, strict=True)
         kernels = tuple(polish_kernel(k, data.x, data.y[:, g], s, prior) for k, g, s in parts)
-        after = np.concatenate([s.diagonal + k.noise for s, k in zip(spreads, kernels, strict=True)])
+        after = np.concatenate(
+            [s.diagonal + k.noise for s, k in zip(spreads, kernels, strict=True)]
+        )
         if np.abs(after - before).mean() < _SETTLED * after.mean():
             break
     return FittedKernels(groups, kernels, spreads)
 
 
 def search_kernel(x: Array, y: Array, spread: Spread, prior: Prior, seed: int) -> Hyper:
-    """Kernel of greatest evidence for outputs y (n,G) that share it: from guesses on few samples, then on all."""
-    scouts, own = choose_spaced_rows(len(x), _SCOUTS), y / np.sqrt(spread.share)
-    sx, sy = _column_deviations(x), float(np.mean(_column_deviations(own)))
+    """Kernel of greatest evidence for outputs y (n,G) that
+    share it: from guesses on few samples, then on all.
+    """
+    scouts = choose_spaced_rows(len(x), _SCOUTS)
+    own = y / np.sqrt(spread.share)
+    sx = _column_deviations(x)
+    sy = float(np.mean(_column_deviations(own)))
     few = x[scouts] / sx, own[scouts] / sy, independent_noise(spread.diagonal[scouts] / sy**2)
-    found = maximise_evidence(*few, prior.scaled(1.0 / sx), draw_kernel_starts(few[0], seed, CANDIDATES))
+    found = maximise_evidence(
+        *few, prior.scaled(1.0 / sx), draw_kernel_starts(few[0], seed, CANDIDATES)
+    )
     best = Hyper(found.scales * sx, found.amplitude * sy**2, found.noise * sy**2)
     return polish_kernel(best, x, y, spread, prior) if len(scouts) < len(x) else best
 
@@ -119,50 +173,90 @@ def search_kernel(x: Array, y: Array, spread: Spread, prior: Prior, seed: int) -
 def polish_kernel(start: Hyper, x: Array, y: Array, spread: Spread, prior: Prior) -> Hyper:
     """The kernel of greatest evidence near `start`, for outputs in units of their own noise."""
     y = y / np.sqrt(spread.share)
-    sx, sy = _column_deviations(x), float(np.mean(_column_deviations(y)))
+    sx = _column_deviations(x)
+    sy = float(np.mean(_column_deviations(y)))
     first = Hyper(start.scales / sx, start.amplitude / sy**2, start.noise / sy**2)
-    found = maximise_evidence(x / sx, y / sy, spread.scaled(1.0 / sy**2), prior.scaled(1.0 / sx), first.theta[None])
+    found = maximise_evidence(
+        x / sx, y / sy, spread.scaled(1.0 / sy**2), prior.scaled(1.0 / sx), first.theta[None]
+    )
     return Hyper(found.scales * sx, found.amplitude * sy**2, found.noise * sy**2)
 
 
 def propagate_input_noise(data: Samples, gp: GP, groups: Sequence[slice]) -> tuple[Spread, ...]:
-    """Floor plus input noise propagated through the mean's slope: σ² + J Σₓ Jᵀ, one for each group of outputs."""
+    """Floor plus input noise propagated through the mean's
+    slope: σ² + J Σₓ Jᵀ, one for each group of outputs.
+    """
     slope = gp.means(data.x)[1]
     diagonal = data.floor + np.einsum("ndm,nm->nd", slope**2, np.asarray(data.variance))
     return tuple(_coupled_noise(data, slope[:, g], diagonal[:, g]) for g in groups)
 
 
-def assemble_exact_gp(data: Samples, found: FittedKernels, outputs: tuple[str, ...], unit: str) -> GP:
+def assemble_exact_gp(
+    data: Samples, found: FittedKernels, outputs: tuple[str, ...], unit: str
+) -> GP:
     """The exact GP of the samples with given kernels and noise."""
     parts = zip(found.groups, found.kernels, found.spreads, strict=True)
     exact = [condition_gp(k, data.x, data.y[:, g], s) for g, k, s in parts]
-    weights, mean = np.concatenate([p.alpha.T for p in exact]), np.concatenate([p.mean for p in exact])
-    return _make_gp(data, found, outputs, unit, data.x, weights, np.array([inverse_lower(p.chol) for p in exact]), mean)
+    weights = np.concatenate([p.alpha.T for p in exact])
+    mean = np.concatenate([p.mean for p in exact])
+    return _make_gp(
+        data,
+        found,
+        outputs,
+        unit,
+        data.x,
+        weights,
+        np.array([inverse_lower(p.chol) for p in exact]),
+        mean,
+    )
 
 
-def assemble_sparse_gp(data: Samples, found: FittedKernels, outputs: tuple[str, ...], unit: str) -> GP:
+def assemble_sparse_gp(
+    data: Samples, found: FittedKernels, outputs: tuple[str, ...], unit: str
+) -> GP:
     """The GP of all samples on inducing points."""
     bases = inducing_bases(data, found)
     parts = [
         sparse_posterior(base, sufficient_sums(base, data.x, data.y[:, g], s))
         for base, g, s in zip(bases, found.groups, found.spreads, strict=True)
     ]
-    weights, mean = np.concatenate([p.weights for p in parts]), np.concatenate([p.mean for p in parts])
-    return _make_gp(data, found, outputs, unit, bases[0].centres, weights, np.array([p.factor for p in parts]), mean)
+    weights = np.concatenate([p.weights for p in parts])
+    mean = np.concatenate([p.mean for p in parts])
+    return _make_gp(
+        data,
+        found,
+        outputs,
+        unit,
+        bases[0].centres,
+        weights,
+        np.array([p.factor for p in parts]),
+        mean,
+    )
 
 
 def inducing_bases(data: Samples, found: FittedKernels) -> list[Basis]:
     """Each kernel on the common inducing points."""
-    quietest = min(float(s.diagonal.min()) + k.noise for s, k in zip(found.spreads, found.kernels, strict=True))
+    quietest = min(
+        float(s.diagonal.min()) + k.noise for s, k in zip(found.spreads, found.kernels, strict=True)
+    )
     centres = choose_inducing_points(found.kernels, data.x, quietest)
     return [build_basis(k, centres) for k in found.kernels]
 
 
 def _make_gp(
-    data: Samples, found: FittedKernels, outputs: tuple[str, ...], unit: str, centres: Array, weights: Array, factor: Array,
+    data: Samples,
+    found: FittedKernels,
+    outputs: tuple[str, ...],
+    unit: str,
+    centres: Array,
+    weights: Array,
+    factor: Array,
     mean: Array,
-) -> GP:  # fmt: skip
-    each = [np.ones(g.stop - g.start) * s.share for g, s in zip(found.groups, found.spreads, strict=True)]
+) -> GP:
+    each = [
+        np.ones(g.stop - g.start) * s.share
+        for g, s in zip(found.groups, found.spreads, strict=True)
+    ]
     return GP(
         outputs,
         unit,
@@ -172,10 +266,14 @@ def _make_gp(
         mean=mean,
         weights=np.ascontiguousarray(weights),
         factor=factor,
-        noise=np.concatenate([k.noise * share for k, share in zip(found.kernels, each, strict=True)]),
+        noise=np.concatenate(
+            [k.noise * share for k, share in zip(found.kernels, each, strict=True)]
+        ),
         samples=data.x,
         targets=data.y,
-        spread=np.hstack([np.outer(s.diagonal, share) for s, share in zip(found.spreads, each, strict=True)]),
+        spread=np.hstack(
+            [np.outer(s.diagonal, share) for s, share in zip(found.spreads, each, strict=True)]
+        ),
     )
 
 
@@ -183,7 +281,8 @@ def _coupled_noise(data: Samples, slope: Array, diagonal: Array) -> Spread:
     known = independent_noise(diagonal)
     if data.coupling is None:
         return known
-    c, count = data.coupling, len(data.x)
+    c = data.coupling
+    count = len(data.x)
     value = (slope[c.i, :, c.joint] * slope[c.j, :, c.joint] / known.share).mean(axis=1) * c.value
     place, into = np.unique(c.i * count + c.j, return_inverse=True)
     value = np.bincount(into, value, minlength=len(place))

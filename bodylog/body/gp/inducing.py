@@ -1,4 +1,6 @@
-"""Posterior on inducing points: Titsias' collapsed bound in closed form, summed over blocks of data."""
+"""Posterior on inducing points: Titsias' collapsed
+bound in closed form, summed over blocks of data.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -8,7 +10,13 @@ import numpy as np
 
 from ...types import Array
 from ..data.subsampling import choose_pivot_rows, choose_spaced_rows
-from .marginal_likelihood import Hyper, Spread, cholesky_with_jitter, independent_noise, inverse_lower
+from .marginal_likelihood import (
+    Hyper,
+    Spread,
+    cholesky_with_jitter,
+    independent_noise,
+    inverse_lower,
+)
 from .model import se_kernel
 
 _MOST = 400
@@ -28,7 +36,9 @@ class Basis:
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Sufficient sums of the data: outer (m,m), cross (m,1+G), inner (1+G,1+G), ln|C|, lost trace, samples."""
+    """Sufficient sums of the data: outer (m,m), cross
+    (m,1+G), inner (1+G,1+G), ln|C|, lost trace, samples.
+    """
 
     outer: Array
     cross: Array
@@ -51,7 +61,9 @@ class Sums:
 
 @dataclass(frozen=True, eq=False)
 class Sparse:
-    """weights (G,m) · factor (m,m) of GP · mean (G,) · bound on the evidence, nats (Titsias 2009, eq. 9)."""
+    """weights (G,m) · factor (m,m) of GP · mean (G,) ·
+    bound on the evidence, nats (Titsias 2009, eq. 9).
+    """
 
     weights: Array
     factor: Array
@@ -60,25 +72,42 @@ class Sparse:
 
 
 def choose_inducing_points(kernels: Sequence[Hyper], x: Array, noise: float) -> Array:
-    """At most 400 points among x (n,M) rad that leave a hundredth of `noise` / n in the roughest of the kernels.
+    """At most 400 points among x (n,M) rad that leave a
+    hundredth of `noise` / n in the roughest of the kernels.
 
-    Then n samples with such noise differ from the exact posterior by less than 0.01 nats (Burt et al. 2019).
+    Then n samples with such noise differ from the exact
+    posterior by less than 0.01 nats (Burt et al. 2019).
     """
     pool = x[choose_spaced_rows(len(x), _POOL)]
     scales = np.min([k.scales for k in kernels], axis=0)
     amplitude = max(k.amplitude for k in kernels)
-    return np.asarray(pool[choose_pivot_rows(pool / scales, _MOST, max(0.01 * noise / (len(x) * amplitude), _TOLERANCE))])
+    return np.asarray(
+        pool[
+            choose_pivot_rows(
+                pool / scales, _MOST, max(0.01 * noise / (len(x) * amplitude), _TOLERANCE)
+            )
+        ]
+    )
 
 
 def build_basis(kernel: Hyper, centres: Array) -> Basis:
     """The kernel on inducing points (m,M) rad."""
     gram = se_kernel(centres / kernel.scales, centres / kernel.scales, kernel.amplitude)
-    return Basis(kernel, centres, inverse_lower(cholesky_with_jitter(gram, independent_noise(np.zeros(len(centres))), 0.0)))
+    return Basis(
+        kernel,
+        centres,
+        inverse_lower(cholesky_with_jitter(gram, independent_noise(np.zeros(len(centres))), 0.0)),
+    )
 
 
 def sufficient_sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
-    """Sums over samples x (n,M), y (n,G) with known noise `spread`, whose couplings end at each 1024th sample."""
-    return reduce(Sums.plus, (_chunk_sums(base, x[rows], y[rows], part) for rows, part in _split_into_chunks(spread)))
+    """Sums over samples x (n,M), y (n,G) with known noise
+    `spread`, whose couplings end at each 1024th sample.
+    """
+    return reduce(
+        Sums.plus,
+        (_chunk_sums(base, x[rows], y[rows], part) for rows, part in _split_into_chunks(spread)),
+    )
 
 
 def sparse_posterior(base: Basis, total: Sums) -> Sparse:
@@ -93,15 +122,24 @@ def sparse_posterior(base: Basis, total: Sums) -> Sparse:
     factor = np.sqrt(values / (1.0 + values))[:, None] * turned
     group = len(mean)
     fit = float(np.trace(inner[1:, 1:]) - inner[0, 0] * mean @ mean)
-    entropy = group * (total.logdet + np.log1p(values).sum() + total.count * np.log(2.0 * np.pi) + total.lost)
+    entropy = group * (
+        total.logdet + np.log1p(values).sum() + total.count * np.log(2.0 * np.pi) + total.lost
+    )
     return Sparse(weights.T, factor, mean, -0.5 * (fit + float(entropy)))
 
 
-def sparse_held_out_residuals(base: Basis, x: Array, y: Array, spread: Spread, blocks: Sequence[Array]) -> tuple[Array, Array]:
-    """Residual (n,G) of each sample predicted without its block of rows, and its variance (n,), noise included."""
-    parts = [sufficient_sums(base, x[rows], y[rows], noise_of_rows(spread, rows)) for rows in blocks]
+def sparse_held_out_residuals(
+    base: Basis, x: Array, y: Array, spread: Spread, blocks: Sequence[Array]
+) -> tuple[Array, Array]:
+    """Residual (n,G) of each sample predicted without its
+    block of rows, and its variance (n,), noise included.
+    """
+    parts = [
+        sufficient_sums(base, x[rows], y[rows], noise_of_rows(spread, rows)) for rows in blocks
+    ]
     total = reduce(Sums.plus, parts)
-    residual, variance = np.empty(y.shape), spread.diagonal + base.kernel.noise + base.kernel.amplitude
+    residual = np.empty(y.shape)
+    variance = spread.diagonal + base.kernel.noise + base.kernel.amplitude
     for rows, part in zip(blocks, parts, strict=True):
         found = sparse_posterior(base, total.plus(part, -1))
         cross = _cross_kernel(base, x[rows])
@@ -120,16 +158,19 @@ def standardised_residuals(base: Basis, found: Sparse, x: Array, y: Array, sprea
 
 def _chunk_sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
     # whiten before summing: the sum would square the condition number of the Gram matrix
-    cross, sides = _cross_kernel(base, x) @ base.inverse.T, np.column_stack([np.ones(len(y)), y])
+    cross = _cross_kernel(base, x) @ base.inverse.T
+    sides = np.column_stack([np.ones(len(y)), y])
     seen = np.square(cross).sum(axis=1)
     if len(spread.i):
         chol = cholesky_with_jitter(np.zeros((len(x), len(x))), spread, base.kernel.noise)
         inverse = inverse_lower(chol)
-        cross, sides = inverse @ cross, inverse @ sides
+        cross = inverse @ cross
+        sides = inverse @ sides
         logdet = 2.0 * float(np.log(np.diag(chol)).sum())
     else:
         root = np.sqrt(spread.diagonal + base.kernel.noise)
-        cross, sides = cross / root[:, None], sides / root[:, None]
+        cross = cross / root[:, None]
+        sides = sides / root[:, None]
         logdet = 2.0 * float(np.log(root).sum())
     left = np.maximum(base.kernel.amplitude - seen, 0.0)
     lost = float((left / (spread.diagonal + base.kernel.noise)).sum())
@@ -137,7 +178,9 @@ def _chunk_sums(base: Basis, x: Array, y: Array, spread: Spread) -> Sums:
 
 
 def _cross_kernel(base: Basis, x: Array) -> Array:
-    return se_kernel(x / base.kernel.scales, base.centres / base.kernel.scales, base.kernel.amplitude)
+    return se_kernel(
+        x / base.kernel.scales, base.centres / base.kernel.scales, base.kernel.amplitude
+    )
 
 
 def _split_into_chunks(spread: Spread) -> Iterator[tuple[slice, Spread]]:

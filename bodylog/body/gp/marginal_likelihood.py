@@ -1,4 +1,6 @@
-"""Marginal likelihood of an SE-ARD Gaussian process with constant mean, its gradient, and its maximum."""
+"""Marginal likelihood of an SE-ARD Gaussian process
+with constant mean, its gradient, and its maximum.
+"""
 
 from dataclasses import dataclass, field
 from functools import cache
@@ -19,7 +21,9 @@ _LEAST_INFORMATION = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Hyper:
-    """Kernel of one group of outputs: scales (M,) · amplitude · noise, white variance beyond the known."""
+    """Kernel of one group of outputs: scales (M,) ·
+    amplitude · noise, white variance beyond the known.
+    """
 
     scales: Array
     amplitude: float
@@ -39,7 +43,8 @@ def hyper_from_theta(theta: Array) -> Hyper:
 
 @dataclass(frozen=True, eq=False)
 class Spread:
-    """Known noise covariance of n samples: diagonal (n,) and entries value (L,) at rows i > columns j, each once.
+    """Known noise covariance of n samples: diagonal (n,)
+    and entries value (L,) at rows i > columns j, each once.
 
     share (G,), of mean 1: factor of each output's own noise covariance over this one.
     """
@@ -58,13 +63,16 @@ class Spread:
 def independent_noise(diagonal: Array) -> Spread:
     """Noise (n,) of all outputs, or (n,G) of each, without covariance between samples."""
     diagonal = diagonal.reshape(len(diagonal), -1)
-    nothing, share = np.zeros(0, np.int64), variance_shares(diagonal)
+    nothing = np.zeros(0, np.int64)
+    share = variance_shares(diagonal)
     return Spread((diagonal / share).mean(axis=1), nothing, nothing, np.zeros(0), share)
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Exact posterior: alpha (n,G) = K⁻¹(y − mean) · mean (G,) · chol (n,n) lower · evidence in nats."""
+    """Exact posterior: alpha (n,G) = K⁻¹(y − mean) ·
+    mean (G,) · chol (n,n) lower · evidence in nats.
+    """
 
     alpha: Array
     mean: Array
@@ -86,8 +94,9 @@ class Prior:
 
 FLAT = Prior(np.ones(()), np.inf)
 
-# A point that turns about a joint is projected with autocovariance cos τ, whose curvature is that of l = 1 rad;
-# perspective and further joints change that by less than a factor of two (two widths).
+# A point that turns about a joint is projected with autocovariance
+# cos τ, whose curvature is that of l = 1 rad; perspective and further
+# joints change that by less than a factor of two (two widths).
 ROTATION = Prior(np.ones(()), 0.35)
 
 
@@ -97,18 +106,26 @@ def condition_gp(kernel: Hyper, x: Array, y: Array, spread: Spread) -> Posterior
     return _condition_on_gram(se_kernel(z, z, kernel.amplitude), kernel.noise, y, spread)
 
 
-def log_marginal_likelihood(theta: Array, x: Array, y: Array, spread: Spread) -> tuple[float, Array]:
-    """Log marginal likelihood (nats) at theta and its gradient; the constant mean is maximised out (R&W 2.30, 5.9)."""
+def log_marginal_likelihood(
+    theta: Array, x: Array, y: Array, spread: Spread
+) -> tuple[float, Array]:
+    """Log marginal likelihood (nats) at theta and its gradient;
+    the constant mean is maximised out (R&W 2.30, 5.9).
+    """
     return _likelihood_from_terms(theta, _kernel_terms(x), y, spread)
 
 
-def _likelihood_from_terms(theta: Array, terms: Array, y: Array, spread: Spread) -> tuple[float, Array]:
+def _likelihood_from_terms(
+    theta: Array, terms: Array, y: Array, spread: Spread
+) -> tuple[float, Array]:
     """The same for inputs with precomputed terms."""
-    kernel, group = np.exp(theta), y.shape[1]
+    kernel = np.exp(theta)
+    group = y.shape[1]
     gram = _kernel_grams(theta, terms)
     found = _condition_on_gram(gram, kernel[-1], y, spread)
     inverse, _ = _import_lapack().dpotri(found.chol, lower=1, overwrite_c=1)
-    # R&W 5.9: derivative by each entry of the covariance, ααᵀ − G K⁻¹; one triangle, zeros in the other
+    # R&W 5.9: derivative by each entry of the covariance,
+    # ααᵀ − G K⁻¹; one triangle, zeros in the other
     worth = _import_blas().dsyrk(1.0, found.alpha, beta=-group, c=inverse, lower=1, overwrite_c=1).T
     trace = worth.trace()
     worth *= gram
@@ -121,7 +138,8 @@ def _likelihood_from_terms(theta: Array, terms: Array, y: Array, spread: Spread)
 
 
 def maximise_evidence(x: Array, y: Array, spread: Spread, prior: Prior, starts: Array) -> Hyper:
-    """The kernel of greatest evidence under the prior; x and y of order one, starts (S,M+2) in theta.
+    """The kernel of greatest evidence under the prior;
+    x and y of order one, starts (S,M+2) in theta.
 
     One descent from the best start, with the Fisher information there as first curvature.
     """
@@ -129,14 +147,29 @@ def maximise_evidence(x: Array, y: Array, spread: Spread, prior: Prior, starts: 
     low = np.array([-10.0, *[-5.0] * x.shape[1], -23.0])
     high = np.array([16.0, *[10.0] * x.shape[1], 3.0])
     thetas = np.minimum(np.maximum(starts, low), high)
-    first = thetas[0] if len(thetas) == 1 else thetas[np.argmin(_losses_at_thetas(thetas, terms, y, spread, prior))]
+    first = (
+        thetas[0]
+        if len(thetas) == 1
+        else thetas[np.argmin(_losses_at_thetas(thetas, terms, y, spread, prior))]
+    )
     curvature = _fisher_information(first, x, y.shape[1], spread, prior)
-    return hyper_from_theta(minimise_with_bfgs(lambda theta: _negative_log_posterior(theta, terms, y, spread, prior), first, low, high, curvature))
+    return hyper_from_theta(
+        minimise_with_bfgs(
+            lambda theta: _negative_log_posterior(theta, terms, y, spread, prior),
+            first,
+            low,
+            high,
+            curvature,
+        )
+    )
 
 
 def draw_kernel_starts(x: Array, seed: int, count: int) -> Array:
-    """A typical first guess for x, y of order one, then seeded ones: as rough or smoother, as noisy or quieter."""
-    draw, inputs = np.random.default_rng(seed), x.shape[1]
+    """A typical first guess for x, y of order one, then
+    seeded ones: as rough or smoother, as noisy or quieter.
+    """
+    draw = np.random.default_rng(seed)
+    inputs = x.shape[1]
     jumps = np.zeros((count, inputs + 2))
     jumps[1:] = draw.normal(0.0, 0.4, (count - 1, inputs + 2))
     jumps[1:, 0] += draw.normal(0.5, 1.0, count - 1)
@@ -145,26 +178,43 @@ def draw_kernel_starts(x: Array, seed: int, count: int) -> Array:
     return Hyper(np.full(inputs, 2.0), 1.0, 1e-2).theta + jumps
 
 
-def _negative_log_posterior(theta: Array, terms: Array, y: Array, spread: Spread, prior: Prior) -> tuple[float, Array]:
+def _negative_log_posterior(
+    theta: Array, terms: Array, y: Array, spread: Spread, prior: Prior
+) -> tuple[float, Array]:
     value, gradient = _likelihood_from_terms(theta, terms, y, spread)
     away = _distance_from_prior(theta, prior)
     gradient[1:-1] -= away / prior.width
     return 0.5 * float(away @ away) - value, -gradient
 
 
-def _losses_at_thetas(thetas: Array, terms: Array, y: Array, spread: Spread, prior: Prior) -> list[float]:
+def _losses_at_thetas(
+    thetas: Array, terms: Array, y: Array, spread: Spread, prior: Prior
+) -> list[float]:
     """The loss alone, at several thetas (S,M+2)."""
-    noises, grams = np.exp(thetas[:, -1]), _kernel_grams(thetas, terms)
-    fits = [_condition_on_gram(gram, noise, y, spread).evidence for gram, noise in zip(grams, noises, strict=True)]
-    return [0.5 * float(np.square(_distance_from_prior(t, prior)).sum()) - fit for t, fit in zip(thetas, fits, strict=True)]
+    noises = np.exp(thetas[:, -1])
+    grams = _kernel_grams(thetas, terms)
+    fits = [
+        _condition_on_gram(gram, noise, y, spread).evidence
+        for gram, noise in zip(grams, noises, strict=True)
+    ]
+    return [
+        0.5 * float(np.square(_distance_from_prior(t, prior)).sum()) - fit
+        for t, fit in zip(thetas, fits, strict=True)
+    ]
 
 
 def _fisher_information(theta: Array, x: Array, group: int, spread: Spread, prior: Prior) -> Array:
-    """Fisher information ½ tr(K⁻¹∂K K⁻¹∂K) of the G outputs and the prior (p,p), from at most 100 of the samples."""
+    """Fisher information ½ tr(K⁻¹∂K K⁻¹∂K) of the G outputs
+    and the prior (p,p), from at most 100 of the samples.
+    """
     rows = choose_spaced_rows(len(x), _INFORMANTS)
-    kernel, terms, count = np.exp(theta), _kernel_terms(x[rows]), len(rows)
+    kernel = np.exp(theta)
+    terms = _kernel_terms(x[rows])
+    count = len(rows)
     gram = _kernel_grams(theta, terms)
-    inverse = inverse_lower(cholesky_with_jitter(gram, independent_noise(spread.diagonal[rows]), kernel[-1]))
+    inverse = inverse_lower(
+        cholesky_with_jitter(gram, independent_noise(spread.diagonal[rows]), kernel[-1])
+    )
     bends = terms[1:].reshape(-1, count, count) * (-2.0 / kernel[1:-1, None, None] ** 2)
     slopes = np.array([gram, *(gram * bends), kernel[-1] * np.eye(count)])
     whitened = (inverse @ slopes @ inverse.T).reshape(len(theta), -1)
@@ -191,7 +241,8 @@ def _kernel_grams(theta: Array, terms: Array) -> Array:
     """The kernel between all samples (n,n), or at several thetas (S,p) each: (S,n,n)."""
     shares = theta[..., :-1].copy()
     shares[..., 1:] = np.exp(-2.0 * shares[..., 1:])
-    gram, count = shares @ terms, isqrt(terms.shape[1])
+    gram = shares @ terms
+    count = isqrt(terms.shape[1])
     return np.asarray(np.exp(gram, out=gram).reshape(*theta.shape[:-1], count, count))
 
 
@@ -209,8 +260,11 @@ def _condition_on_gram(gram: Array, noise: float, y: Array, spread: Spread) -> P
 
 
 def cholesky_with_jitter(gram: Array, spread: Spread, noise: float) -> Array:
-    """Lower factor (n,n) of gram + spread + noise I, zeros above; jitter grows tenfold until it exists."""
-    count, dpotrf = len(gram), _import_lapack().dpotrf
+    """Lower factor (n,n) of gram + spread + noise I,
+    zeros above; jitter grows tenfold until it exists.
+    """
+    count = len(gram)
+    dpotrf = _import_lapack().dpotrf
     diagonal = spread.diagonal + noise
     jitter = _JITTER * float(gram[0, 0] or diagonal[0])
     for _ in range(9):

@@ -1,4 +1,6 @@
-"""Gaussian-process forward model: mean, Jacobian and variance at one point or at many (paper, "Body learning")."""
+"""Gaussian-process forward model: mean, Jacobian and
+variance at one point or at many (paper, "Body learning").
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -14,8 +16,8 @@ _SOME = 64
 """Samples at which the correlation length of errors is estimated."""
 
 MISFIT = 1.2
-"""Factor on the posterior variance for model misfit: projected arms are rougher than draws of a squared exponential.
-The least that several arms showed; docs/learning.md has the figures."""
+"""Factor on the posterior variance for model misfit: projected arms are rougher than draws of a
+squared exponential. The least that several arms showed; docs/learning.md has the figures."""
 
 NEGLIGIBLE = 1e-6
 """Relative error of the variance that may come from dropping uninformative directions."""
@@ -23,12 +25,14 @@ NEGLIGIBLE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class GP:
-    """One sense's learned model: D outputs on shared centres, one squared-exponential kernel (G=1) or one each (G=D).
+    """One sense's learned model: D outputs on shared centres,
+    one squared-exponential kernel (G=1) or one each (G=D).
 
-    outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (G,M) rad · amplitude (G,) unit² · mean (D,)
-    unit · weights (D,n) · factor (G,r,n): variance = MISFIT (amplitude − |factor k|²) · noise (D,) unit² beyond the
-    samples' own · samples (S,M) rad, targets (S,D), spread (S,D) unit²: the training data. Outputs that share a kernel
-    share it in units of their own noise: each one's variance is its `share` times that.
+    outputs (D,) names · unit of the outputs · centres (n,M) rad · scales (G,M) rad · amplitude (G,)
+    unit² · mean (D,) unit · weights (D,n) · factor (G,r,n): variance = MISFIT (amplitude − |factor
+    k|²) · noise (D,) unit² beyond the samples' own · samples (S,M) rad, targets (S,D), spread (S,D)
+    unit²: the training data. Outputs that share a kernel share it in units of their own noise: each
+    one's variance is its `share` times that.
     """
 
     outputs: tuple[str, ...]
@@ -46,7 +50,9 @@ class GP:
     misfit: ClassVar[float] = MISFIT
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
+        """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M)
+        per rad · variance (N,D), sensor noise excluded.
+        """
         x = np.atleast_2d(x)
         if len(x) == 1:
             value, slope, spread = self.predict_one(x[0])
@@ -54,7 +60,9 @@ class GP:
         parts = [single.many(x - self._origin) for single in self._singles]
         if len(parts) == 1:
             return parts[0]
-        value, slope, spread = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
+        value, slope, spread = (
+            np.concatenate(column, axis=1) for column in zip(*parts, strict=True)
+        )
         return value, slope, spread
 
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
@@ -67,7 +75,9 @@ class GP:
         return np.concatenate(value), np.concatenate(slope), np.concatenate(spread)
 
     def means(self, x: Array) -> tuple[Array, Array]:
-        """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance: O(N n)."""
+        """Predict at x (N,M) rad: mean (N,D) · Jacobian
+        (N,D,M) per rad, without the variance: O(N n).
+        """
         parts = [single.means(x - self._origin) for single in self._singles]
         if len(parts) == 1:
             return parts[0]
@@ -75,12 +85,16 @@ class GP:
         return value, slope
 
     def covariance(self, x: Array) -> Array:
-        """Covariance of the model's error between all pairs of x (N,M) rad: (G,N,N) unit², for outputs of `share` 1."""
+        """Covariance of the model's error between all pairs of
+        x (N,M) rad: (G,N,N) unit², for outputs of `share` 1.
+        """
         result = np.empty((len(self.scales), len(x), len(x)))
         for group, scales in enumerate(self.scales):
             kernel = se_kernel(x / scales, self.centres / scales, self.amplitude[group])
             projected = self._projected(group, kernel)
-            result[group] = MISFIT * (se_kernel(x / scales, x / scales, self.amplitude[group]) - projected @ projected.T)
+            result[group] = MISFIT * (
+                se_kernel(x / scales, x / scales, self.amplitude[group]) - projected @ projected.T
+            )
         return result
 
     def slope_variance(self, x: Array) -> Array:
@@ -92,8 +106,12 @@ class GP:
                 kernel = se_kernel(x[rows] / scales, self.centres / scales, self.amplitude[group])
                 for m, scale in enumerate(scales):
                     lean = kernel * (self.centres[:, m] - x[rows, m, None]) / scale**2
-                    left = self.amplitude[group] / scale**2 - np.square(self._projected(group, lean)).sum(axis=-1)
-                    result[rows, members, m] = np.maximum(left, 0.0)[:, None] * (MISFIT * self.share[members])
+                    left = self.amplitude[group] / scale**2 - np.square(
+                        self._projected(group, lean)
+                    ).sum(axis=-1)
+                    result[rows, members, m] = np.maximum(left, 0.0)[:, None] * (
+                        MISFIT * self.share[members]
+                    )
         return result
 
     def _projected(self, group: int, kernel: Array) -> Array:
@@ -105,14 +123,18 @@ class GP:
 
     @cached_property
     def share(self) -> Array:
-        """Factor (D,) of each output's noise and variance over the mean of those that share its kernel."""
+        """Factor (D,) of each output's noise and variance
+        over the mean of those that share its kernel.
+        """
         return variance_shares(self.spread) if len(self.scales) == 1 else np.ones(len(self.mean))
 
     @cached_property
     def reach(self) -> Array:
-        """Correlation length (M,) rad of the model's errors: they correlate by exp(−½ Σ (δ/reach)²).
+        """Correlation length (M,) rad of the model's
+        errors: they correlate by exp(−½ Σ (δ/reach)²).
 
-        From the curvature at zero: the variance of the error's slope over that of the error, where it was learned.
+        From the curvature at zero: the variance of the error's
+        slope over that of the error, where it was learned.
         """
         x = self.samples[:: max(1, len(self.samples) // _SOME)]
         # a variance below this share of the amplitude is rounding
@@ -129,22 +151,35 @@ class GP:
         return [self._single(group) for group in range(len(self.scales))]
 
     def _single(self, group: int) -> "_Single":
-        near, precision, members = self.centres - self._origin, self.scales[group] ** -2.0, self._members(group)
-        amplitude, fixed = float(self.amplitude[group]), -0.5 * np.square(near) @ precision
+        near = self.centres - self._origin
+        precision = self.scales[group] ** -2.0
+        members = self._members(group)
+        amplitude = float(self.amplitude[group])
+        fixed = -0.5 * np.square(near) @ precision
         leans = (self.weights[members][:, None] * (near * precision).T).reshape(-1, len(near))
-        # amplitude here, not in the exponent: large exponents round more, and the variance is a difference
+        # amplitude here, not in the exponent: large exponents
+        # round more, and the variance is a difference
         rows = amplitude * np.concatenate([self.weights[members], leans, self.factor[group]])
-        near, rows = np.asfortranarray(near), np.asfortranarray(rows)
-        return _Single(near, fixed, precision, rows, self.mean[members], MISFIT * self.share[members], amplitude)
+        near = np.asfortranarray(near)
+        rows = np.asfortranarray(rows)
+        return _Single(
+            near,
+            fixed,
+            precision,
+            rows,
+            self.mean[members],
+            MISFIT * self.share[members],
+            amplitude,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class _Single:
     """One kernel's D outputs: all that is linear in the kernel as one product.
 
-    near (n,M) centres · fixed (n,) ln k at the origin, where k is 1 at its centre · precision (M,) · mean (D,) · share
-    (D,) of the variance · amplitude · rows (D+DM+r,n), amplitude times: weights, weights times centres times precision,
-    factor.
+    near (n,M) centres · fixed (n,) ln k at the origin, where k is 1 at its centre · precision (M,)
+    · mean (D,) · share (D,) of the variance · amplitude · rows (D+DM+r,n), amplitude times:
+    weights, weights times centres times precision, factor.
     """
 
     near: Array
@@ -156,12 +191,16 @@ class _Single:
     amplitude: float
 
     def at(self, offset: Array) -> tuple[Array, Array, Array]:
-        """Mean (D,), Jacobian (D,M) and variance (D,) at an offset (M,) from the origin of `near`."""
+        """Mean (D,), Jacobian (D,M) and variance (D,)
+        at an offset (M,) from the origin of `near`.
+        """
         kernel, tilt = self.kernel(offset)
         return self.evaluate(self.rows.dot(kernel), tilt)
 
     def kernel(self, offset: Array) -> tuple[Array, Array]:
-        """At an offset (M,) from the origin of `near`: k (n,) of amplitude 1; the offset times the precision (M,)."""
+        """At an offset (M,) from the origin of `near`: k (n,)
+        of amplitude 1; the offset times the precision (M,).
+        """
         # method calls: the operators' overhead is as large as the product of 46 samples
         tilt = offset * self.precision
         kernel = self.near.dot(tilt)
@@ -171,10 +210,17 @@ class _Single:
 
     def evaluate(self, sums: Array, tilt: Array) -> tuple[Array, Array, Array]:
         """Mean (D,), Jacobian (D,M) and variance (D,) of rows · k."""
-        outputs, inputs = len(self.mean), len(tilt)
-        value, leans, seen = sums[:outputs], sums[outputs : outputs * (1 + inputs)], sums[outputs * (1 + inputs) :]
+        outputs = len(self.mean)
+        inputs = len(tilt)
+        value = sums[:outputs]
+        leans = sums[outputs : outputs * (1 + inputs)]
+        seen = sums[outputs * (1 + inputs) :]
         slope = leans.reshape(outputs, inputs) - value[:, None] * tilt
-        return value + self.mean, slope, max(self.amplitude - float(seen.dot(seen)), 0.0) * self.share
+        return (
+            value + self.mean,
+            slope,
+            max(self.amplitude - float(seen.dot(seen)), 0.0) * self.share,
+        )
 
     def many(self, offset: Array) -> tuple[Array, Array, Array]:
         """Mean (N,D), Jacobian (N,D,M) and variance (N,D) at offsets (N,M)."""
@@ -183,20 +229,28 @@ class _Single:
         return value, slope, np.maximum(left, 0.0)[:, None] * self.share
 
     def means(self, offset: Array, left: Array | None = None) -> tuple[Array, Array]:
-        """Mean (N,D) and Jacobian (N,D,M) at offsets (N,M); `left` (N,) receives the remaining variance.
+        """Mean (N,D) and Jacobian (N,D,M) at offsets
+        (N,M); `left` (N,) receives the remaining variance.
 
-        Computed by blocks that fit the cache; the kernel's logarithm is linear in [x/l², 1, −x·x/2l²].
+        Computed by blocks that fit the cache; the kernel's
+        logarithm is linear in [x/l², 1, −x·x/2l²].
         """
-        outputs, inputs = len(self.mean), offset.shape[1]
-        linear, tilt = outputs * (1 + inputs), (offset * self.precision).T
+        outputs = len(self.mean)
+        inputs = offset.shape[1]
+        linear = outputs * (1 + inputs)
+        tilt = (offset * self.precision).T
         rows = self.rows[:linear] if left is None else self.rows
         below = np.vstack([tilt, np.ones(len(offset)), -0.5 * (offset.T * tilt).sum(axis=0)])
         above = np.column_stack([self.near, self.fixed, np.ones(len(self.fixed))])
-        value, slope = np.empty((len(offset), outputs)), np.empty((len(offset), outputs, inputs))
+        value = np.empty((len(offset), outputs))
+        slope = np.empty((len(offset), outputs, inputs))
         for block in _cache_sized_slices(len(offset), len(self.fixed)):
             kernel = above @ below[:, block]
             sums = rows @ np.exp(kernel, out=kernel)
-            leans = sums[outputs:linear].reshape(outputs, inputs, -1) - sums[:outputs, None] * tilt[:, block]
+            leans = (
+                sums[outputs:linear].reshape(outputs, inputs, -1)
+                - sums[:outputs, None] * tilt[:, block]
+            )
             value[block], slope[block] = sums[:outputs].T + self.mean, np.moveaxis(leans, -1, 0)
             if left is not None:
                 left[block] = self.amplitude - np.einsum("rn,rn->n", sums[linear:], sums[linear:])
@@ -210,10 +264,12 @@ def _cache_sized_slices(count: int, width: int) -> Iterator[slice]:
 
 
 def drop_negligible_rows(gp: GP) -> GP:
-    """Drop rows r of the factor while the variance changes by at most NEGLIGIBLE of itself at every x.
+    """Drop rows r of the factor while the variance
+    changes by at most NEGLIGIBLE of itself at every x.
 
-    With F the factor and K the Gram matrix of the centres, F K Fᵀ has eigenvalues λ/(1+λ), where λ is signal over noise
-    along an eigenvector. The prior bounds k(x) by its amplitude, so rows up to λ change a variance v by at most λ v.
+    With F the factor and K the Gram matrix of the centres, F K Fᵀ has eigenvalues λ/(1+λ), where λ
+    is signal over noise along an eigenvector. The prior bounds k(x) by its amplitude, so rows up to
+    λ change a variance v by at most λ v.
     """
     short = []
     for factor, scales, amplitude in zip(gp.factor, gp.scales, gp.amplitude, strict=True):
@@ -231,8 +287,11 @@ def variance_shares(variance: Array) -> Array:
 
 
 def se_kernel(a: Array, b: Array, amplitude: float) -> Array:
-    """Squared-exponential kernel between a (N,M) and b (n,M), both divided by their length scales: (N,n)."""
-    half_a, half_b = np.square(a).sum(axis=1), np.square(b).sum(axis=1)
+    """Squared-exponential kernel between a (N,M) and b
+    (n,M), both divided by their length scales: (N,n).
+    """
+    half_a = np.square(a).sum(axis=1)
+    half_b = np.square(b).sum(axis=1)
     left, right = (np.ones((len(part), part.shape[1] + 2)) for part in (a, b))
     left[:, :-2], left[:, -1] = a, -0.5 * half_a
     right[:, :-2], right[:, -2] = b, -0.5 * half_b

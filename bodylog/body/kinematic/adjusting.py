@@ -1,4 +1,6 @@
-"""Adjust the calibration that is printed: by itself, and with the zeros of joints that stood still as unknowns."""
+"""Adjust the calibration that is printed: by itself, and
+with the zeros of joints that stood still as unknowns.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -18,13 +20,15 @@ from .placements import Calibration, calibration_of
 from .sightings import ThingSightings
 
 STRETCHES = 30
-"""Parts of a log whose images are left out together: images next to each other have the same errors."""
+"""Parts of a log whose images are left out together:
+images next to each other have the same errors.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a log says beside its sightings: joints, readings or None · start and duration, s · poses: rows are still
-    poses that were measured one by one.
+    """What a log says beside its sightings: joints, readings or None · start and duration, s ·
+    poses: rows are still poses that were measured one by one.
     """
 
     joints: Series | None
@@ -57,20 +61,29 @@ def recorded_logs(features: Sequence[Features]) -> tuple[Recording, ...]:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What an adjustment takes from beside the sightings: the logs · resting joints, if the robot is at hand."""
+    """What an adjustment takes from beside the sightings:
+    the logs · resting joints, if the robot is at hand.
+    """
 
     logs: tuple[Recording, ...]
     resting: Resting | None = None
 
 
 def adjust_calibration(
-    links: FoundLinks, parts: Mapping[str, ThingSightings], beside: Surroundings, theta: Array, covariance: Array
+    links: FoundLinks,
+    parts: Mapping[str, ThingSightings],
+    beside: Surroundings,
+    theta: Array,
+    covariance: Array,
 ) -> tuple[Calibration, Adjusted]:
-    """The calibration of least error, and the adjustment behind it; parts: the sightings, one for each sight.
+    """The calibration of least error, and the adjustment
+    behind it; parts: the sightings, one for each sight.
 
     theta (P,), covariance (P,P): of the rig of `links` beside a process of residuals.
     """
-    rig, start, names = links.calibrated.rig, links.calibrated.theta, tuple[str, ...]()
+    rig = links.calibrated.rig
+    start = links.calibrated.theta
+    names = tuple[str, ...]()
     rows = np.arange(len(theta))
     if beside.resting is not None:
         names = _resting_joints(rig, beside.resting)
@@ -79,16 +92,23 @@ def adjust_calibration(
     moved = np.where(rows < links.calibrated.rig.of_scales.start, rows, rows + len(names))
     known = Known(moved, theta, covariance)
     groups = _groups([one.whole for one in parts.values()], beside.logs)
-    data = [_posed(one, group, names, beside.logs) for one, group in zip(parts.values(), groups, strict=True)]
+    data = [
+        _posed(one, group, names, beside.logs)
+        for one, group in zip(parts.values(), groups, strict=True)
+    ]
     found = adjust(rig, data, start, links.calibrated.noise, known)
     return calibration_of(found), found
 
 
 def _resting_joints(rig: Rig, resting: Resting) -> tuple[str, ...]:
-    """Joints between cameras and markers that stood still and have readings; none where zeros are given."""
+    """Joints between cameras and markers that stood
+    still and have readings; none where zeros are given.
+    """
     if resting.doubt <= GIVEN:
         return ()
-    ways = [chain_between(resting.robot, one.chain.start, one.chain.end).joints for one in rig.sights]
+    ways = [
+        chain_between(resting.robot, one.chain.start, one.chain.end).joints for one in rig.sights
+    ]
     found = dict.fromkeys(name for way in ways for name in way)
     return tuple(name for name in found if name in resting.still and name not in rig.joints)
 
@@ -99,7 +119,9 @@ def _widened(rig: Rig, theta: Array, names: tuple[str, ...], resting: Resting) -
         return rig, theta
     joints = (*rig.joints, *names)
     space = Space(resting.robot, joints, resting.still, resting.doubt)
-    sights = tuple(replace(one, chain=space.chain(one.chain.start, one.chain.end)) for one in rig.sights)
+    sights = tuple(
+        replace(one, chain=space.chain(one.chain.start, one.chain.end)) for one in rig.sights
+    )
     doubt = np.concatenate([rig.doubt, space.zero_std(names)])
     scaled = len(rig.scale_doubt) > 0
     scale_doubt = np.concatenate([rig.scale_doubt, np.full(len(names) if scaled else 0, _FIXED)])
@@ -112,7 +134,9 @@ _FIXED = 1e-9
 """Prior std of what is held."""
 
 
-def _posed(one: ThingSightings, group: Array, names: Sequence[str], logs: Sequence[Recording]) -> Posed:
+def _posed(
+    one: ThingSightings, group: Array, names: Sequence[str], logs: Sequence[Recording]
+) -> Posed:
     """Sightings for the adjustment, with the readings of further joints."""
     further = np.zeros((len(one.whole.x), len(names)))
     for log in np.unique(one.whole.log):
@@ -135,7 +159,9 @@ def _readings(log: Recording, names: Sequence[str], t: Array) -> Array:
 
 
 def _groups(wholes: Sequence[Pairs], logs: Sequence[Recording]) -> list[Array]:
-    """Numbers (N,) for each sight's images: of their posture, or of their stretch of the log, over all sights."""
+    """Numbers (N,) for each sight's images: of their
+    posture, or of their stretch of the log, over all sights.
+    """
     keys = []
     for whole in wholes:
         part = whole.t.copy()

@@ -1,7 +1,9 @@
-"""Changes since a body was learned: a joint's zero, a camera's or a marker's pose, each compared by evidence.
+"""Changes since a body was learned: a joint's zero, a
+camera's or a marker's pose, each compared by evidence.
 
-Residuals of the body's predictions are r = A u + B z + g + noise: u the changes, z ~ N(0, I) the uncertainty of the
-body's unknowns θ, g the residual's process. A change must win nats with z and g marginalised.
+Residuals of the body's predictions are r = A u + B z + g + noise: u the
+changes, z ~ N(0, I) the uncertainty of the body's unknowns θ, g the
+residual's process. A change must win nats with z and g marginalised.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,22 +18,40 @@ from ...kinematics.rig import Rig
 from ...kinematics.rotations import vector_from_rotation
 from ...runtime.blas_threads import one_thread
 from ...types import Array, Board, Features
-from ..data.pairs import correlate_angle_errors, smooth_all_joints, pair_sightings
+from ..data.pairs import correlate_angle_errors, pair_sightings, smooth_all_joints
 from ..data.subsampling import choose_spaced_rows
-from .change_system import ChangeFit, ChangePart, ChangeProblem, ChangeTrack, drop_unexplained_sightings, fit_parts, linear_evidence, linearise_sightings
+from .change_system import (
+    ChangeFit,
+    ChangePart,
+    ChangeProblem,
+    ChangeTrack,
+    drop_unexplained_sightings,
+    fit_parts,
+    linear_evidence,
+    linearise_sightings,
+)
 from .model import KinematicGP, can_show_changes
 
-GAIN, APART = 20.0, 5.0
-"""Nats that a change must win, and its margin over any other for a unique name, as for offsets in estimation/."""
+GAIN = 20.0
+APART = 5.0
+"""Nats that a change must win, and its margin over any
+other for a unique name, as for offsets in estimation/.
+"""
 LEAST = 0.01
 """rad: smallest offset that counts as a fault, as in `estimation`."""
-SLIP, SLIDE = np.radians(5.0), 0.1
-"""rad: prior std of a zero's change, and m per rad for a prismatic joint; the default of `fit --offset-prior`."""
+SLIP = np.radians(5.0)
+SLIDE = 0.1
+"""rad: prior std of a zero's change, and m per rad for
+a prismatic joint; the default of `fit --offset-prior`.
+"""
 CAMERA = np.array([0.02] * 3 + [np.radians(2.0)] * 3)
-"""m, rad: prior std of a camera's motion; that of a camera placed by a transform (links.TF_POSE)."""
+"""m, rad: prior std of a camera's motion; that of
+a camera placed by a transform (links.TF_POSE).
+"""
 MARKER = np.array([0.01] * 3 + [np.radians(5.0)] * 3)
 """m, rad: prior std of a marker's motion: its own size, and as far as a joint."""
-MOST, FEWEST = 200, 10
+MOST = 200
+FEWEST = 10
 """Most and fewest sightings of a track: few show a change, and the cost is O(n³)."""
 _ONSETS = 8
 _PROMISING = 6
@@ -43,11 +63,12 @@ _NEAR = np.array([-0.8, -0.6, -0.4, -0.2, 0.2, 0.4, 0.6, 0.8])
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """One change since the body was learned: `kind` joint, camera or marker · value ± std (K,) rad or m · nats won.
+    """One change since the body was learned: `kind` joint,
+    camera or marker · value ± std (K,) rad or m · nats won.
 
-    A joint has one value, its zero's. shift: by how far a camera's or marker's own centre moved ± std, m · turn: by
-    how much a camera or board turned ± std, rad. since: s, None from the start on · alternatives: explanations nearly
-    as good · unit: of a joint's.
+    A joint has one value, its zero's. shift: by how far a camera's or marker's own centre moved ±
+    std, m · turn: by how much a camera or board turned ± std, rad. since: s, None from the start on
+    · alternatives: explanations nearly as good · unit: of a joint's.
     """
 
     kind: str
@@ -75,7 +96,11 @@ def find_changes(features: Features, body: BodyModel) -> tuple[Change, ...]:
         return ()
     found = _prefer_joint_pair(_search_parts(problem, len(body.joints)), problem)
     centres = _marker_centres(problem, features.boards)
-    return tuple(one for one in _weighted_changes(found, centres) if one.kind != "joint" or abs(one.value[0]) > LEAST)
+    return tuple(
+        one
+        for one in _weighted_changes(found, centres)
+        if one.kind != "joint" or abs(one.value[0]) > LEAST
+    )
 
 
 _Alternatives = tuple[tuple[str, str], ...]
@@ -92,8 +117,12 @@ class _Search:
 
 
 def _search_parts(problem: ChangeProblem, most: int) -> _Search:
-    """Add one part after the other while each wins GAIN nats; drop parts that later ones explain."""
-    accepted, known, won = tuple[ChangePart, ...](), fit_parts(problem, ()), dict[tuple[str, str], _Alternatives]()
+    """Add one part after the other while each wins
+    GAIN nats; drop parts that later ones explain.
+    """
+    accepted = tuple[ChangePart, ...]()
+    known = fit_parts(problem, ())
+    won = dict[tuple[str, str], _Alternatives]()
     while len(accepted) < most:
         taken = {*won, *(other for alternatives in won.values() for other in alternatives)}
         tried = _try_remaining_parts(problem, accepted, known, taken)
@@ -108,14 +137,18 @@ def _search_parts(problem: ChangeProblem, most: int) -> _Search:
 
 
 def _prefer_joint_pair(found: _Search, problem: ChangeProblem) -> _Search:
-    """The search's result, or the best pair of joints if more likely: one other part may imitate both."""
+    """The search's result, or the best pair of joints
+    if more likely: one other part may imitate both.
+    """
     constant = [part for part in problem.parts if part.kind == "joint" and np.isinf(part.onset)]
     if not found.parts or len(constant) < 2:
         return found
     about = linearise_sightings(problem, found.fit.unknowns)
     best = max(combinations(constant, 2), key=lambda pair: linear_evidence(about, problem, pair))
     fit = fit_parts(problem, best)
-    if fit.evidence <= found.fit.evidence or {part.thing for part in best} == set(found.alternatives):
+    if fit.evidence <= found.fit.evidence or {part.thing for part in best} == set(
+        found.alternatives
+    ):
         return found
     return _Search(problem, best, fit, dict.fromkeys((part.thing for part in best), ()))
 
@@ -125,11 +158,15 @@ def _weighted_changes(found: _Search, centres: Mapping[str, Array]) -> Iterator[
     for part in found.parts:
         others = tuple(one for one in found.parts if one is not part)
         without = fit_parts(found.problem, others, found.fit.unknowns)
-        change = _make_change(part, found.fit, found.fit.evidence - without.evidence, found.alternatives[part.thing])
+        change = _make_change(
+            part, found.fit, found.fit.evidence - without.evidence, found.alternatives[part.thing]
+        )
         yield _add_displacement(change, part, found, centres)
 
 
-def _drop_unneeded_parts(problem: ChangeProblem, parts: tuple[ChangePart, ...], fit: ChangeFit) -> tuple[tuple[ChangePart, ...], ChangeFit]:
+def _drop_unneeded_parts(
+    problem: ChangeProblem, parts: tuple[ChangePart, ...], fit: ChangeFit
+) -> tuple[tuple[ChangePart, ...], ChangeFit]:
     """Drop parts that others, found later, explain as well."""
     for part in parts[:-1]:
         others = tuple(one for one in parts if one is not part)
@@ -139,16 +176,27 @@ def _drop_unneeded_parts(problem: ChangeProblem, parts: tuple[ChangePart, ...], 
     return parts, fit
 
 
-def _refine_onset(problem: ChangeProblem, accepted: tuple[ChangePart, ...], part: ChangePart, fit: ChangeFit) -> tuple[ChangeProblem, ChangePart, ChangeFit]:
+def _refine_onset(
+    problem: ChangeProblem, accepted: tuple[ChangePart, ...], part: ChangePart, fit: ChangeFit
+) -> tuple[ChangeProblem, ChangePart, ChangeFit]:
     """Refine the onset of a part between those that were tried."""
-    reach, kept = float(np.diff(problem.onsets[1:]).max()), tuple(np.arange(len(one.part.x)) for one in problem.tracks)
+    reach = float(np.diff(problem.onsets[1:]).max())
+    kept = tuple(np.arange(len(one.part.x)) for one in problem.tracks)
     for turn in range(_FINER):
         ways = [replace(part, onset=float(onset)) for onset in part.onset + reach * _NEAR]
-        posed = [replace(problem, parts=tuple(way if one is part else one for one in problem.parts)) for way in ways]
-        fits = [fit_parts(one, (*accepted, way), fit.unknowns) for one, way in zip(posed, ways, strict=True)]
+        posed = [
+            replace(problem, parts=tuple(way if one is part else one for one in problem.parts))
+            for way in ways
+        ]
+        fits = [
+            fit_parts(one, (*accepted, way), fit.unknowns)
+            for one, way in zip(posed, ways, strict=True)
+        ]
         best = int(np.argmax([one.evidence for one in fits]))
         if fits[best].evidence > fit.evidence:
-            problem, part, fit = posed[best], ways[best], fits[best]
+            problem = posed[best]
+            part = ways[best]
+            fit = fits[best]
         if turn == 0:
             # sightings that only an intermediate onset explains looked like outliers
             problem = drop_unexplained_sightings(replace(problem, kept=kept, scale=1.0))
@@ -158,8 +206,12 @@ def _refine_onset(problem: ChangeProblem, accepted: tuple[ChangePart, ...], part
 
 
 def pose_problem(features: Features, body: BodyModel) -> ChangeProblem | None:
-    """Pose the linear problem of all changes; None where no track has kinematics, or a joint lacks readings."""
-    senses = {n: s for n, s in body.senses.items() if isinstance(s, KinematicGP) and n in features.tracks}
+    """Pose the linear problem of all changes; None where
+    no track has kinematics, or a joint lacks readings.
+    """
+    senses = {
+        n: s for n, s in body.senses.items() if isinstance(s, KinematicGP) and n in features.tracks
+    }
     names = () if features.joints is None else features.joints.names
     if not senses or not can_show_changes(body) or not set(body.joints) <= set(names):
         return None
@@ -182,9 +234,14 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
     if (first.doubt < 1e-6).all():
         return None  # offsets are turned off
     t = np.concatenate([track.part.t for track in tracks])
-    inner = np.quantile(t, np.arange(1, _ONSETS) / _ONSETS).tolist() if len(t) >= 2 * _ONSETS * len(names) else []
+    inner = (
+        np.quantile(t, np.arange(1, _ONSETS) / _ONSETS).tolist()
+        if len(t) >= 2 * _ONSETS * len(names)
+        else []
+    )
     onsets = (-np.inf, *inner)
-    parts, std = list[ChangePart](), list[Array]()
+    parts = list[ChangePart]()
+    std = list[Array]()
 
     def add(kind: str, name: str, spread: Array, onset: float = -np.inf, unit: str = "rad") -> None:
         begin = sum(len(one) for one in std)
@@ -205,7 +262,10 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
 
 
 def _try_remaining_parts(
-    problem: ChangeProblem, accepted: tuple[ChangePart, ...], known: ChangeFit, taken: set[tuple[str, str]]
+    problem: ChangeProblem,
+    accepted: tuple[ChangePart, ...],
+    known: ChangeFit,
+    taken: set[tuple[str, str]],
 ) -> list[tuple[ChangePart, ChangeFit]]:
     """Fits of each remaining part added to the accepted ones, most likely first."""
     about = linearise_sightings(problem, known.unknowns)
@@ -215,52 +275,77 @@ def _try_remaining_parts(
         if part.thing not in taken:
             # all onsets together are as likely as none
             cost = 0.0 if np.isinf(part.onset) else float(np.log(len(problem.onsets) - 1))
-            promised.append((linear_evidence(about, problem, (*accepted, part)) - begin - cost, cost, part))
+            promised.append(
+                (linear_evidence(about, problem, (*accepted, part)) - begin - cost, cost, part)
+            )
     promised.sort(key=lambda one: -one[0])
     least = promised[0][0] if promised else 0.0
     if least < 0.5 * GAIN:
         return []
-    some = [one for k, one in enumerate(promised) if k < _PROMISING or one[0] > 0.8 * least][: 2 * _PROMISING]
-    some += [one for one in promised if one not in some and np.isinf(one[2].onset) and one[0] > 0.5 * least]
-    tried = [(part, fit_parts(problem, (*accepted, part), known.unknowns), cost) for _, cost, part in some]
+    some = [one for k, one in enumerate(promised) if k < _PROMISING or one[0] > 0.8 * least][
+        : 2 * _PROMISING
+    ]
+    some += [
+        one
+        for one in promised
+        if one not in some and np.isinf(one[2].onset) and one[0] > 0.5 * least
+    ]
+    tried = [
+        (part, fit_parts(problem, (*accepted, part), known.unknowns), cost)
+        for _, cost, part in some
+    ]
     costed = [(part, replace(fit, evidence=fit.evidence - cost)) for part, fit, cost in tried]
     return sorted(costed, key=lambda one: -one[1].evidence)
 
 
-def _find_alternatives(best: ChangePart, tried: Sequence[tuple[ChangePart, ChangeFit]]) -> _Alternatives:
+def _find_alternatives(
+    best: ChangePart, tried: Sequence[tuple[ChangePart, ChangeFit]]
+) -> _Alternatives:
     """Other things whose change explains the sightings within APART nats of the best."""
     top = tried[0][1].evidence
-    near = [part.thing for part, fit in tried if fit.evidence > top - APART and part.thing != best.thing]
+    near = [
+        part.thing for part, fit in tried if fit.evidence > top - APART and part.thing != best.thing
+    ]
     return tuple(dict.fromkeys(near))
 
 
-def _make_change(part: ChangePart, fit: ChangeFit, nats: float, alternatives: _Alternatives) -> Change:
+def _make_change(
+    part: ChangePart, fit: ChangeFit, nats: float, alternatives: _Alternatives
+) -> Change:
     since = None if np.isinf(part.onset) else part.onset
     names = tuple(name for _, name in alternatives)
-    value, std = fit.unknowns[part.place], fit.std[part.place]
+    value = fit.unknowns[part.place]
+    std = fit.std[part.place]
     return Change(part.kind, part.name, value, std, nats, since, names, part.unit)
 
 
 def _marker_centres(problem: ChangeProblem, boards: Mapping[str, Board]) -> dict[str, Array]:
-    """Each marker's centre (3,) m, in the marker: of all corners of a board, else of the points seen."""
+    """Each marker's centre (3,) m, in the marker: of
+    all corners of a board, else of the points seen.
+    """
     points = dict[str, list[Array]]()
     for track in problem.tracks:
-        points.setdefault(track.model.rig.carriers[0].name, []).append(track.model.rig.sights[0].points[0])
+        points.setdefault(track.model.rig.carriers[0].name, []).append(
+            track.model.rig.sights[0].points[0]
+        )
     centres = {name: np.mean(seen, axis=0) for name, seen in points.items()}
     whole = {name.rpartition("/")[2]: corners.mean(axis=0) for name, (_, corners) in boards.items()}
     return {name: whole.get(name, centre) for name, centre in centres.items()}
 
 
-def _add_displacement(change: Change, part: ChangePart, found: _Search, centres: Mapping[str, Array]) -> Change:
+def _add_displacement(
+    change: Change, part: ChangePart, found: _Search, centres: Mapping[str, Array]
+) -> Change:
     """The change with the displacement of its own centre, and its turn; unchanged for a joint.
 
-    A pose's unknowns turn a marker about the origin of its link, which may be far from it: their first three numbers
-    are no displacement of the marker.
+    A pose's unknowns turn a marker about the origin of its link, which may be far from it: their
+    first three numbers are no displacement of the marker.
     """
     if change.kind == "joint":
         return change
     model = next(track.model for track in found.problem.tracks if _has_part(track.model.rig, part))
-    rig, theta = model.rig, model.theta
+    rig = model.rig
+    theta = model.theta
     place = rig.of_camera(0) if change.kind == "camera" else rig.of_carrier(0)
     centre = np.zeros(3) if change.kind == "camera" else centres[change.name]
     size = part.place.stop - part.place.start
@@ -269,9 +354,14 @@ def _add_displacement(change: Change, part: ChangePart, found: _Search, centres:
         """The camera or marker in its link (4,4), with its unknowns (3,) or (6,) changed."""
         changed = theta.copy()
         changed[place.start : place.start + size] += unknowns
-        return np.linalg.inv(rig.camera_pose(0, changed)) if change.kind == "camera" else rig.carrier_pose(0, changed)
+        return (
+            np.linalg.inv(rig.camera_pose(0, changed))
+            if change.kind == "camera"
+            else rig.carrier_pose(0, changed)
+        )
 
-    before, after = pose(np.zeros(size)), pose(change.value)
+    before = pose(np.zeros(size))
+    after = pose(change.value)
 
     def displacement(there: Array) -> Array:
         """How far its centre is from where it was (3,) m, and its turn (3,) rad from `after`."""
@@ -280,12 +370,18 @@ def _add_displacement(change: Change, part: ChangePart, found: _Search, centres:
 
     steps = _STEP * np.eye(size)
     slope = np.stack(
-        [displacement(pose(change.value + h)) - displacement(pose(change.value - h)) for h in steps], axis=1
+        [
+            displacement(pose(change.value + h)) - displacement(pose(change.value - h))
+            for h in steps
+        ],
+        axis=1,
     ) / (2.0 * _STEP)
     cov = slope @ found.fit.cov[part.place, part.place] @ slope.T
     turned = vector_from_rotation(after[:3, :3] @ before[:3, :3].T)
     shift = _vector_length(displacement(after)[:3], cov[:3, :3])
-    return replace(change, shift=shift, turn=_vector_length(turned, cov[3:, 3:]) if size == 6 else None)
+    return replace(
+        change, shift=shift, turn=_vector_length(turned, cov[3:, 3:]) if size == 6 else None
+    )
 
 
 def _has_part(rig: Rig, part: ChangePart) -> bool:

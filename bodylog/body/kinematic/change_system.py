@@ -18,7 +18,9 @@ _OFF_SIGMA = 3.0
 
 @dataclass(frozen=True)
 class ChangePart:
-    """A group of unknowns: a joint's zero from its onset (s) on, a camera's pose, a marker's place."""
+    """A group of unknowns: a joint's zero from its
+    onset (s) on, a camera's pose, a marker's place.
+    """
 
     kind: str
     name: str
@@ -43,7 +45,9 @@ class ChangeTrack:
 
 @dataclass(frozen=True, eq=False)
 class ChangeProblem:
-    """Tracks, the unknowns' parts with their prior std (P,), onsets (S,) s; rows in use, factor on the noise."""
+    """Tracks, the unknowns' parts with their prior std
+    (P,), onsets (S,) s; rows in use, factor on the noise.
+    """
 
     tracks: tuple[ChangeTrack, ...]
     parts: tuple[ChangePart, ...]
@@ -55,8 +59,8 @@ class ChangeProblem:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """About unknowns u: information (Q,Q) and pull (Q,) of z and drifts (`before` of them) and u in deviations · rest,
-    nats.
+    """About unknowns u: information (Q,Q) and pull (Q,) of z and
+    drifts (`before` of them) and u in deviations · rest, nats.
 
     rows: residuals, columns and standard deviation of each track and output, and both whitened.
     """
@@ -70,7 +74,9 @@ class System:
 
 @dataclass(frozen=True, eq=False)
 class ChangeFit:
-    """Most likely unknowns u (P,) of some parts, their covariance (P,P), and the evidence in nats."""
+    """Most likely unknowns u (P,) of some parts,
+    their covariance (P,P), and the evidence in nats.
+    """
 
     unknowns: Array
     cov: Array
@@ -83,29 +89,38 @@ class ChangeFit:
 
 
 def drop_unexplained_sightings(problem: ChangeProblem) -> ChangeProblem:
-    """Drop sightings that no change explains, and scale the noise to the residuals of all changes together."""
+    """Drop sightings that no change explains, and scale
+    the noise to the residuals of all changes together.
+    """
     every = problem.parts
     for _ in range(2 * _TURNS):
         unknowns = fit_parts(problem, every).unknowns
         about = linearise_sightings(problem, unknowns)
         at = solve_system(about, np.arange(len(about.pull)))[0]
         left = [np.abs(rest - columns @ at) / std for rest, columns, std, _, _ in about.rows]
-        white = np.concatenate([w_rest - w_columns @ at for _, _, _, w_rest, w_columns in about.rows])
-        free = float(np.trace(np.linalg.solve(about.information + np.eye(len(at)), about.information)))
+        white = np.concatenate(
+            [w_rest - w_columns @ at for _, _, _, w_rest, w_columns in about.rows]
+        )
+        free = float(
+            np.trace(np.linalg.solve(about.information + np.eye(len(at)), about.information))
+        )
         freedom = max(len(white) - free, 0.2 * len(white))
         scale = (float(np.median(np.abs(white))) / 0.6745) ** 2 * len(white) / freedom
         worst = [np.maximum(left[2 * k], left[2 * k + 1]) for k in range(len(problem.tracks))]
         sound = [size < _OUTLYING * max(1.0, scale) ** 0.5 for size in worst]
         kept = tuple(rows[good] for rows, good in zip(problem.kept, sound, strict=True))
         whole = all(good.all() for good in sound)
-        before, after = problem.scale, max(1.0, problem.scale * scale) if whole else 1.0
+        before = problem.scale
+        after = max(1.0, problem.scale * scale) if whole else 1.0
         problem = replace(problem, kept=kept, scale=after)
         if whole and after < 1.2 * before:
             break
     return problem
 
 
-def fit_parts(problem: ChangeProblem, parts: Sequence[ChangePart], begin: Array | None = None) -> ChangeFit:
+def fit_parts(
+    problem: ChangeProblem, parts: Sequence[ChangePart], begin: Array | None = None
+) -> ChangeFit:
     """Fit the unknowns of some parts, all others zero, by Gauss-Newton."""
     chosen = np.zeros(len(problem.std), bool)
     for part in parts:
@@ -120,14 +135,18 @@ def fit_parts(problem: ChangeProblem, parts: Sequence[ChangePart], begin: Array 
         unknowns = unknowns + step
         scales = problem.std[chosen]
         cov = np.zeros((len(problem.std), len(problem.std)))
-        cov[np.ix_(chosen, chosen)] = covariance[about.before :, about.before :] * np.outer(scales, scales)
+        cov[np.ix_(chosen, chosen)] = covariance[about.before :, about.before :] * np.outer(
+            scales, scales
+        )
         if (np.abs(step[chosen]) <= 0.02 * np.sqrt(np.diag(cov)[chosen])).all():
             break
     return ChangeFit(unknowns, cov, evidence)
 
 
 def outlier_share(problem: ChangeProblem, parts: Sequence[ChangePart]) -> float:
-    """The share of sightings more than 3 standard deviations off where some parts have their likeliest values."""
+    """The share of sightings more than 3 standard deviations
+    off where some parts have their likeliest values.
+    """
     unknowns = fit_parts(problem, parts).unknowns
     about = linearise_sightings(problem, unknowns)
     chosen = np.isin(np.arange(len(about.pull)), np.arange(about.before))
@@ -135,7 +154,9 @@ def outlier_share(problem: ChangeProblem, parts: Sequence[ChangePart]) -> float:
         chosen[about.before + part.place.start : about.before + part.place.stop] = True
     at = np.zeros(len(about.pull))
     at[chosen] = solve_system(about, np.flatnonzero(chosen))[0]
-    off = [np.abs(rest - columns @ at) > _OFF_SIGMA * std for rest, columns, std, _, _ in about.rows]
+    off = [
+        np.abs(rest - columns @ at) > _OFF_SIGMA * std for rest, columns, std, _, _ in about.rows
+    ]
     either = [off[k] | off[k + 1] for k in range(0, len(off), 2)]
     return float(np.concatenate(either).mean())
 
@@ -145,7 +166,9 @@ def linear_evidence(about: System, problem: ChangeProblem, parts: Sequence[Chang
     chosen = np.zeros(len(problem.std), bool)
     for part in parts:
         chosen[part.place] = True
-    return solve_system(about, np.append(np.arange(about.before), about.before + np.flatnonzero(chosen)))[2]
+    return solve_system(
+        about, np.append(np.arange(about.before), about.before + np.flatnonzero(chosen))
+    )[2]
 
 
 def solve_system(about: System, rows: Array) -> tuple[Array, Array, float]:
@@ -163,7 +186,9 @@ def linearise_sightings(problem: ChangeProblem, unknowns: Array) -> System:
     drifts = 2 * len(problem.tracks)
     before = directions + drifts
     size = before + len(unknowns)
-    information, pull, rest = np.zeros((size, size)), np.zeros(size), 0.0
+    information = np.zeros((size, size))
+    pull = np.zeros(size)
+    rest = 0.0
     rows = []
     for number, (track, kept) in enumerate(zip(problem.tracks, problem.kept, strict=True)):
         left, by_unknowns, unknown, slope, x = _linearise_track(problem, track, unknowns, kept)
@@ -177,7 +202,10 @@ def linearise_sightings(problem: ChangeProblem, unknowns: Array) -> System:
             try:
                 chol = np.linalg.cholesky(cov)
             except np.linalg.LinAlgError:
-                text = f"field {track.model.rig.sights[0].name}: its noise is no covariance; fit the body again"
+                text = (
+                    f"field {track.model.rig.sights[0].name}: its noise is no covariance; fit "
+                    "the body again"
+                )
                 raise ModelError(text) from None
             total = left[:, d] + by_unknowns[:, d] @ unknowns
             white = np.linalg.solve(chol, np.column_stack([total, columns]))
@@ -188,27 +216,44 @@ def linearise_sightings(problem: ChangeProblem, unknowns: Array) -> System:
     return System(information, pull, rest, before, rows)
 
 
-def _output_covariance(track: ChangeTrack, kept: Array, slope: Array, output: int, like: Array) -> Array:
-    """Covariance (n,n) px² of one output's sightings: residual process, their own noise, and that of their angles."""
-    model, part = track.model, track.part
+def _output_covariance(
+    track: ChangeTrack, kept: Array, slope: Array, output: int, like: Array
+) -> Array:
+    """Covariance (n,n) px² of one output's sightings: residual
+    process, their own noise, and that of their angles.
+    """
+    model = track.model
+    part = track.part
     cov = like * model.share[output]
-    own = part.floor[kept, output] + model.noise[output] + (np.square(slope) * part.variance[kept]).sum(axis=1)
+    own = (
+        part.floor[kept, output]
+        + model.noise[output]
+        + (np.square(slope) * part.variance[kept]).sum(axis=1)
+    )
     cov[np.diag_indices(len(kept))] += np.maximum(own, 1e-6)
     place = np.full(len(part.x), -1)
     place[kept] = np.arange(len(kept))
     i, j, m, value = track.coupling
     rows, columns = place[i], place[j]
     both = (rows >= 0) & (columns >= 0)
-    rows, columns, m, value = rows[both], columns[both], m[both], value[both]
+    rows = rows[both]
+    columns = columns[both]
+    m = m[both]
+    value = value[both]
     add = slope[rows, m] * slope[columns, m] * value
     np.add.at(cov, (rows, columns), add)
     np.add.at(cov, (columns, rows), add)
     return np.asarray(cov)
 
 
-def _linearise_track(problem: ChangeProblem, track: ChangeTrack, unknowns: Array, kept: Array) -> tuple[Array, Array, Array, Array, Array]:
-    """About u (P,): residuals (n,2) px, derivatives by u (n,2,P) and z (n,2,p), slopes (n,2,M), and angles x (n,M)."""
-    model, part = track.model, track.part
+def _linearise_track(
+    problem: ChangeProblem, track: ChangeTrack, unknowns: Array, kept: Array
+) -> tuple[Array, Array, Array, Array, Array]:
+    """About u (P,): residuals (n,2) px, derivatives by u
+    (n,2,P) and z (n,2,p), slopes (n,2,M), and angles x (n,M).
+    """
+    model = track.model
+    part = track.part
     t = part.t[kept]
     shift = np.zeros((len(kept), part.x.shape[1]))
     theta = model.theta.copy()
@@ -220,9 +265,11 @@ def _linearise_track(problem: ChangeProblem, track: ChangeTrack, unknowns: Array
             shift[:, model.rig.joints.index(one.name)] += (t >= one.onset) * value[0]
         elif own[one.kind] == one.name:
             theta[of[one.kind].start : of[one.kind].start + len(value)] += value
-    x, moved = part.x[kept] + shift, replace(model, theta=theta)
+    x = part.x[kept] + shift
+    moved = replace(model, theta=theta)
     value, slope = moved.means(x)
-    design, unknown = moved.design(x), moved.unknowns(x)
+    design = moved.design(x)
+    unknown = moved.unknowns(x)
     by = np.zeros((len(kept), 2, len(unknowns)))
     for one in problem.parts:
         if one.kind == "joint":

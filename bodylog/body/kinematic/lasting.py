@@ -1,4 +1,6 @@
-"""Slowly varying errors, such as those of a robot that warms up or a camera mount that gives way."""
+"""Slowly varying errors, such as those of a robot
+that warms up or a camera mount that gives way.
+"""
 
 from dataclasses import replace
 
@@ -9,24 +11,34 @@ from ..data.subsampling import choose_spaced_rows
 from ..gp.bfgs import minimise_with_bfgs
 from ..gp.marginal_likelihood import Hyper, Spread, cholesky_with_jitter
 from ..gp.model import se_kernel
-from .explicit import SEARCHED, ResidualRows, solve_linear_unknowns, thin_rows, evidence_derivative
+from .explicit import SEARCHED, ResidualRows, evidence_derivative, solve_linear_unknowns, thin_rows
 
 SPANS = (0.03, 0.1, 0.3)
 """Correlation times as shares of a log; of a longer one the log shows less than three."""
 
 
-def fit_slow_error(t: Array, kernel: Hyper, data: ResidualRows) -> tuple[Hyper, ResidualRows, float]:
-    """Kernel, rows and variance (px²) with an error that correlates by exp(−Δt/τ) in time t (n,) s, if evident.
+def fit_slow_error(
+    t: Array, kernel: Hyper, data: ResidualRows
+) -> tuple[Hyper, ResidualRows, float]:
+    """Kernel, rows and variance (px²) with an error that
+    correlates by exp(−Δt/τ) in time t (n,) s, if evident.
 
-    τ is one of SPANS times the log's duration. The error must win what its two parameters cost (Schwarz 1978). The
-    variance is averaged over τ by evidence.
+    τ is one of SPANS times the log's duration. The error must win what its two parameters cost
+    (Schwarz 1978). The variance is averaged over τ by evidence.
     """
-    whole, rows = max(float(np.ptp(t)), 1e-9), choose_spaced_rows(len(t), SEARCHED)
-    part, z = thin_rows(data, SEARCHED), data.x[rows] / kernel.scales
+    whole = max(float(np.ptp(t)), 1e-9)
+    rows = choose_spaced_rows(len(t), SEARCHED)
+    part = thin_rows(data, SEARCHED)
+    z = data.x[rows] / kernel.scales
     gram = se_kernel(z, z, 1.0)
-    plain = solve_linear_unknowns(cholesky_with_jitter(gram * kernel.amplitude, part.spread, kernel.noise), part).evidence
+    plain = solve_linear_unknowns(
+        cholesky_with_jitter(gram * kernel.amplitude, part.spread, kernel.noise), part
+    ).evidence
     gaps = np.abs(t[rows, None] - t[rows])
-    found = [_maximise_slow_evidence(gram, np.exp(-gaps / (span * whole)), kernel, part) for span in SPANS]
+    found = [
+        _maximise_slow_evidence(gram, np.exp(-gaps / (span * whole)), kernel, part)
+        for span in SPANS
+    ]
     best = int(np.argmax([one[0] for one in found]))
     worth, logs = found[best]
     if worth < plain + np.log(part.residual.size):
@@ -38,7 +50,9 @@ def fit_slow_error(t: Array, kernel: Hyper, data: ResidualRows) -> tuple[Hyper, 
     return replace(kernel, amplitude=amplitude, noise=noise), replace(data, spread=spread), mean
 
 
-def _maximise_slow_evidence(gram: Array, like: Array, kernel: Hyper, data: ResidualRows) -> tuple[float, Array]:
+def _maximise_slow_evidence(
+    gram: Array, like: Array, kernel: Hyper, data: ResidualRows
+) -> tuple[float, Array]:
     """Evidence (nats) and the logarithms of amplitude, noise and slow variance at its maximum."""
 
     def loss(logs: Array) -> tuple[float, Array]:
@@ -46,7 +60,11 @@ def _maximise_slow_evidence(gram: Array, like: Array, kernel: Hyper, data: Resid
         chol = cholesky_with_jitter(gram * amplitude + variance * like, data.spread, noise)
         found = solve_linear_unknowns(chol, data)
         worth = evidence_derivative(chol, found)
-        slopes = [amplitude * (worth * gram).sum(), noise * np.trace(worth), variance * (worth * like).sum()]
+        slopes = [
+            amplitude * (worth * gram).sum(),
+            noise * np.trace(worth),
+            variance * (worth * like).sum(),
+        ]
         return -found.evidence, -0.5 * np.array(slopes)
 
     first = np.log([kernel.amplitude, 0.7 * kernel.noise, 0.3 * kernel.noise])

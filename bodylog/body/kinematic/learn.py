@@ -1,4 +1,6 @@
-"""Add kinematics to a learned body: the URDF as the mean of each track, a Gaussian process on the residuals."""
+"""Add kinematics to a learned body: the URDF as the
+mean of each track, a Gaussian process on the residuals.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,8 +25,8 @@ from .model import KinematicGP
 from .move_findings import move_findings
 from .moves import Move, find_moves
 from .placements import KEPT, kept_calibration
-from .residuals import RESIDUAL, Together, forward_models, fit_residual_kernel, solve_together
-from .scores import kinematic_findings, kinematics_gain_nats, kinematic_scores, zero_scores
+from .residuals import RESIDUAL, Together, fit_residual_kernel, forward_models, solve_together
+from .scores import kinematic_findings, kinematic_scores, kinematics_gain_nats, zero_scores
 from .sightings import ThingSightings, gather_sightings
 
 UNFIT = 0.1
@@ -34,7 +36,8 @@ _LEAST_NOISE = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class Robotics:
-    """A robot: its URDF · hints by camera name · doubt: prior std of joint zeros, rad · whether the user asked for it.
+    """A robot: its URDF · hints by camera name · doubt: prior
+    std of joint zeros, rad · whether the user asked for it.
 
     scale: prior std of joint scales; 0 keeps them at 1.
     """
@@ -47,29 +50,50 @@ class Robotics:
 
 
 @one_thread("scipy.linalg")
-def learn_kinematics(features: Sequence[Features], settings: Settings, found: LearnedBody, given: Robotics) -> LearnedBody:
-    """Return the body with kinematics as its tracks' mean, or unchanged with a remark if the URDF does not fit.
+def learn_kinematics(
+    features: Sequence[Features], settings: Settings, found: LearnedBody, given: Robotics
+) -> LearnedBody:
+    """Return the body with kinematics as its tracks' mean,
+    or unchanged with a remark if the URDF does not fit.
 
     ModelError where a requested URDF contains no joint that moved.
     """
-    names, robot = found.model.joints, given.robot
+    names = found.model.joints
+    robot = given.robot
     missing = [name for name in names if name not in robot.by_name]
     if len(missing) == len(names) and given.asked:
         have = ", ".join(list(robot.by_name)[:12])
-        raise ModelError(f"{robot.source}: none of the joints that moved ({', '.join(names)}) is in it; it has {have}")
+        raise ModelError(
+            f"{robot.source}: none of the joints that moved ({', '.join(names)}) is in it; "
+            f"it has {have}"
+        )
     why = f"joint {missing[0]!r} moved and is not in it" if missing else reason_implausible(robot)
     if why:
         return leave_urdf_unused(found, why)
-    tracks = {name: gp for name, gp in found.model.senses.items() if isinstance(gp, GP) and name != "encoders"}
+    tracks = {
+        name: gp
+        for name, gp in found.model.senses.items()
+        if isinstance(gp, GP) and name != "encoders"
+    }
     order = sorted(tracks, key=lambda name: (name in found.poor, name))
-    parts = gather_sightings(features, order, found.joints, settings.fit.every, settings.fit.samples)
-    poor = {name for name, one in parts.items() if not any(t in tracks and t not in found.poor for t in one.tracks)}
-    held, left_out = still_joint_angles(features, names), dict[str, str]()
+    parts = gather_sightings(
+        features, order, found.joints, settings.fit.every, settings.fit.samples
+    )
+    poor = {
+        name
+        for name, one in parts.items()
+        if not any(t in tracks and t not in found.poor for t in one.tracks)
+    }
+    held = still_joint_angles(features, names)
+    left_out = dict[str, str]()
     for _ in range(len(parts)):
         seen = {name: track_of_sightings(name, one) for name, one in parts.items()}
         links = find_links(robot, names, held, seen, given.hints, given.doubt, given.scale)
         links, moves = find_moves(links, parts, found.joints, settings.fit.seed)
-        if any(find_unexplained_tracks(links, parts)) and len({log for one in parts.values() for log in one.whole.log}) > 1:
+        if (
+            any(find_unexplained_tracks(links, parts))
+            and len({log for one in parts.values() for log in one.whole.log}) > 1
+        ):
             links = _linked_by_one_log(given, names, held, parts)
             links, moves = find_moves(links, parts, found.joints, settings.fit.seed)
         whys = dict(find_unexplained_tracks(links, parts))
@@ -81,13 +105,26 @@ def learn_kinematics(features: Sequence[Features], settings: Settings, found: Le
     if whys:
         return leave_urdf_unused(found, next(iter(whys.values())))
     beside = Surroundings(recorded_logs(features), Resting(robot, held, given.doubt))
-    return learn_residuals(_drop_unexplained_tracks(found, left_out), links, parts, tracks, settings.fit.seed, beside, moves)
+    return learn_residuals(
+        _drop_unexplained_tracks(found, left_out),
+        links,
+        parts,
+        tracks,
+        settings.fit.seed,
+        beside,
+        moves,
+    )
 
 
 def _linked_by_one_log(
-    given: Robotics, names: Sequence[str], held: Mapping[str, float], parts: Mapping[str, ThingSightings]
+    given: Robotics,
+    names: Sequence[str],
+    held: Mapping[str, float],
+    parts: Mapping[str, ThingSightings],
 ) -> FoundLinks:
-    """Links as the log with most images shows them: what moved between logs is on no link, seen in all at once."""
+    """Links as the log with most images shows them: what
+    moved between logs is on no link, seen in all at once.
+    """
     numbers = np.concatenate([one.whole.log for one in parts.values()])
     log = int(np.argmax(np.bincount(numbers)))
     alone = {name: one.rows(np.flatnonzero(one.whole.log == log)) for name, one in parts.items()}
@@ -98,7 +135,9 @@ def _linked_by_one_log(
     carried = dict[str, str]()
     for one, sight in zip(first.values(), rig.sights, strict=True):
         hint = hints.get(one.camera, CameraHint())
-        hints[one.camera] = hint if hint.link else replace(hint, link=rig.cameras[sight.camera].link)
+        hints[one.camera] = (
+            hint if hint.link else replace(hint, link=rig.cameras[sight.camera].link)
+        )
         carried[one.marker] = rig.carriers[sight.carrier].link
     seen = {name: track_of_sightings(name, one) for name, one in parts.items()}
     return find_links(given.robot, names, held, seen, hints, given.doubt, given.scale, carried)
@@ -109,8 +148,13 @@ def _drop_unexplained_tracks(found: LearnedBody, left_out: Mapping[str, str]) ->
     if not left_out:
         return found
     senses = {name: model for name, model in found.model.senses.items() if name not in left_out}
-    findings = [Finding("warning", f"{name}: left out: {found.poor[name]}; {why}") for name, why in left_out.items()]
-    return replace(found, model=replace(found.model, senses=senses), findings=(*found.findings, *findings))
+    findings = [
+        Finding("warning", f"{name}: left out: {found.poor[name]}; {why}")
+        for name, why in left_out.items()
+    ]
+    return replace(
+        found, model=replace(found.model, senses=senses), findings=(*found.findings, *findings)
+    )
 
 
 def track_of_sightings(name: str, shown: ThingSightings) -> MarkerTrack:
@@ -130,40 +174,64 @@ def still_joint_angles(features: Sequence[Features], names: Sequence[str]) -> di
     return found
 
 
-def leave_urdf_unused(found: LearnedBody, why: str, advice: str = "give this robot's own with --urdf") -> LearnedBody:
+def leave_urdf_unused(
+    found: LearnedBody, why: str, advice: str = "give this robot's own with --urdf"
+) -> LearnedBody:
     """Return the body without a URDF, with a remark on why."""
     text = f"the URDF is not used: {why}; {advice}, {WITHOUT_URDF}"
     return replace(found, findings=(*found.findings, Finding("warning", text)))
 
 
-def find_unexplained_tracks(links: FoundLinks, parts: Mapping[str, ThingSightings]) -> Iterator[tuple[str, str]]:
+def find_unexplained_tracks(
+    links: FoundLinks, parts: Mapping[str, ThingSightings]
+) -> Iterator[tuple[str, str]]:
     """Yield tracks with too large residuals of kinematics, and how large."""
     calibrated = links.calibrated
-    for (name, one), sight, weight in zip(parts.items(), calibrated.rig.sights, calibrated.weights, strict=True):
-        left, spread = calibrated.noise**0.5, one.sighted.spread
+    for (name, one), sight, weight in zip(
+        parts.items(), calibrated.rig.sights, calibrated.weights, strict=True
+    ):
+        left = calibrated.noise**0.5
+        spread = one.sighted.spread
         if left > UNFIT * spread or weight[one.seen].mean() < 0.5:
             ends = f"from {sight.chain.start} to {sight.chain.end}"
-            yield name, f"{ends} its residual for {name} is {left:.1f} px, the motion {spread:.0f} px"
+            yield (
+                name,
+                f"{ends} its residual for {name} is {left:.1f} px, the motion {spread:.0f} px",
+            )
 
 
 def learn_residuals(
-    found: LearnedBody, links: FoundLinks, shown: Mapping[str, ThingSightings], plain: Mapping[str, GP], seed: int,
-    beside: Surroundings, moves: Sequence[Move] = (),
-) -> LearnedBody:  # fmt: skip
-    """Learn the residuals with calibrated links; return the body unchanged, with a remark, if they do not fit.
+    found: LearnedBody,
+    links: FoundLinks,
+    shown: Mapping[str, ThingSightings],
+    plain: Mapping[str, GP],
+    seed: int,
+    beside: Surroundings,
+    moves: Sequence[Move] = (),
+) -> LearnedBody:
+    """Learn the residuals with calibrated links; return
+    the body unchanged, with a remark, if they do not fit.
 
     moves: of cameras and markers between logs. The body holds where they were in the last log.
     """
     calibrated = links.calibrated
-    rig, theta, weights = calibrated.rig, calibrated.theta, calibrated.weights
+    rig = calibrated.rig
+    theta = calibrated.theta
+    weights = calibrated.weights
     each = enumerate(shown.items())
-    parts = {name: fit_residual_kernel(rig, k, theta, one, weights[k], found.joints, seed) for k, (name, one) in each}
+    parts = {
+        name: fit_residual_kernel(rig, k, theta, one, weights[k], found.joints, seed)
+        for k, (name, one) in each
+    }
     for k, part in enumerate(parts.values()):
         off = find_stretched_link(rig, k, theta, part, RESIDUAL)
         if off is not None and off.wrong:
             return leave_urdf_unused(found, off.text)
     both = solve_together(rig, theta, parts)
-    gains = {name: kinematics_gain_nats(rig, k, both, name, one, plain, found.joints) for k, (name, one) in enumerate(shown.items())}
+    gains = {
+        name: kinematics_gain_nats(rig, k, both, name, one, plain, found.joints)
+        for k, (name, one) in enumerate(shown.items())
+    }
     worst = min(gains, key=lambda name: gains[name])
     if gains[worst] < 0.0:
         return leave_urdf_unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
@@ -171,8 +239,13 @@ def learn_residuals(
     calibration, adjusted = adjust_calibration(links, shown, beside, both.theta, covariance)
     offsets = (*calibration.zeros, *calibration.scales)
     senses = {name: forward_models(rig, k, both, name) for k, name in enumerate(both.parts)}
-    all_scores = [*(s for name, of in senses.items() for s in kinematic_scores(name, of, both.parts[name])), *zero_scores(offsets)]
-    found = _remove_tracks(found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks})
+    all_scores = [
+        *(s for name, of in senses.items() for s in kinematic_scores(name, of, both.parts[name])),
+        *zero_scores(offsets),
+    ]
+    found = _remove_tracks(
+        found, {track for one in shown.values() if len(one.points) > 1 for track in one.tracks}
+    )
     found = _with_residual_models(found, senses, both)
     centres = [one.points.mean(axis=0) for one in shown.values()]
     movements = [*move_findings(adjusted.rig, adjusted.theta, adjusted.covariance, moves, centres)]
@@ -182,12 +255,16 @@ def learn_residuals(
     reported = exploration_report.exploration_scores(found.joints, observed, found.model.noise)
     kept = {score.name: score for score in (*found.scores, *reported, *all_scores)}
     groups = {group_of(track) for track in observed}
-    rest = {n: gp for n, gp in plain.items() if n in found.model.senses and group_of(n) not in groups}
+    rest = {
+        n: gp for n, gp in plain.items() if n in found.model.senses and group_of(n) not in groups
+    }
     return replace(
         found,
         scores=tuple(kept.values()),
         findings=(*found.findings, *movements, *kinematic_findings(links, offsets, gains)),
-        faint=tuple(exploration_report.faint_findings(found.joints, {**rest, **observed}, found.model.noise)),
+        faint=tuple(
+            exploration_report.faint_findings(found.joints, {**rest, **observed}, found.model.noise)
+        ),
     )
 
 
@@ -197,7 +274,9 @@ def _remove_tracks(found: LearnedBody, tracks: set[str]) -> LearnedBody:
     senses = {name: one for name, one in model.senses.items() if name not in tracks}
     noise = {name: one for name, one in model.noise.senses.items() if name not in tracks}
     errors = {name: one for name, one in model.noise.std_error.items() if name not in tracks}
-    model = replace(model, senses=senses, noise=replace(model.noise, senses=noise, std_error=errors))
+    model = replace(
+        model, senses=senses, noise=replace(model.noise, senses=noise, std_error=errors)
+    )
     scores = [one for one in found.scores if not _belongs_to_tracks(one.name, tracks)]
     findings = [one for one in found.findings if one.text.partition(":")[0] not in tracks]
     return replace(found, model=model, scores=tuple(scores), findings=tuple(findings))
@@ -208,10 +287,13 @@ def _belongs_to_tracks(name: str, tracks: set[str]) -> bool:
     return any(f"/{track}/" in f"{name}/" for track in tracks)
 
 
-def _with_residual_models(found: LearnedBody, things: Mapping[str, Mapping[str, KinematicGP]], both: Together) -> LearnedBody:
+def _with_residual_models(
+    found: LearnedBody, things: Mapping[str, Mapping[str, KinematicGP]], both: Together
+) -> LearnedBody:
     """The body with these senses and their noise."""
     noise = found.model.noise
-    variances, errors = dict(noise.senses), dict(noise.std_error)
+    variances = dict(noise.senses)
+    errors = dict(noise.std_error)
     senses = {track: model for of in things.values() for track, model in of.items()}
     for name, of in things.items():
         part = both.parts[name]
@@ -220,4 +302,6 @@ def _with_residual_models(found: LearnedBody, things: Mapping[str, Mapping[str, 
             variances[track] = tuple(float(v) for v in variance)
             errors[track] = tuple(float(v) for v in variance * np.sqrt(2.0 / len(part.pairs.x)))
     noise = replace(noise, senses=variances, std_error=errors)
-    return replace(found, model=replace(found.model, senses={**found.model.senses, **senses}, noise=noise))
+    return replace(
+        found, model=replace(found.model, senses={**found.model.senses, **senses}, noise=noise)
+    )

@@ -1,4 +1,6 @@
-"""A forward model with kinematics and a camera as its mean, and a Gaussian process on the residuals."""
+"""A forward model with kinematics and a camera as
+its mean, and a Gaussian process on the residuals.
+"""
 
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -20,12 +22,13 @@ _STEP = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class KinematicGP(GP):
-    """One point of one marker before one camera; the fields of GP are those of the residual, whose mean is zero.
+    """One point of one marker before one camera; the fields
+    of GP are those of the residual, whose mean is zero.
 
-    rig: one camera, one marker, one sight of one point · theta (P,), of greatest posterior · root (P,p): θ's covariance
-    is root rootᵀ · lean (D,p,n): weights with which the samples predict root's columns · drift (D,) px²: variance of an
-    error that lasts longer than a log · base: the chain from the robot's root to the marker, or to a moving camera, if
-    known.
+    rig: one camera, one marker, one sight of one point · theta (P,), of greatest posterior · root
+    (P,p): θ's covariance is root rootᵀ · lean (D,p,n): weights with which the samples predict
+    root's columns · drift (D,) px²: variance of an error that lasts longer than a log · base: the
+    chain from the robot's root to the marker, or to a moving camera, if known.
     """
 
     rig: Rig
@@ -42,7 +45,9 @@ class KinematicGP(GP):
         return cls(**residual, rig=rig, theta=theta, root=root, lean=lean, drift=drift)
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad · variance (N,D), sensor noise excluded."""
+        """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M)
+        per rad · variance (N,D), sensor noise excluded.
+        """
         x = np.atleast_2d(x)
         if len(x) == 1:
             one = self.predict_one(x[0])
@@ -60,7 +65,8 @@ class KinematicGP(GP):
         """Predict at one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
         single, (image, by_joints, design) = self._singles[0], self._instant(x)
         kernel, tilt = single.kernel(x - self._origin)
-        sums, own = self._rows.dot(kernel), len(single.rows)
+        sums = self._rows.dot(kernel)
+        own = len(single.rows)
         value, slope, spread = single.evaluate(sums[:own], tilt)
         unknown = design.dot(self.root)
         unknown -= sums[own:].reshape(unknown.shape)
@@ -83,13 +89,18 @@ class KinematicGP(GP):
         return np.asarray(self._seen(np.atleast_2d(x)).design[:, 0])
 
     def unknowns(self, x: Array) -> Array:
-        """Effect (N,D,p), px, of one standard deviation of each direction of θ at x (N,M) rad, given the samples."""
+        """Effect (N,D,p), px, of one standard deviation of
+        each direction of θ at x (N,M) rad, given the samples.
+        """
         return self._unknown(x, self._seen(x))
 
     def covariance(self, x: Array) -> Array:
         """Covariance between all pairs of x (N,M) rad: (1,N,N) px², the outputs' mean."""
         leaning = self._unknown(x, self._seen(x)) / np.sqrt(self.share)[:, None]
-        return np.asarray(super().covariance(x) + np.einsum("ndp,kdp->nk", leaning, leaning)[None] / len(self.share))
+        return np.asarray(
+            super().covariance(x)
+            + np.einsum("ndp,kdp->nk", leaning, leaning)[None] / len(self.share)
+        )
 
     def slope_variance(self, x: Array) -> Array:
         """Variance of the Jacobian at x (N,M) rad: (N,D,M) per rad squared."""
@@ -120,22 +131,32 @@ class KinematicGP(GP):
         return self.rig.see(self.rig.sights[0], self.theta, x)
 
     def _unknown(self, x: Array, seen: RigPrediction) -> Array:
-        """Effect (N,D,p), px, of one standard deviation of each direction of θ, given the samples."""
+        """Effect (N,D,p), px, of one standard deviation
+        of each direction of θ, given the samples.
+        """
         scales = self.scales[0]
         kernel = se_kernel(x / scales, self.centres / scales, self.amplitude[0])
-        return np.asarray(seen.design[:, 0] @ self.root - np.einsum("nk,dpk->ndp", kernel, self.lean))
+        return np.asarray(
+            seen.design[:, 0] @ self.root - np.einsum("nk,dpk->ndp", kernel, self.lean)
+        )
 
 
 def can_show_changes(body: BodyModel) -> bool:
     """Whether a body can show changes: it was learned with a URDF, and its encoders read angles."""
-    return "encoders" not in body.senses and any(isinstance(s, KinematicGP) for s in body.senses.values())
+    return "encoders" not in body.senses and any(
+        isinstance(s, KinematicGP) for s in body.senses.values()
+    )
 
 
 def kinematic_senses(body: BodyModel, lacking: str) -> dict[str, KinematicGP]:
-    """The senses with a URDF's chain; ModelError without any: what is lacking, and why the URDF given is not used."""
+    """The senses with a URDF's chain; ModelError without
+    any: what is lacking, and why the URDF given is not used.
+    """
     senses = {name: sense for name, sense in body.senses.items() if isinstance(sense, KinematicGP)}
     if not senses:
         why = body.provenance.get(UNUSED_URDF)
         todo = f"as {why}" if why else "type: bodylog fit LOG --urdf ROBOT.urdf"
-        raise ModelError(f"learned without a URDF, so without {lacking}{', ' if why else '; '}{todo}")
+        raise ModelError(
+            f"learned without a URDF, so without {lacking}{', ' if why else '; '}{todo}"
+        )
     return senses

@@ -19,14 +19,31 @@ def move_findings(
     """
     for move in moves:
         for thing in move.things:
-            shown = [k for k, one in enumerate(rig.sights) if thing.kind == "marker" and one.carrier == thing.index]
+            shown = [
+                k
+                for k, one in enumerate(rig.sights)
+                if thing.kind == "marker" and one.carrier == thing.index
+            ]
             centre = centres[shown[0]] if shown else np.zeros(3)
             moved = measure_displacement(rig, theta, covariance, thing, move.log, centre)
-            others = [" and ".join(_thing_name(rig, one) for one in things) for things in move.alternatives]
-            doubt = f"; the logs cannot tell it from a move of {list_in_words(others)}" if others else ""
+            others = [
+                " and ".join(_thing_name(rig, one) for one in things)
+                for things in move.alternatives
+            ]
+            doubt = (
+                f"; the logs cannot tell it from a move of {list_in_words(others)}"
+                if others
+                else ""
+            )
             before = f"log {move.log}" if move.log == 1 else f"logs 1 to {move.log}"
-            kept = f"it has a placement of its own in {before}, and the body holds the one since log {move.log + 1}"
-            text = f"{moved.name} moved between log {move.log} and log {move.log + 1}, by {shown_move(moved)}"
+            kept = (
+                f"it has a placement of its own in {before}, and the body holds the one since "
+                f"log {move.log + 1}"
+            )
+            text = (
+                f"{moved.name} moved between log {move.log} and log {move.log + 1}, by "
+                f"{shown_move(moved)}"
+            )
             yield Finding("warning", f"{text}: {kept} ({move.nats:.0f} nats likelier){doubt}")
 
 

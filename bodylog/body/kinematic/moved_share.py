@@ -1,4 +1,6 @@
-"""The share of a log's sightings off that a moved camera or marker leaves: whether one explains the log."""
+"""The share of a log's sightings off that a moved
+camera or marker leaves: whether one explains the log.
+"""
 
 from ...body_model import BodyModel
 from ...runtime.blas_threads import one_thread
@@ -9,7 +11,8 @@ from .change_system import outlier_share
 
 @one_thread("scipy.linalg")
 def moved_share_off(features: Features, body: BodyModel) -> float:
-    """The share of sightings more than 3 standard deviations off with the likeliest motion of camera, marker or both.
+    """The share of sightings more than 3 standard deviations
+    off with the likeliest motion of camera, marker or both.
 
     1 where no track has kinematics, or too little is seen.
     """

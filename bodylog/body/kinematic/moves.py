@@ -1,7 +1,9 @@
-"""Cameras and markers that moved between logs: found by evidence, with a placement before and one after.
+"""Cameras and markers that moved between logs: found
+by evidence, with a placement before and one after.
 
-A move must win nats with the residuals' process, the joints' errors over a turn and all other unknowns marginalised;
-a process that every pose pays for would otherwise absorb it, and the zeros with it.
+A move must win nats with the residuals' process, the joints' errors
+over a turn and all other unknowns marginalised; a process that every
+pose pays for would otherwise absorb it, and the zeros with it.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,7 +14,12 @@ import numpy as np
 from ...kinematics.calibration import Calibrated, Sighted, calibrate_rig
 from ...kinematics.links import FoundLinks
 from ...kinematics.rig import Rig, Sight
-from ...kinematics.rotations import invert_transform, vector_from_rotation, nearest_rotation, make_transform
+from ...kinematics.rotations import (
+    invert_transform,
+    make_transform,
+    nearest_rotation,
+    vector_from_rotation,
+)
 from ...kinematics.starts import board_poses, find_starts
 from ...types import Array
 from ..data.pairs import SmoothedJoint
@@ -27,7 +34,9 @@ _SCREENED = 80
 _STEP = 1e-6
 """m, rad: step of numerical derivatives of a pose."""
 _FAR_OFF = 0.05
-"""Residual share of the sightings' motion beyond which a calibration is no start for another; a real NAO's is 0.03."""
+"""Residual share of the sightings' motion beyond which a
+calibration is no start for another; a real NAO's is 0.03.
+"""
 _UNKNOWN_RAD = 1.0
 """A board with a larger prior std of its turn starts where its corners place it."""
 
@@ -42,7 +51,9 @@ class RigThing:
 
 @dataclass(frozen=True)
 class Move:
-    """Things, moved together between log − 1 and log (0-based) · nats won · alternatives: explanations as likely."""
+    """Things, moved together between log − 1 and log (0-based)
+    · nats won · alternatives: explanations as likely.
+    """
 
     things: tuple[RigThing, ...]
     log: int
@@ -51,34 +62,63 @@ class Move:
 
 
 def find_moves(
-    links: FoundLinks, parts: Mapping[str, ThingSightings], joints: Sequence[SmoothedJoint], seed: int
+    links: FoundLinks,
+    parts: Mapping[str, ThingSightings],
+    joints: Sequence[SmoothedJoint],
+    seed: int,
 ) -> tuple[FoundLinks, tuple[Move, ...]]:
     """Add one move after the other to a calibration while each wins GAIN nats, and return both."""
-    still, seen, moves = links.calibrated, list(parts.values()), tuple[Move, ...]()
+    still = links.calibrated
+    seen = list(parts.values())
+    moves = tuple[Move, ...]()
     logs = 1 + max((int(one.whole.log.max()) for one in seen), default=0)
-    rig, current = still.rig, still
+    rig = still.rig
+    current = still
     while tried := [*_screen_moves(rig, current, seen, moves, logs)]:
-        judged = [_judge_move(rig, current, moves, move, seen, joints, seed, logs) for move in tried]
+        judged = [
+            _judge_move(rig, current, moves, move, seen, joints, seed, logs) for move in tried
+        ]
         nats, move, found, current = max(judged, key=lambda one: one[0])
         if nats < GAIN:
             break
-        indistinct_things = [other.things for gain, other, *_ in judged if gain > nats - APART and other.things != move.things]
-        moves, current = (*moves, replace(move, nats=nats, alternatives=tuple(dict.fromkeys(indistinct_things)))), found
+        indistinct_things = [
+            other.things
+            for gain, other, *_ in judged
+            if gain > nats - APART and other.things != move.things
+        ]
+        moves = (
+            *moves,
+            replace(move, nats=nats, alternatives=tuple(dict.fromkeys(indistinct_things))),
+        )
+        current = found
     return replace(links, calibrated=current), moves
 
 
 def _screen_moves(
-    rig: Rig, current: Calibrated, seen: Sequence[ThingSightings], moves: tuple[Move, ...], logs: int
+    rig: Rig,
+    current: Calibrated,
+    seen: Sequence[ThingSightings],
+    moves: tuple[Move, ...],
+    logs: int,
 ) -> Iterator[Move]:
-    """Yield the likeliest log of each set of things that may have moved, if it wins nats with white noise alone.
+    """Yield the likeliest log of each set of things that
+    may have moved, if it wins nats with white noise alone.
 
-    White noise takes every corner for a measurement of its own, so what does not win here does not win at all.
+    White noise takes every corner for a measurement of its
+    own, so what does not win here does not win at all.
     """
     few = [one.rows(choose_spaced_rows(len(one.whole.x), _SCREENED)) for one in seen]
     before = _calibrate_with_moves(rig, moves, few, logs, current)
     for things in _sets_that_may_move(rig, seen):
-        ways = [Move(things, log) for log in range(1, logs) if _both_sides(rig, things, seen, log, moves)]
-        found = [(_calibrate_with_moves(rig, (*moves, way), few, logs, current).evidence, way) for way in ways]
+        ways = [
+            Move(things, log)
+            for log in range(1, logs)
+            if _both_sides(rig, things, seen, log, moves)
+        ]
+        found = [
+            (_calibrate_with_moves(rig, (*moves, way), few, logs, current).evidence, way)
+            for way in ways
+        ]
         if found and max(found, key=lambda one: one[0])[0] > before.evidence + GAIN:
             yield max(found, key=lambda one: one[0])[1]
 
@@ -88,15 +128,23 @@ def _sets_that_may_move(rig: Rig, seen: Sequence[ThingSightings]) -> Iterator[tu
     yield from ((RigThing("marker", k),) for k in range(len(rig.carriers)))
     yield from ((RigThing("camera", k),) for k in range(len(rig.cameras)))
     for link in dict.fromkeys(one.link for one in rig.carriers):
-        together = tuple(RigThing("marker", k) for k, one in enumerate(rig.carriers) if one.link == link)
+        together = tuple(
+            RigThing("marker", k) for k, one in enumerate(rig.carriers) if one.link == link
+        )
         if len(together) > 1:
             yield together
 
 
 def _both_sides(
-    rig: Rig, things: tuple[RigThing, ...], seen: Sequence[ThingSightings], log: int, moves: tuple[Move, ...]
+    rig: Rig,
+    things: tuple[RigThing, ...],
+    seen: Sequence[ThingSightings],
+    log: int,
+    moves: tuple[Move, ...],
 ) -> bool:
-    """Whether things are seen before and since a log, in logs next to it that no other move separates."""
+    """Whether things are seen before and since a log,
+    in logs next to it that no other move separates.
+    """
     known = {move.log for move in moves if set(move.things) & set(things)}
     if log in known:
         return False
@@ -111,33 +159,54 @@ def _both_sides(
 
 
 def _judge_move(
-    rig: Rig, current: Calibrated, moves: tuple[Move, ...], move: Move, seen: Sequence[ThingSightings],
-    joints: Sequence[SmoothedJoint], seed: int, logs: int,
-) -> tuple[float, Move, Calibrated, Calibrated]:  # fmt: skip
-    """Nats that a move wins, the calibration with it, and the one without it, on the same sightings."""
+    rig: Rig,
+    current: Calibrated,
+    moves: tuple[Move, ...],
+    move: Move,
+    seen: Sequence[ThingSightings],
+    joints: Sequence[SmoothedJoint],
+    seed: int,
+    logs: int,
+) -> tuple[float, Move, Calibrated, Calibrated]:
+    """Nats that a move wins, the calibration with it,
+    and the one without it, on the same sightings.
+    """
     after = _calibrate_with_moves(rig, (*moves, move), seen, logs, current)
     before = _calibrate_with_moves(rig, moves, seen, logs, after)
     before = max((before, current), key=lambda one: one.evidence)
     # what only one of them explains looked like false sightings to the other
     weights = [np.maximum(a, b) for a, b in zip(after.weights, before.weights, strict=True)]
-    with_it, without = (_evidence_with_residuals(one, seen, weights, joints, seed) for one in (after, before))
+    with_it, without = (
+        _evidence_with_residuals(one, seen, weights, joints, seed) for one in (after, before)
+    )
     return with_it - without, move, after, before
 
 
 def _evidence_with_residuals(
-    found: Calibrated, seen: Sequence[ThingSightings], weights: Sequence[Array], joints: Sequence[SmoothedJoint], seed: int
+    found: Calibrated,
+    seen: Sequence[ThingSightings],
+    weights: Sequence[Array],
+    joints: Sequence[SmoothedJoint],
+    seed: int,
 ) -> float:
     """Evidence (nats) of sightings, each thing with a residual process of its own."""
-    rig, theta = found.rig, found.theta
+    rig = found.rig
+    theta = found.theta
     each = enumerate(zip(seen, weights, strict=True))
-    parts = [fit_residual_kernel(rig, k, theta, one, weight, joints, seed) for k, (one, weight) in each]
-    return shared_evidence([(part.chol, with_periodic_errors(rig, part.rows, part)) for part in parts])
+    parts = [
+        fit_residual_kernel(rig, k, theta, one, weight, joints, seed) for k, (one, weight) in each
+    ]
+    return shared_evidence(
+        [(part.chol, with_periodic_errors(rig, part.rows, part)) for part in parts]
+    )
 
 
 def _calibrate_with_moves(
     rig: Rig, moves: Sequence[Move], seen: Sequence[ThingSightings], logs: int, near: Calibrated
 ) -> Calibrated:
-    """The calibration of a rig in which things moved, started from another one, and from images if that is far off."""
+    """The calibration of a rig in which things moved, started
+    from another one, and from images if that is far off.
+    """
     whole = with_moves(rig, moves, logs)
     apart, data, rows = _split_by_placement(whole, seen)
     open_hypotheses = [(apart, [_transfer_unknowns(apart, near)])]
@@ -145,7 +214,9 @@ def _calibrate_with_moves(
         open_hypotheses.append(find_starts(apart, data))
     found = []
     for anchored, first in open_hypotheses:
-        found.append(calibrate_rig(anchored, data, [_on_boards(anchored, data, theta) for theta in first]))
+        found.append(
+            calibrate_rig(anchored, data, [_on_boards(anchored, data, theta) for theta in first])
+        )
     best = max(found, key=lambda one: one.evidence)
     whole = replace(whole, cameras=best.rig.cameras, carriers=best.rig.carriers)
     weights = [np.zeros(one.seen.shape) for one in seen]
@@ -155,13 +226,17 @@ def _calibrate_with_moves(
 
 
 def with_moves(rig: Rig, moves: Sequence[Move], logs: int) -> Rig:
-    """The rig with one more camera or marker for each placement but the last, which keeps its own."""
+    """The rig with one more camera or marker for
+    each placement but the last, which keeps its own.
+    """
     cuts: dict[RigThing, list[int]] = {}
     for move in moves:
         for thing in move.things:
             cuts[thing] = sorted([*cuts.get(thing, []), move.log])
-    cameras, carriers = list(rig.cameras), list(rig.carriers)
-    lenses, places = [*range(len(cameras))], dict[tuple[RigThing, int], int]()
+    cameras = list(rig.cameras)
+    carriers = list(rig.carriers)
+    lenses = [*range(len(cameras))]
+    places = dict[tuple[RigThing, int], int]()
     for thing, since in cuts.items():
         for group in range(len(since)):
             if thing.kind == "camera":
@@ -174,19 +249,30 @@ def with_moves(rig: Rig, moves: Sequence[Move], logs: int) -> Rig:
 
     def place(kind: str, index: int, log: int) -> int:
         thing = RigThing(kind, index)
-        return places.get((thing, int(np.searchsorted(cuts.get(thing, []), log, side="right"))), index)
+        return places.get(
+            (thing, int(np.searchsorted(cuts.get(thing, []), log, side="right"))), index
+        )
 
     sights = []
     for one in rig.sights:
-        pairs = [(place("camera", one.camera, log), place("marker", one.carrier, log)) for log in range(logs)]
+        pairs = [
+            (place("camera", one.camera, log), place("marker", one.carrier, log))
+            for log in range(logs)
+        ]
         moved = len(set(pairs)) > 1
         sights.append(replace(one, by_log=tuple(pairs) if moved else ()))
     return replace(
-        rig, cameras=tuple(cameras), carriers=tuple(carriers), sights=tuple(sights), lenses=tuple(lenses)
+        rig,
+        cameras=tuple(cameras),
+        carriers=tuple(carriers),
+        sights=tuple(sights),
+        lenses=tuple(lenses),
     )
 
 
-def _split_by_placement(rig: Rig, seen: Sequence[ThingSightings]) -> tuple[Rig, list[Sighted], list[tuple[int, Array]]]:
+def _split_by_placement(
+    rig: Rig, seen: Sequence[ThingSightings]
+) -> tuple[Rig, list[Sighted], list[tuple[int, Array]]]:
     """The rig with a sight of its own for each placement, most images first, with its sightings.
 
     Also each sight's index in `rig`, and the rows of its sightings.
@@ -195,16 +281,20 @@ def _split_by_placement(rig: Rig, seen: Sequence[ThingSightings]) -> tuple[Rig, 
     for k, (sight, one) in enumerate(zip(rig.sights, seen, strict=True)):
         logs = one.whole.log
         places = sight.by_log or ((sight.camera, sight.carrier),)
-        of = np.array([places.index(places[log] if sight.by_log else places[0]) for log in logs], np.int64)
+        of = np.array(
+            [places.index(places[log] if sight.by_log else places[0]) for log in logs], np.int64
+        )
         for number in np.unique(of):
             chosen = np.flatnonzero(of == number)
             camera, carrier = places[number]
             apart = replace(sight, camera=camera, carrier=carrier, by_log=())
             found.append((apart, one.rows(chosen).sighted, (k, chosen)))
     found.sort(key=lambda one: -len(one[1].q))
-    return replace(rig, sights=tuple(one for one, _, _ in found)), [one for _, one, _ in found], [
-        one for _, _, one in found
-    ]
+    return (
+        replace(rig, sights=tuple(one for one, _, _ in found)),
+        [one for _, one, _ in found],
+        [one for _, _, one in found],
+    )
 
 
 def _transfer_unknowns(rig: Rig, near: Calibrated) -> Array:
@@ -214,7 +304,9 @@ def _transfer_unknowns(rig: Rig, near: Calibrated) -> Array:
     carriers = [one.name for one in near.rig.carriers]
     for k, camera in enumerate(rig.cameras):
         known = cameras.index(camera.name)
-        theta[rig.of_camera(k)][:6] = _step_between_poses(near.rig.camera_pose(known, near.theta), camera.anchor)
+        theta[rig.of_camera(k)][:6] = _step_between_poses(
+            near.rig.camera_pose(known, near.theta), camera.anchor
+        )
         theta[rig.of_lens(k)] = near.theta[near.rig.of_lens(known)]
     for k, carrier in enumerate(rig.carriers):
         pose = near.rig.carrier_pose(carriers.index(carrier.name), near.theta)
@@ -231,7 +323,9 @@ def _step_between_poses(pose: Array, anchor: Array) -> Array:
 
 
 def _on_boards(rig: Rig, data: Sequence[Sighted], theta: Array) -> Array:
-    """θ (P,) with each board of unknown place where its corners place it, seen from the cameras of θ."""
+    """θ (P,) with each board of unknown place where
+    its corners place it, seen from the cameras of θ.
+    """
     theta = theta.copy()
     for index, carrier in enumerate(rig.carriers):
         sights = [k for k, one in enumerate(rig.sights) if one.carrier == index]
@@ -239,17 +333,23 @@ def _on_boards(rig: Rig, data: Sequence[Sighted], theta: Array) -> Array:
             continue
         camera = rig.camera_pose(rig.sights[sights[0]].camera, theta)
         seen, links = board_poses(rig, data, sights[0])
-        poses = [invert_transform(camera @ link) @ one for one, link in zip(seen, links, strict=True)]
+        poses = [
+            invert_transform(camera @ link) @ one for one, link in zip(seen, links, strict=True)
+        ]
         if poses:
             turn = nearest_rotation(np.sum([one[:3, :3] for one in poses], axis=0))
             place = np.median([one[:3, 3] for one in poses], axis=0)
-            theta[rig.of_carrier(index)] = _step_between_poses(make_transform(turn, place), carrier.anchor)
+            theta[rig.of_carrier(index)] = _step_between_poses(
+                make_transform(turn, place), carrier.anchor
+            )
     return theta
 
 
 @dataclass(frozen=True, eq=False)
 class CentreDisplacement:
-    """How far a thing's own centre moved and how far it turned: m and rad, each with its std; turn None of a point."""
+    """How far a thing's own centre moved and how far it
+    turned: m and rad, each with its std; turn None of a point.
+    """
 
     name: str
     shift: float
@@ -258,24 +358,34 @@ class CentreDisplacement:
     turn_std: float | None
 
 
-def measure_displacement(rig: Rig, theta: Array, covariance: Array, thing: RigThing, log: int, centre: Array) -> CentreDisplacement:
-    """How far a thing moved between log − 1 and log, for θ (P,) ± covariance (P,P); centre (3,) m in the thing."""
+def measure_displacement(
+    rig: Rig, theta: Array, covariance: Array, thing: RigThing, log: int, centre: Array
+) -> CentreDisplacement:
+    """How far a thing moved between log − 1 and log, for
+    θ (P,) ± covariance (P,P); centre (3,) m in the thing.
+    """
     camera = thing.kind == "camera"
     own = next(one for one in rig.sights if (one.camera if camera else one.carrier) == thing.index)
     places = [pair[0] if camera else pair[1] for pair in (own.by_log[log - 1], own.by_log[log])]
 
     def pose(index: int, at: Array) -> Array:
-        return invert_transform(rig.camera_pose(index, at)) if camera else rig.carrier_pose(index, at)
+        return (
+            invert_transform(rig.camera_pose(index, at)) if camera else rig.carrier_pose(index, at)
+        )
 
     first = [pose(index, theta) for index in places]
 
     def moved(at: Array) -> Array:
         before, after = (pose(index, at) for index in places)
-        turned = vector_from_rotation(after[:3, :3] @ before[:3, :3].T) - vector_from_rotation(first[1][:3, :3] @ first[0][:3, :3].T)
+        turned = vector_from_rotation(after[:3, :3] @ before[:3, :3].T) - vector_from_rotation(
+            first[1][:3, :3] @ first[0][:3, :3].T
+        )
         return np.concatenate([(after - before)[:3, :3] @ centre + (after - before)[:3, 3], turned])
 
     parts = [rig.of_camera(index) if camera else rig.of_carrier(index) for index in places]
-    rows = np.concatenate([np.arange(part.start, part.start + 6 if camera else part.stop) for part in parts])
+    rows = np.concatenate(
+        [np.arange(part.start, part.start + 6 if camera else part.stop) for part in parts]
+    )
     slopes = np.zeros((6, len(rows)))
     for column, row in enumerate(rows):
         step = _STEP * (np.arange(len(theta)) == row)
@@ -286,7 +396,10 @@ def measure_displacement(rig: Rig, theta: Array, covariance: Array, thing: RigTh
     if not camera and not rig.carriers[thing.index].turns:
         return CentreDisplacement(name, shift, shift_std, None, None)
     return CentreDisplacement(
-        name, shift, shift_std, *_length_with_std(vector_from_rotation(first[1][:3, :3] @ first[0][:3, :3].T), cov[3:, 3:])
+        name,
+        shift,
+        shift_std,
+        *_length_with_std(vector_from_rotation(first[1][:3, :3] @ first[0][:3, :3].T), cov[3:, 3:]),
     )
 
 

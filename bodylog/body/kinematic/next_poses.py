@@ -1,4 +1,6 @@
-"""Which postures to record next: those whose sightings would narrow the calibration most, one after the other."""
+"""Which postures to record next: those whose sightings
+would narrow the calibration most, one after the other.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,7 +20,8 @@ CANDIDATES = 2000
 _MOST_VISIBLE = 300
 """Visible ones that are weighed; the cost is quadratic in them."""
 _AXES = (0, 1)
-_NEAREST, _FARTHEST = 0.5, 2.0
+_NEAREST = 0.5
+_FARTHEST = 2.0
 """Depths of postures, over the least and the greatest depth of the sightings learned from."""
 _EDGE = 0.05
 """Share of an image's width at its edges in which a marker may be cut off."""
@@ -29,10 +32,11 @@ _SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Postures (N,M), rad or m where `sliding`, in the order of their worth · nats (N,) each adds to the ones before.
+    """Postures (N,M), rad or m where `sliding`, in the order
+    of their worth · nats (N,) each adds to the ones before.
 
-    std_px (N+1,): root mean square std of where visible postures will be seen, by what the calibration does not know:
-    now, and after each posture.
+    std_px (N+1,): root mean square std of where visible postures will be seen, by what the
+    calibration does not know: now, and after each posture.
     """
 
     joints: tuple[str, ...]
@@ -43,18 +47,24 @@ class Proposal:
 
 
 def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal:
-    """The best of some postures (K,M) to record, chosen greedily by the error they leave over all of them.
+    """The best of some postures (K,M) to record, chosen
+    greedily by the error they leave over all of them.
 
-    Predictions are Gaussian together, through θ. The worth of a posture is how much its sighting lowers their variance,
-    summed over all postures (I-optimality; Fedorov 1972): what serves predictions, while D-optimality would serve θ,
-    whose directions matter unequally. EvidenceError where too few are visible.
+    Predictions are Gaussian together, through θ. The worth of a posture is how much its sighting
+    lowers their variance, summed over all postures (I-optimality; Fedorov 1972): what serves
+    predictions, while D-optimality would serve θ, whose directions matter unequally. EvidenceError
+    where too few are visible.
     """
     senses = kinematic_senses(body, CALIBRATION)
     shown = [is_surely_visible(body, sense, candidates) for sense in senses.values()]
     seen = np.flatnonzero(np.any(shown, axis=0))
     if len(seen) < count:
-        raise EvidenceError(f"only {len(seen)} of {len(candidates)} postures would be seen, {count} are needed")
-    seen = seen[np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_VISIBLE)).round().astype(int))]
+        raise EvidenceError(
+            f"only {len(seen)} of {len(candidates)} postures would be seen, {count} are needed"
+        )
+    seen = seen[
+        np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_VISIBLE)).round().astype(int))
+    ]
     there = np.array(shown)[:, seen]
     covariance, noise = _predict_all_tracks(body, senses, candidates[seen], there)
     known = np.repeat(there.T, len(_AXES), axis=1).reshape(-1)
@@ -74,14 +84,19 @@ def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal
     return Proposal(body.joints, sliding, candidates[seen[chosen]], np.array(nats), np.array(left))
 
 
-def _predict_all_tracks(body: BodyModel, senses: Mapping[str, KinematicGP], x: Array, there: Array) -> tuple[Array, Array]:
-    """Covariance (KR,KR) px² of the predictions of all tracks at x (K,M) by θ, posture by posture, and noise (K,R) px².
+def _predict_all_tracks(
+    body: BodyModel, senses: Mapping[str, KinematicGP], x: Array, there: Array
+) -> tuple[Array, Array]:
+    """Covariance (KR,KR) px² of the predictions of all tracks
+    at x (K,M) by θ, posture by posture, and noise (K,R) px².
 
-    R: u and v of each track, without covariance where it is not there (S,K). The residual process counts as noise: six
-    sightings teach it little beyond their own surroundings.
+    R: u and v of each track, without covariance where it is not there (S,K). The residual process
+    counts as noise: six sightings teach it little beyond their own surroundings.
     """
     each = zip(senses.values(), there, strict=True)
-    rows = np.concatenate([np.where(one[:, None, None], sense.unknowns(x), 0.0) for sense, one in each], axis=1)
+    rows = np.concatenate(
+        [np.where(one[:, None, None], sense.unknowns(x), 0.0) for sense, one in each], axis=1
+    )
     count, width = rows.shape[:2]
     flat = rows.reshape(count * width, -1)
     covariance = flat @ flat.T
@@ -92,8 +107,12 @@ def _predict_all_tracks(body: BodyModel, senses: Mapping[str, KinematicGP], x: A
     return covariance, noise
 
 
-def _most_useful(covariance: Array, noise: Array, there: Array, taken: list[int]) -> tuple[int, float]:
-    """The posture whose sighting lowers the summed variance of all predictions most, and the nats that it adds."""
+def _most_useful(
+    covariance: Array, noise: Array, there: Array, taken: list[int]
+) -> tuple[int, float]:
+    """The posture whose sighting lowers the summed variance
+    of all predictions most, and the nats that it adds.
+    """
     best = -1
     most = -np.inf
     nats = 0.0
@@ -121,8 +140,12 @@ def _rms_std_of_visible(covariance: Array, known: Array) -> float:
 
 
 def random_postures(body: BodyModel, limits: Mapping[str, Limits]) -> Array:
-    """Postures (K,M) within the joints' limits, or within the explored range of a joint without limits."""
-    samples = np.concatenate([sense.samples for sense in kinematic_senses(body, CALIBRATION).values()])
+    """Postures (K,M) within the joints' limits, or
+    within the explored range of a joint without limits.
+    """
+    samples = np.concatenate(
+        [sense.samples for sense in kinematic_senses(body, CALIBRATION).values()]
+    )
     low = samples.min(axis=0)
     high = samples.max(axis=0)
     for m, joint in enumerate(body.joints):
@@ -134,9 +157,11 @@ def random_postures(body: BodyModel, limits: Mapping[str, Limits]) -> Array:
 
 
 def is_surely_visible(body: BodyModel, sense: KinematicGP, postures: Array) -> Array:
-    """Whether a track would surely be in the image and about as far as before: (K,) bool of postures (K,M).
+    """Whether a track would surely be in the image and
+    about as far as before: (K,) bool of postures (K,M).
 
-    Its predicted place is a share _EDGE of the width from the edges, which is two standard deviations at least.
+    Its predicted place is a share _EDGE of the width from
+    the edges, which is two standard deviations at least.
     """
     camera = sense.rig.cameras[0]
     width, height = body.provenance.get(IMAGE_SIZES, {}).get(camera.name, 2.0 * camera.lens[2:4])

@@ -18,7 +18,9 @@ def learned_scales(model: BodyModel) -> tuple[Offset, ...]:
 
 
 def offsets_as_values(found: "tuple[Offset, ...]") -> dict[str, dict[str, Any]]:
-    """As plain values: {joint: value (None where it is not identifiable), std, unit, identifiable, confused with}."""
+    """As plain values: {joint: value (None where it is not
+    identifiable), std, unit, identifiable, confused with}.
+    """
     return {
         one.joint: {
             "value": one.value if one.identifiable else None,
@@ -31,6 +33,10 @@ def offsets_as_values(found: "tuple[Offset, ...]") -> dict[str, dict[str, Any]]:
     }
 
 
-def offset_tables(found: "tuple[Offset, ...]", scales: "tuple[Offset, ...]") -> dict[str, dict[str, dict[str, Any]]]:
+def offset_tables(
+    found: "tuple[Offset, ...]", scales: "tuple[Offset, ...]"
+) -> dict[str, dict[str, dict[str, Any]]]:
     """As plain values: {"offsets": {joint: …}}, and "scales" if there are any."""
-    return {"offsets": offsets_as_values(found)} | ({"scales": offsets_as_values(scales)} if scales else {})
+    return {"offsets": offsets_as_values(found)} | (
+        {"scales": offsets_as_values(scales)} if scales else {}
+    )

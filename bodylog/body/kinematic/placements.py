@@ -1,4 +1,6 @@
-"""Where a body learned with a URDF has its cameras and markers, their lenses, and the joints' zeros and scales."""
+"""Where a body learned with a URDF has its cameras and
+markers, their lenses, and the joints' zeros and scales.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -33,7 +35,8 @@ _POSE = 6
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A frame in a link: pose (4,4) m · place_std (3,) m along the link's axes · turn_std (3,) rad about them.
+    """A frame in a link: pose (4,4) m · place_std (3,) m
+    along the link's axes · turn_std (3,) rad about them.
 
     turns: whether the orientation is known at all; a marker of one point has none.
     """
@@ -66,13 +69,16 @@ class Placement:
 
 def placement_from(plain: Mapping[str, Any]) -> Placement:
     """A placement from its plain values."""
-    pose, place_std, turn_std = (np.array(plain[name], float) for name in ("pose", "place_std", "turn_std"))
+    pose, place_std, turn_std = (
+        np.array(plain[name], float) for name in ("pose", "place_std", "turn_std")
+    )
     return Placement(plain["name"], plain["link"], pose, place_std, turn_std, plain["turns"])
 
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A lens: focal lengths (2,) px, centre (2,) px and radial distortion k1, k2 (2,), each with its std.
+    """A lens: focal lengths (2,) px, centre (2,) px and
+    radial distortion k1, k2 (2,), each with its std.
 
     row_time: s from the first to the last row of an image, None where it was not estimated.
     """
@@ -91,8 +97,8 @@ class Lens:
 class Calibration:
     """All unknowns of a body learned with a URDF; the findings say what is not identifiable.
 
-    image_sizes: (width, height) px by camera, where they are known · earlier: where cameras and markers were before
-    they moved between logs.
+    image_sizes: (width, height) px by camera, where they are known · earlier: where cameras and
+    markers were before they moved between logs.
 
     Poses hold together with the zeros as given, those that are not identifiable at 0.
     """
@@ -112,7 +118,9 @@ CALIBRATION = "a calibration"
 
 
 def calibration_of_body(model: BodyModel) -> Calibration:
-    """The calibration of a body; ModelError where it was learned without a URDF, or before calibrations were kept."""
+    """The calibration of a body; ModelError where it was
+    learned without a URDF, or before calibrations were kept.
+    """
     if model.surface is not None:
         return _of_surface(model.surface)
     kinematic_senses(model, CALIBRATION)
@@ -122,13 +130,20 @@ def calibration_of_body(model: BodyModel) -> Calibration:
         raise ModelError(f"learned by an earlier version, which kept no calibration: {todo}")
     zeros, scales = (tuple(_offset_from(one) for one in kept[part]) for part in ("zeros", "scales"))
     cameras, markers, earlier = (
-        tuple(placement_from(one) for one in kept[part]) for part in ("cameras", "markers", "earlier")
+        tuple(placement_from(one) for one in kept[part])
+        for part in ("cameras", "markers", "earlier")
     )
     lenses = tuple(_lens_from(one) for one in kept["lenses"])
-    findings = [*map(_without_row_time, cameras), *_unidentified_findings(cameras, markers, (*zeros, *scales))]
+    findings = [
+        *map(_without_row_time, cameras),
+        *_unidentified_findings(cameras, markers, (*zeros, *scales)),
+    ]
     if not zeros:
         findings.append(_without_zeros(model.joints))
-    sizes = {name: (int(size[0]), int(size[1])) for name, size in model.provenance.get(IMAGE_SIZES, {}).items()}
+    sizes = {
+        name: (int(size[0]), int(size[1]))
+        for name, size in model.provenance.get(IMAGE_SIZES, {}).items()
+    }
     return Calibration(cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier)
 
 
@@ -140,11 +155,15 @@ def calibration_of(found: Adjusted) -> Calibration:
     )
     whole, spread = _given_zeros(found.rig, found.theta, found.covariance, known, found.curvature)
     given = replace(found, theta=whole, covariance=spread)
-    cameras, lenses, markers = dict[str, Placement](), dict[str, Lens](), dict[str, Placement]()
+    cameras = dict[str, Placement]()
+    lenses = dict[str, Lens]()
+    markers = dict[str, Placement]()
     for k in range(len(given.rig.sights)):
         rig, used = given.rig.alone(k)
-        camera, marker = rig.cameras[0].name, rig.carriers[0].name
-        theta, covariance = given.theta[used], given.covariance[np.ix_(used, used)]
+        camera = rig.cameras[0].name
+        marker = rig.carriers[0].name
+        theta = given.theta[used]
+        covariance = given.covariance[np.ix_(used, used)]
         cameras.setdefault(camera, _camera_placement(rig, theta, covariance))
         lenses.setdefault(camera, _lens_with_std(rig, theta, covariance))
         markers.setdefault(marker, _marker_placement(rig, theta, covariance))
@@ -165,7 +184,9 @@ def kept_calibration(found: Calibration) -> dict[str, Any]:
     """A calibration as plain values for a body's provenance; `calibration_of_body` reads them."""
     return {
         "cameras": [one.plain for one in found.cameras],
-        "lenses": [{name: getattr(one, name).tolist() for name in LENS_PARTS} for one in found.lenses],
+        "lenses": [
+            {name: getattr(one, name).tolist() for name in LENS_PARTS} for one in found.lenses
+        ],
         "markers": [one.plain for one in found.markers],
         "zeros": [asdict(one) | {"confused": list(one.confused)} for one in found.zeros],
         "scales": [asdict(one) | {"confused": list(one.confused)} for one in found.scales],
@@ -186,17 +207,30 @@ def _lens_from(plain: Mapping[str, Any]) -> Lens:
 
 def _earlier_placements(given: Adjusted) -> Iterator[Placement]:
     """Where cameras and markers were before they moved between logs."""
-    rig, told = given.rig, set[tuple[bool, int]]()
+    rig = given.rig
+    told = set[tuple[bool, int]]()
     for k, sight in enumerate(rig.sights):
         for log, pair in enumerate(sight.by_log):
-            for camera, index, now in ((True, pair[0], sight.camera), (False, pair[1], sight.carrier)):
+            for camera, index, now in (
+                (True, pair[0], sight.camera),
+                (False, pair[1], sight.carrier),
+            ):
                 if index == now or (camera, index) in told:
                     continue
                 told.add((camera, index))
                 sub, used = rig.alone(k, log)
-                theta, spread = given.theta[used], given.covariance[np.ix_(used, used)]
-                placed = _camera_placement(sub, theta, spread) if camera else _marker_placement(sub, theta, spread)
-                logs = [number + 1 for number, other in enumerate(sight.by_log) if other[not camera] == index]
+                theta = given.theta[used]
+                spread = given.covariance[np.ix_(used, used)]
+                placed = (
+                    _camera_placement(sub, theta, spread)
+                    if camera
+                    else _marker_placement(sub, theta, spread)
+                )
+                logs = [
+                    number + 1
+                    for number, other in enumerate(sight.by_log)
+                    if other[not camera] == index
+                ]
                 when = f"log {logs[0]}" if len(logs) == 1 else f"logs {logs[0]} to {logs[-1]}"
                 yield replace(placed, name=f"{placed.name} in {when}")
 
@@ -205,24 +239,31 @@ def _of_surface(surface: Surface) -> Calibration:
     """The calibration by the robot's own surface; zeros are those that the first camera tells."""
     from ..surface import landmark_model
 
-    cameras, lenses = list[Placement](), list[Lens]()
+    cameras = list[Placement]()
+    lenses = list[Lens]()
     zeros: tuple[Offset, ...] = ()
     for camera in surface.cameras:
         rig = landmark_model(surface, camera).rig
-        theta, spread = camera.unknowns[:-1], camera.covariance[:-1, :-1]
+        theta = camera.unknowns[:-1]
+        spread = camera.covariance[:-1, :-1]
         every_zero = identifiability.joint_zeros(rig, theta, spread)
         zeros = zeros or tuple(one for one in every_zero if one.beforehand > identifiability.GIVEN)
         given, held = _given_zeros(rig, theta, spread, every_zero)
         cameras.append(_camera_placement(rig, given, held))
-        row, row_std = float(camera.unknowns[-1]), float(np.sqrt(camera.covariance[-1, -1]))
+        row = float(camera.unknowns[-1])
+        row_std = float(np.sqrt(camera.covariance[-1, -1]))
         lenses.append(replace(_lens_with_std(rig, given, held), row_time=row, row_time_std=row_std))
     findings = tuple(_unidentified_findings(cameras, (), zeros))
-    sizes = {placed.name: camera.size for placed, camera in zip(cameras, surface.cameras, strict=True)}
+    sizes = {
+        placed.name: camera.size for placed, camera in zip(cameras, surface.cameras, strict=True)
+    }
     return Calibration(tuple(cameras), tuple(lenses), (), zeros, (), findings, sizes)
 
 
 def _without_row_time(camera: Placement) -> Finding:
-    return Finding("info", f"{camera.name}: the time from one row of an image to the next is not estimated")
+    return Finding(
+        "info", f"{camera.name}: the time from one row of an image to the next is not estimated"
+    )
 
 
 def _without_zeros(joints: tuple[str, ...]) -> Finding:
@@ -230,40 +271,59 @@ def _without_zeros(joints: tuple[str, ...]) -> Finding:
     frame = frame_of(joints)
     if frame is None:
         return Finding("info", "no joint's zero was estimated: [kinematics] offset_prior is 0")
-    return Finding("info", f"poses of {frame} alone do not tell the joints' zeros; learn from joints with --urdf")
+    return Finding(
+        "info",
+        f"poses of {frame} alone do not tell the joints' zeros; learn from joints with --urdf",
+    )
 
 
 def _given_zeros(
-    rig: Rig, theta: Array, covariance: Array, known: Sequence[Offset], curvature: Array | None = None
+    rig: Rig,
+    theta: Array,
+    covariance: Array,
+    known: Sequence[Offset],
+    curvature: Array | None = None,
 ) -> tuple[Array, Array]:
-    """θ (P,) with the zeros and scales as given, and its covariance (P,P) with those not identifiable held at 0.
+    """θ (P,) with the zeros and scales as given, and its
+    covariance (P,P) with those not identifiable held at 0.
 
-    A camera's turn that a joint's zero imitates has no meaning until that zero is agreed upon. curvature (P,P): the
-    loss's inverse second derivative, along which the rest of θ follows; the covariance without it.
+    A camera's turn that a joint's zero imitates has no meaning until that
+    zero is agreed upon. curvature (P,P): the loss's inverse second
+    derivative, along which the rest of θ follows; the covariance without it.
     """
     std = rig.prior[1]
     rows = np.arange(rig.of_joints.start, rig.of_scales.stop)
     given = np.array([one.value if one.identifiable else 0.0 for one in known])
     along = (covariance if curvature is None else curvature) / std / std[:, None]
-    step = np.linalg.lstsq(along[np.ix_(rows, rows)], (given - theta[rows]) / std[rows], rcond=None)[0]
+    step = np.linalg.lstsq(
+        along[np.ix_(rows, rows)], (given - theta[rows]) / std[rows], rcond=None
+    )[0]
     scaled = covariance / std / std[:, None]
     held = rows[[not one.identifiable for one in known]]
     gain = np.linalg.lstsq(scaled[np.ix_(held, held)], scaled[held], rcond=None)[0]
-    return theta + std * (along[:, rows] @ step), (scaled - scaled[:, held] @ gain) * std * std[:, None]
+    return theta + std * (along[:, rows] @ step), (scaled - scaled[:, held] @ gain) * std * std[
+        :, None
+    ]
 
 
 def _camera_placement(rig: Rig, theta: Array, covariance: Array) -> Placement:
     """The camera's optical frame in its link: x to the right of the image, y down, z forward."""
     part = rig.of_camera(0)
-    return _placement_on_link(rig, theta, covariance, slice(part.start, part.start + _POSE), camera=True)
+    return _placement_on_link(
+        rig, theta, covariance, slice(part.start, part.start + _POSE), camera=True
+    )
 
 
 def _marker_placement(rig: Rig, theta: Array, covariance: Array) -> Placement:
     return _placement_on_link(rig, theta, covariance, rig.of_carrier(0), camera=False)
 
 
-def _placement_on_link(rig: Rig, theta: Array, covariance: Array, part: slice, camera: bool) -> Placement:
-    """A thing's pose on its link, with the covariance of θ (P,P) propagated by central differences."""
+def _placement_on_link(
+    rig: Rig, theta: Array, covariance: Array, part: slice, camera: bool
+) -> Placement:
+    """A thing's pose on its link, with the covariance
+    of θ (P,P) propagated by central differences.
+    """
 
     def pose(at: Array) -> Array:
         return invert_transform(rig.camera_pose(0, at)) if camera else rig.carrier_pose(0, at)
@@ -272,7 +332,8 @@ def _placement_on_link(rig: Rig, theta: Array, covariance: Array, part: slice, c
     for k, index in enumerate(range(part.start, part.stop)):
         step = np.zeros(len(theta))
         step[index] = _STEP
-        above, below = pose(theta + step), pose(theta - step)
+        above = pose(theta + step)
+        below = pose(theta - step)
         slopes[:3, k] = (above[:3, 3] - below[:3, 3]) / (2.0 * _STEP)
         slopes[3:, k] = vector_from_rotation(above[:3, :3] @ below[:3, :3].T) / (2.0 * _STEP)
     variance = np.einsum("ij,jk,ik->i", slopes, covariance[part, part], slopes)
@@ -295,7 +356,9 @@ def _lens_with_std(rig: Rig, theta: Array, covariance: Array) -> Lens:
     return Lens(focal, focal_std, numbers[2:4], std[2:4], numbers[4:], std[4:])
 
 
-def _unidentified_findings(cameras: Sequence[Placement], markers: Sequence[Placement], zeros: Sequence[Offset]) -> Iterator[Finding]:
+def _unidentified_findings(
+    cameras: Sequence[Placement], markers: Sequence[Placement], zeros: Sequence[Offset]
+) -> Iterator[Finding]:
     """Yield a sentence for each thing that is not identifiable."""
     for one in (*cameras, *markers):
         if not one.identifiable:

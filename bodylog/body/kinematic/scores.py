@@ -9,7 +9,7 @@ from ...kinematics.identifiability import Offset, describe_unidentified
 from ...kinematics.links import FoundLinks
 from ...kinematics.rig import Rig
 from ...types import Finding, Score
-from ..data.pairs import SmoothedJoint, Pairs, correlate_angle_errors
+from ..data.pairs import Pairs, SmoothedJoint, correlate_angle_errors
 from ..gp.fit import Coupling
 from ..gp.marginal_likelihood import Hyper, condition_gp
 from ..gp.model import GP
@@ -20,25 +20,44 @@ from .sightings import ThingSightings, average_points
 
 
 def kinematics_gain_nats(
-    rig: Rig, index: int, found: Together, name: str, shown: ThingSightings, plain: Mapping[str, GP], chosen: Sequence[SmoothedJoint]
+    rig: Rig,
+    index: int,
+    found: Together,
+    name: str,
+    shown: ThingSightings,
+    plain: Mapping[str, GP],
+    chosen: Sequence[SmoothedJoint],
 ) -> float:
     """Nats won by kinematics over a Gaussian process alone, on the same sightings.
 
     For a board: sightings of one point of each of its parts, each with a process of its own.
     """
-    part, alone = found.parts[name], 0.0
+    part = found.parts[name]
+    alone = 0.0
     if len(shown.points) == 1:
-        return solve_linear_unknowns(part.chol, part.rows).evidence - _evidence_of_gp_alone(plain[name], part.pairs, part.known)
+        return solve_linear_unknowns(part.chol, part.rows).evidence - _evidence_of_gp_alone(
+            plain[name], part.pairs, part.known
+        )
     points = [point for track, point in part.points.items() if track in plain]
-    view, kept, _ = average_points(shown, shown.seen, shown.image, np.eye(len(shown.points), dtype=bool)[points], MOST)
+    view, kept, _ = average_points(
+        shown, shown.seen, shown.image, np.eye(len(shown.points), dtype=bool)[points], MOST
+    )
     seen = rig.see(rig.sights[index], found.theta, shown.whole.x, shown.whole.log)
     spread = spread_of(kept, view.of(seen.slope), correlate_angle_errors(kept, chosen))
     rows = linearise_residuals(rig, found.theta, kept, seen, view, spread)
     own = max(part.own - float(np.nanmean(shown.floor)), 0.0)
-    both = replace(part, pairs=kept, view=view, rows=rows, kernel=replace(part.kernel, noise=part.kernel.noise + own))
+    both = replace(
+        part,
+        pairs=kept,
+        view=view,
+        rows=rows,
+        kernel=replace(part.kernel, noise=part.kernel.noise + own),
+    )
     for point in points:
         mine = kept.rows(np.flatnonzero(view.share[:, point]))
-        alone += _evidence_of_gp_alone(plain[shown.tracks[point]], mine, correlate_angle_errors(mine, chosen))
+        alone += _evidence_of_gp_alone(
+            plain[shown.tracks[point]], mine, correlate_angle_errors(mine, chosen)
+        )
     return solve_linear_unknowns(both.chol, rows).evidence - alone
 
 
@@ -47,16 +66,23 @@ def _evidence_of_gp_alone(plain: GP, part: Pairs, known: Coupling) -> float:
     kernel = Hyper(plain.scales[0], float(plain.amplitude[0]), float(plain.noise.mean()))
     spread = spread_of(part, plain.means(part.x)[1], known)
     own = np.sqrt(np.broadcast_to(spread.share, part.y.shape[1]))
-    return condition_gp(kernel, part.x, part.y / own, spread).evidence - len(part.x) * float(np.log(own).sum())
+    return condition_gp(kernel, part.x, part.y / own, spread).evidence - len(part.x) * float(
+        np.log(own).sum()
+    )
 
 
-def kinematic_scores(name: str, models: Mapping[str, KinematicGP], part: ResidualPart) -> Iterator[Score]:
-    """Yield one thing's held-out error, residual of kinematics alone, slow error, noise and length scales.
+def kinematic_scores(
+    name: str, models: Mapping[str, KinematicGP], part: ResidualPart
+) -> Iterator[Score]:
+    """Yield one thing's held-out error, residual of
+    kinematics alone, slow error, noise and length scales.
 
     For a board, the held-out value is the mean of the points of each of its parts.
     """
     residual, variance = hold_out_blocks(part.chol, part.rows, part.pairs.block)
-    left = np.concatenate([one.y - models[track].kinematics(one.x) for track, one in part.tracks.items()])
+    left = np.concatenate(
+        [one.y - models[track].kinematics(one.x) for track, one in part.tracks.items()]
+    )
     any_ = next(iter(models.values()))
     yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(residual**2))), "px")
     yield Score(f"nis/held_out/{name}", float(np.mean(residual**2 / variance)), "1")
@@ -79,13 +105,20 @@ def zero_scores(found: Sequence[Offset]) -> Iterator[Score]:
             yield Score(f"std/{name}/{one.joint}", one.std, one.unit)
 
 
-def kinematic_findings(links: FoundLinks, found: Sequence[Offset], gains: Mapping[str, float]) -> Iterator[Finding]:
-    """Yield remarks on links chosen, nats won, significant zeros, and zeros that are not identifiable."""
+def kinematic_findings(
+    links: FoundLinks, found: Sequence[Offset], gains: Mapping[str, float]
+) -> Iterator[Finding]:
+    """Yield remarks on links chosen, nats won, significant
+    zeros, and zeros that are not identifiable.
+    """
     rig = links.calibrated.rig
     sure = "" if links.margin is None else f" ({links.margin:.0f} nats likelier than other links)"
     for sight in rig.sights:
-        camera, marker = rig.cameras[sight.camera].link, rig.carriers[sight.carrier].link
-        yield Finding("info", f"{sight.name.strip('/')}: camera on {camera}, marker on {marker}{sure}")
+        camera = rig.cameras[sight.camera].link
+        marker = rig.carriers[sight.carrier].link
+        yield Finding(
+            "info", f"{sight.name.strip('/')}: camera on {camera}, marker on {marker}{sure}"
+        )
     for name in links.lacking:
         text = f"{name}: between camera and marker, but without readings; assumed at zero"
         yield Finding("warning", text)

@@ -1,4 +1,6 @@
-"""Sightings of one rigid thing by one camera, by image: a point, or the points of a board together."""
+"""Sightings of one rigid thing by one camera, by
+image: a point, or the points of a board together.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -7,7 +9,7 @@ import numpy as np
 
 from ...kinematics.calibration import Sighted
 from ...types import Array, Features, Series
-from ..data.pairs import SmoothedJoint, Pairs, pair_sightings
+from ..data.pairs import Pairs, SmoothedJoint, pair_sightings
 from ..data.subsampling import choose_farthest_rows
 
 GROUPS = 4
@@ -15,7 +17,9 @@ GROUPS = 4
 FEWEST = 3
 """Fewest points that determine a pose."""
 REACH = 2.0
-"""Length scale of residuals over a board in its diagonals, per rad of a joint: they change by a third along one."""
+"""Length scale of residuals over a board in its diagonals,
+per rad of a joint: they change by a third along one.
+"""
 PICTURES = 300
 """Most images of a board; more do not improve the residual process."""
 _SOUND = 0.5
@@ -24,9 +28,11 @@ _POINT = np.zeros((1, 3))
 
 @dataclass(frozen=True, eq=False)
 class ThingSightings:
-    """N images: angles and times, `whole`, with y the points' mean, px · image (N,C,2) px, floor (N,C,2) px².
+    """N images: angles and times, `whole`, with y the
+    points' mean, px · image (N,C,2) px, floor (N,C,2) px².
 
-    NaN where a point was not seen · points (C,3) m on the thing · tracks: the points' tracks, in order.
+    NaN where a point was not seen · points (C,3) m on
+    the thing · tracks: the points' tracks, in order.
     """
 
     whole: Pairs
@@ -37,7 +43,9 @@ class ThingSightings:
 
     def rows(self, chosen: Array) -> "ThingSightings":
         """Return some images."""
-        return replace(self, whole=self.whole.rows(chosen), image=self.image[chosen], floor=self.floor[chosen])
+        return replace(
+            self, whole=self.whole.rows(chosen), image=self.image[chosen], floor=self.floor[chosen]
+        )
 
     @property
     def seen(self) -> Array:
@@ -52,10 +60,11 @@ class ThingSightings:
 
 @dataclass(frozen=True, eq=False)
 class PointMeans:
-    """Rows that are means of some points of one image: picture (n,) of N · share (n,C) of each point.
+    """Rows that are means of some points of one image:
+    picture (n,) of N · share (n,C) of each point.
 
-    q (N,M) rad or m · log (N,) of each image · where (C,2): the points on their board, in REACH of its diagonal; (C,0)
-    of a single point.
+    q (N,M) rad or m · log (N,) of each image · where (C,2): the points on their board, in REACH of
+    its diagonal; (C,0) of a single point.
     """
 
     q: Array
@@ -66,7 +75,9 @@ class PointMeans:
 
     @property
     def x(self) -> Array:
-        """Inputs (n,M) or (n,M+2) of the residual process: angles, and the position on the board."""
+        """Inputs (n,M) or (n,M+2) of the residual
+        process: angles, and the position on the board.
+        """
         return np.concatenate([self.q[self.picture], self.share @ self.where], axis=1)
 
     def of(self, values: Array) -> Array:
@@ -74,14 +85,23 @@ class PointMeans:
         if self.share.shape[1] == 1:
             return np.asarray(values[self.picture, 0])
         flat = values.reshape(*values.shape[:2], -1)
-        return np.asarray((self.share[:, None] @ flat[self.picture])[:, 0].reshape(-1, *values.shape[2:]))
+        return np.asarray(
+            (self.share[:, None] @ flat[self.picture])[:, 0].reshape(-1, *values.shape[2:])
+        )
 
 
 def gather_sightings(
-    features: Sequence[Features], tracks: Sequence[str], joints: Sequence[SmoothedJoint], every: int, most: int
+    features: Sequence[Features],
+    tracks: Sequence[str],
+    joints: Sequence[SmoothedJoint],
+    every: int,
+    most: int,
 ) -> dict[str, ThingSightings]:
-    """Collect sightings by name, of boards with FEWEST points or more and of other tracks; at most `most` of each."""
-    found, taken = dict[str, ThingSightings](), set[str]()
+    """Collect sightings by name, of boards with FEWEST points
+    or more and of other tracks; at most `most` of each.
+    """
+    found = dict[str, ThingSightings]()
+    taken = set[str]()
     for name, points in _points_by_board(features).items():
         taken |= set(points)
         if (board := _board_sightings(features, name, points, joints, every)) is not None:
@@ -89,9 +109,16 @@ def gather_sightings(
     for track in tracks:
         if track not in taken:
             part = pair_sightings(features, track, joints, every)
-            found[track] = ThingSightings(part, part.y[:, None], part.floor[:, None], _POINT, (track,))
-    least = {name: min(most, PICTURES) if len(one.points) > 1 else most for name, one in found.items()}
-    return {name: one.rows(choose_farthest_rows(one.whole.x, least[name])) for name, one in found.items()}
+            found[track] = ThingSightings(
+                part, part.y[:, None], part.floor[:, None], _POINT, (track,)
+            )
+    least = {
+        name: min(most, PICTURES) if len(one.points) > 1 else most for name, one in found.items()
+    }
+    return {
+        name: one.rows(choose_farthest_rows(one.whole.x, least[name]))
+        for name, one in found.items()
+    }
 
 
 def _points_by_board(features: Sequence[Features]) -> dict[str, dict[str, Array]]:
@@ -103,11 +130,22 @@ def _points_by_board(features: Sequence[Features]) -> dict[str, dict[str, Array]
 
 
 def _board_sightings(
-    features: Sequence[Features], name: str, points: Mapping[str, Array], joints: Sequence[SmoothedJoint], every: int
+    features: Sequence[Features],
+    name: str,
+    points: Mapping[str, Array],
+    joints: Sequence[SmoothedJoint],
+    every: int,
 ) -> ThingSightings | None:
     shown = [_images_of_board(one, list(points)) for one in features]
     middles = [
-        replace(one, tracks={name: Series(t, _mean_of_points(image), ("u", "v"), "px", (t * 1e9).astype(np.int64))})
+        replace(
+            one,
+            tracks={
+                name: Series(
+                    t, _mean_of_points(image), ("u", "v"), "px", (t * 1e9).astype(np.int64)
+                )
+            },
+        )
         for one, (t, image, _) in zip(features, shown, strict=True)
     ]
     whole = pair_sightings(middles, name, joints, every)
@@ -122,7 +160,9 @@ def _board_sightings(
 
 
 def _images_of_board(found: Features, names: Sequence[str]) -> tuple[Array, Array, Array]:
-    """Times (N,) s of all images that show one of these tracks, positions (N,C,2) px, and their variance."""
+    """Times (N,) s of all images that show one of these
+    tracks, positions (N,C,2) px, and their variance.
+    """
     tracks = [(k, found.tracks[name]) for k, name in enumerate(names) if name in found.tracks]
     seen = [(k, one, np.isfinite(one.values).all(axis=1)) for k, one in tracks]
     t = np.unique(np.concatenate([one.t[sound] for _, one, sound in seen] or [np.zeros(0)]))
@@ -147,25 +187,40 @@ def group_points(points: Array) -> Array:
 
 
 def _board_coordinates(points: Array) -> Array:
-    """Points (C,3) m as (C,2) along a board's two longest axes, in REACH of its diagonal; (C,0) of a single one."""
+    """Points (C,3) m as (C,2) along a board's two longest
+    axes, in REACH of its diagonal; (C,0) of a single one.
+    """
     if len(points) == 1:
         return np.zeros((1, 0))
     apart = points - points.mean(axis=0)
-    return np.asarray(apart @ np.linalg.svd(apart)[2][:2].T / (REACH * np.linalg.norm(np.ptp(points, axis=0))))
+    return np.asarray(
+        apart @ np.linalg.svd(apart)[2][:2].T / (REACH * np.linalg.norm(np.ptp(points, axis=0)))
+    )
 
 
-def average_points(shown: ThingSightings, sound: Array, residual: Array, parts: Array, most: int) -> tuple[PointMeans, Pairs, float]:
-    """Means of the points in each part (G,C), at most `most` rows, and the variance of one point about them, px².
+def average_points(
+    shown: ThingSightings, sound: Array, residual: Array, parts: Array, most: int
+) -> tuple[PointMeans, Pairs, float]:
+    """Means of the points in each part (G,C), at most `most`
+    rows, and the variance of one point about them, px².
 
-    sound (N,C): points in use · residual (N,C,2) px. Where parts are single points that variance is 0.
+    sound (N,C): points in use · residual (N,C,2) px.
+    Where parts are single points that variance is 0.
     """
     kept = np.flatnonzero((sound[:, None] & parts).any(axis=(1, 2)))
     kept = kept[choose_farthest_rows(shown.whole.x[kept], max(most // len(parts), 1))]
     member = sound[kept][:, None] & parts
     at, part = np.nonzero(member.any(axis=-1))
-    picture, own = kept[at], member[at, part]
+    picture = kept[at]
+    own = member[at, part]
     count = own.sum(axis=1)
-    view = PointMeans(shown.whole.x, shown.whole.log, _board_coordinates(shown.points), picture, own / count[:, None])
+    view = PointMeans(
+        shown.whole.x,
+        shown.whole.log,
+        _board_coordinates(shown.points),
+        picture,
+        own / count[:, None],
+    )
     image, floor, left = (np.nan_to_num(values) for values in (shown.image, shown.floor, residual))
     within = np.square(np.where(own[..., None], left[picture] - view.of(left)[:, None], 0.0)).sum()
     alone = float(within / max(2 * (own.sum() - len(own)), 1))
@@ -182,7 +237,9 @@ def sound_sightings(weight: Array) -> Array:
 def sightings_of_point(shown: ThingSightings, point: int, counts: Array) -> Pairs:
     """The sightings of one point, where counts (N,C) is true."""
     rows = np.flatnonzero(counts[:, point])
-    return replace(shown.whole.rows(rows), y=shown.image[rows, point], floor=shown.floor[rows, point])
+    return replace(
+        shown.whole.rows(rows), y=shown.image[rows, point], floor=shown.floor[rows, point]
+    )
 
 
 def most_seen_points(shown: ThingSightings) -> list[int]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...kinematics.chain import Chain
 from ...kinematics.pose import Base
-from ...kinematics.rig import RigCamera, Carrier, Rig, Sight
+from ...kinematics.rig import Carrier, Rig, RigCamera, Sight
 from ...types import Array
 from ..gp.model import GP
 from .model import KinematicGP
@@ -38,10 +38,18 @@ _NAMES = ("camera", "camera_link", "marker", "marker_link", "sight", "start", "e
 
 def kinematic_arrays(model: KinematicGP) -> dict[str, Array]:
     """The arrays of SHAPES, of a model with one camera, marker and sight."""
-    rig, sight = model.rig, model.rig.sights[0]
-    chain, base = sight.chain, model.base
+    rig = model.rig
+    sight = model.rig.sights[0]
+    chain = sight.chain
+    base = model.base
     carried = (
-        {} if base is None else {"base": base.chain.fixed, "base_steps": _chain_step_array(base.chain), "base_tool": base.tool}
+        {}
+        if base is None
+        else {
+            "base": base.chain.fixed,
+            "base_steps": _chain_step_array(base.chain),
+            "base_tool": base.tool,
+        }
     )
     return carried | {
         "chain": chain.fixed,
@@ -60,10 +68,21 @@ def kinematic_arrays(model: KinematicGP) -> dict[str, Array]:
 
 def kinematic_names(model: KinematicGP) -> dict[str, str]:
     """The names in a model."""
-    rig, sight = model.rig, model.rig.sights[0]
-    camera, marker = rig.cameras[0], rig.carriers[0]
-    values = (camera.name, camera.link, marker.name, marker.link, sight.name, sight.chain.start, sight.chain.end)
-    base, carried = model.base, dict[str, str]()
+    rig = model.rig
+    sight = model.rig.sights[0]
+    camera = rig.cameras[0]
+    marker = rig.carriers[0]
+    values = (
+        camera.name,
+        camera.link,
+        marker.name,
+        marker.link,
+        sight.name,
+        sight.chain.start,
+        sight.chain.end,
+    )
+    base = model.base
+    carried = dict[str, str]()
     if base is not None:
         texts = (base.chain.start, base.chain.end, base.link, _THINGS[base.camera])
         carried = dict(zip(_BASE_NAMES, texts, strict=True))
@@ -80,21 +99,38 @@ def kinematic_shapes(header: Mapping[str, Any]) -> dict[str, str]:
     return SHAPES | (BASE if _BASE_NAMES[0] in header else {})
 
 
-def build_kinematic_gp(plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[str, Any]) -> KinematicGP:
-    """Build a model from a residual process, arrays as SHAPES and names; ValueError for inconsistent fields."""
-    steps, doubt, count = found["steps"], found["doubt"], len(joints)
+def build_kinematic_gp(
+    plain: GP, joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[str, Any]
+) -> KinematicGP:
+    """Build a model from a residual process, arrays as
+    SHAPES and names; ValueError for inconsistent fields.
+    """
+    steps = found["steps"]
+    doubt = found["doubt"]
+    count = len(joints)
     own = 2 * count if _SCALED in header else count
     for field in ("chain", "camera", "marker"):
         insist_rigid(found[field], field)
     for field, most in (("theta", _LARGEST), ("lens", _LARGEST), ("points", _FARTHEST)):
-        insist_sound((np.abs(found[field]) <= most).all(), field, float(np.abs(found[field]).max()), f"at most {most:g}")
+        insist_sound(
+            (np.abs(found[field]) <= most).all(),
+            field,
+            float(np.abs(found[field]).max()),
+            f"at most {most:g}",
+        )
     turns = len(doubt) == 18 + own
-    insist_sound(turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers")
+    insist_sound(
+        turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers"
+    )
     insist_sound((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
     chain = _build_chain(header["start"], header["end"], joints, found["chain"], steps, "steps")
     end = 18 if turns else 15
     rig = Rig(
-        (RigCamera(header["camera"], header["camera_link"], found["camera"], found["lens"], doubt[:12]),),
+        (
+            RigCamera(
+                header["camera"], header["camera_link"], found["camera"], found["lens"], doubt[:12]
+            ),
+        ),
         (Carrier(header["marker"], header["marker_link"], found["marker"], doubt[12:end]),),
         (Sight(header["sight"], 0, 0, chain, found["points"]),),
         joints,
@@ -105,19 +141,36 @@ def build_kinematic_gp(plain: GP, joints: tuple[str, ...], found: Mapping[str, A
     return replace(model, base=_build_base(joints, found, header))
 
 
-def _build_chain(start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: Array, field: str) -> Chain:
+def _build_chain(
+    start: str, end: str, joints: tuple[str, ...], fixed: Array, steps: Array, field: str
+) -> Chain:
     insist_sound(len(fixed) == len(steps) + 1, field, len(steps), f"{len(fixed) - 1} steps")
     count = len(joints)
-    insist_sound((np.abs(steps[:, 0]) <= count).all(), field, float(np.abs(steps[:, 0]).max(initial=0.0)), "joints")
-    column, slides = steps[:, 0].astype(np.int64), steps[:, 3]
-    insist_sound((column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(), field, column, "joints")
+    insist_sound(
+        (np.abs(steps[:, 0]) <= count).all(),
+        field,
+        float(np.abs(steps[:, 0]).max(initial=0.0)),
+        "joints",
+    )
+    column = steps[:, 0].astype(np.int64)
+    slides = steps[:, 3]
+    insist_sound(
+        (column == steps[:, 0]).all() and (column >= 0).all() and (column < count).all(),
+        field,
+        column,
+        "joints",
+    )
     insist_sound(np.isin(slides, (0.0, 1.0)).all(), field, slides, "0 or 1 in the last column")
     moves = np.abs(steps[:, 1:3])
-    insist_sound((moves <= _LARGEST).all(), field, float(moves.max(initial=0.0)), f"at most {_LARGEST:g}")
+    insist_sound(
+        (moves <= _LARGEST).all(), field, float(moves.max(initial=0.0)), f"at most {_LARGEST:g}"
+    )
     return Chain(start, end, joints, fixed, column, steps[:, 1], steps[:, 2], slides > 0)
 
 
-def _build_base(joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[str, Any]) -> Base | None:
+def _build_base(
+    joints: tuple[str, ...], found: Mapping[str, Array], header: Mapping[str, Any]
+) -> Base | None:
     if _BASE_NAMES[0] not in header:
         return None
     start, end, link, thing = (header[name] for name in _BASE_NAMES)
@@ -129,28 +182,44 @@ def _build_base(joints: tuple[str, ...], found: Mapping[str, Array], header: Map
 
 def check_kinematic_names(header: Any) -> dict[str, str]:
     """The names of a header; ValueError where one is missing."""
-    if not isinstance(header, dict) or not all(isinstance(header.get(name), str) for name in _NAMES):
-        raise ValueError(f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_NAMES)}")
+    if not isinstance(header, dict) or not all(
+        isinstance(header.get(name), str) for name in _NAMES
+    ):
+        raise ValueError(
+            f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_NAMES)}"
+        )
     scaled = {_SCALED: "unknown"} if _SCALED in header else dict[str, str]()
     if header.get(_SCALED, "unknown") != "unknown":
-        raise ValueError(f"kinematics.{_SCALED}: found {str(header[_SCALED])[:80]!r}, possible: unknown")
+        raise ValueError(
+            f"kinematics.{_SCALED}: found {str(header[_SCALED])[:80]!r}, possible: unknown"
+        )
     if _BASE_NAMES[0] not in header:
         return {name: header[name] for name in _NAMES} | scaled
     carried = all(isinstance(header.get(name), str) for name in _BASE_NAMES)
     if not carried or header[_BASE_NAMES[-1]] not in _THINGS:
-        raise ValueError(f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_BASE_NAMES)}")
+        raise ValueError(
+            f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_BASE_NAMES)}"
+        )
     return {name: header[name] for name in (*_NAMES, *_BASE_NAMES)} | scaled
 
 
 def insist_rigid(poses: Array, field: str) -> None:
-    """ValueError unless poses (4,4) or (K,4,4) turn and move, without scaling, and not beyond _FARTHEST."""
+    """ValueError unless poses (4,4) or (K,4,4) turn and
+    move, without scaling, and not beyond _FARTHEST.
+    """
     poses = poses.reshape(-1, 4, 4)
-    turn, place = poses[:, :3, :3], poses[:, :3, 3]
+    turn = poses[:, :3, :3]
+    place = poses[:, :3, 3]
     with np.errstate(over="ignore", invalid="ignore"):
         stretch = np.abs(turn @ turn.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
         mirrored = (np.linalg.det(turn) < 0.0).any()
     rigid = stretch <= _ROUNDING and not mirrored and (poses[:, 3] == (0.0, 0.0, 0.0, 1.0)).all()
-    insist_sound(rigid, field, "a matrix that is no pose", "a rotation and a place, above a row of 0, 0, 0, 1")
+    insist_sound(
+        rigid,
+        field,
+        "a matrix that is no pose",
+        "a rotation and a place, above a row of 0, 0, 0, 1",
+    )
     farthest = float(np.abs(place).max(initial=0.0))
     insist_sound(farthest <= _FARTHEST, field, f"{farthest:g} m", f"at most {_FARTHEST:g} m")
 

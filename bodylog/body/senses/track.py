@@ -8,9 +8,9 @@ import numpy as np
 from ...body_model import Noise
 from ...settings import FitSettings
 from ...types import Array, Finding, Score
-from ..data.pairs import SmoothedJoint, Pairs, correlate_angle_errors
+from ..data.pairs import Pairs, SmoothedJoint, correlate_angle_errors
 from ..data.subsampling import choose_farthest_rows, choose_spaced_rows
-from ..gp.cross_validation import leave_one_out_deviations, held_out_residuals
+from ..gp.cross_validation import held_out_residuals, leave_one_out_deviations
 from ..gp.fit import FittedKernels, Samples, build_gp, fit_kernels
 from ..gp.marginal_likelihood import ROTATION
 from ..gp.model import GP, drop_negligible_rows
@@ -23,9 +23,11 @@ _ROUNDS = 3
 
 @dataclass(frozen=True, eq=False)
 class TrackSense:
-    """The model of one track · floor (k,2) px² of new samples · residual (n,2) px held out, expected variance (n,2).
+    """The model of one track · floor (k,2) px² of new samples
+    · residual (n,2) px held out, expected variance (n,2).
 
-    constant (n,2) px: held-out residual of the median as predictor, over the same blocks · used: its n sightings.
+    constant (n,2) px: held-out residual of the median as
+    predictor, over the same blocks · used: its n sightings.
     """
 
     gp: GP
@@ -44,20 +46,29 @@ def learn_track(whole: Pairs, chosen: Sequence[SmoothedJoint], fit: FitSettings)
     if fit.preset == "paper":
         part = whole.rows(choose_spaced_rows(len(whole.x), SAMPLES))
         data = Samples(part.x, part.y, np.zeros(part.y.shape))
-        return _sense_with_kernels(data, paper_kernels(data), part, whole, 0, "as many as the paper's")
+        return _sense_with_kernels(
+            data, paper_kernels(data), part, whole, 0, "as many as the paper's"
+        )
     part = whole.rows(choose_farthest_rows(whole.x, fit.samples))
     kept = len(part.x)
     for _ in range(_ROUNDS):
-        used, data = part, Samples(part.x, part.y, part.floor, part.variance, correlate_angle_errors(part, chosen))
+        used = part
+        data = Samples(
+            part.x, part.y, part.floor, part.variance, correlate_angle_errors(part, chosen)
+        )
         kernels = fit_kernels(data, ROTATION, True, fit.seed)
         sound = _believable_rows(data, kernels)
         if sound.all():
             break
         part = part.rows(np.flatnonzero(sound))
-    return _sense_with_kernels(data, kernels, used, whole, kept - len(data.x), "which cover the exploration best")
+    return _sense_with_kernels(
+        data, kernels, used, whole, kept - len(data.x), "which cover the exploration best"
+    )
 
 
-def scores_of_track(name: str, found: TrackSense, joints: Sequence[str], noise: Noise) -> Iterator[Score]:
+def scores_of_track(
+    name: str, found: TrackSense, joints: Sequence[str], noise: Noise
+) -> Iterator[Score]:
     """Yield held-out error, share of frames used, noise and length scales of one track."""
     yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(found.residual**2))), "px")
     yield Score(f"nis/held_out/{name}", float(np.mean(found.residual**2 / found.variance)), "1")
@@ -70,21 +81,28 @@ def scores_of_track(name: str, found: TrackSense, joints: Sequence[str], noise: 
 
 def track_findings(name: str, found: TrackSense) -> Iterator[Finding]:
     """Yield remarks on sightings left out of one track."""
-    sightings, used = len(found.whole.x), len(found.gp.samples)
+    sightings = len(found.whole.x)
+    used = len(found.gp.samples)
     if found.rejected:
         left = f"{found.rejected} sighting{'s' if found.rejected > 1 else ''} left out as false"
         text = f"{name}: {left}, more than {_FALSE:.0f} deviations off"
         yield Finding("warning", text)
     if used + found.rejected < sightings:
-        yield Finding("info", f"{name}: {used + found.rejected} of {sightings} sightings kept, {found.rule}")
+        yield Finding(
+            "info", f"{name}: {used + found.rejected} of {sightings} sightings kept, {found.rule}"
+        )
 
 
-def _sense_with_kernels(data: Samples, found: FittedKernels, used: Pairs, whole: Pairs, rejected: int, rule: str) -> TrackSense:
+def _sense_with_kernels(
+    data: Samples, found: FittedKernels, used: Pairs, whole: Pairs, rejected: int, rule: str
+) -> TrackSense:
     block = used.block
     residual, variance = held_out_residuals(data, found, block)
-    # samples of a body to update have negative blocks, and their floor includes more than pixel noise
+    # samples of a body to update have negative blocks,
+    # and their floor includes more than pixel noise
     floor = data.floor[block >= 0] if (block >= 0).any() else data.floor
-    gp, constant = drop_negligible_rows(build_gp(data, found, _OUTPUTS, "px")), _residuals_from_constant(data.y, block)
+    gp = drop_negligible_rows(build_gp(data, found, _OUTPUTS, "px"))
+    constant = _residuals_from_constant(data.y, block)
     return TrackSense(gp, floor, residual, variance, constant, used, whole, rejected, rule)
 
 
@@ -98,6 +116,8 @@ def _residuals_from_constant(y: Array, block: Array) -> Array:
 
 
 def _believable_rows(data: Samples, found: FittedKernels) -> Array:
-    """Rows within _FALSE robust deviations; by medians, because false sightings inflate the noise."""
+    """Rows within _FALSE robust deviations; by
+    medians, because false sightings inflate the noise.
+    """
     size = np.abs(leave_one_out_deviations(data, found))
     return np.asarray((size < _FALSE * 1.4826 * np.median(size, axis=0)).all(axis=1))

@@ -1,1 +1,3 @@
-"""Detectors of sensor faults, one file per kind: they name a fault and remove or correct its readings."""
+"""Detectors of sensor faults, one file per kind:
+they name a fault and remove or correct its readings.
+"""

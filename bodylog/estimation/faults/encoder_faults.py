@@ -1,4 +1,5 @@
-"""Encoder faults that show in the readings alone: frozen, dead and jumping encoders and glitches, joint by joint.
+"""Encoder faults that show in the readings alone: frozen,
+dead and jumping encoders and glitches, joint by joint.
 
 Offsets, which need the other senses, are found by `encoder_offset`.
 """
@@ -22,7 +23,9 @@ from .threshold import EVIDENCE_THRESHOLD_NATS
 
 
 class ReadingFault(NamedTuple):
-    """A fault of one encoder: its kind, since when and until when (s; None: to the end), size ± std (rad)."""
+    """A fault of one encoder: its kind, since when and
+    until when (s; None: to the end), size ± std (rad).
+    """
 
     kind: str
     since: float
@@ -32,7 +35,9 @@ class ReadingFault(NamedTuple):
 
 
 class ScreenedEncoder(NamedTuple):
-    """One encoder: readings (N,) rad without faulty stretches and jumps, its faults, and the nats won by each kind."""
+    """One encoder: readings (N,) rad without faulty stretches
+    and jumps, its faults, and the nats won by each kind.
+    """
 
     values: Array
     faults: Sequence[ReadingFault]
@@ -40,18 +45,26 @@ class ScreenedEncoder(NamedTuple):
 
 
 def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
-    """Remove frozen and dead stretches and glitches, undo jumps, and unwrap whole turns where encoders read angles."""
+    """Remove frozen and dead stretches and glitches, undo
+    jumps, and unwrap whole turns where encoders read angles.
+    """
     if evidence.encoders is None:
         return evidence
     angles = "encoders" not in body.senses
-    read, size = evidence.encoders, evidence.rad_per_unit
+    read = evidence.encoders
+    size = evidence.rad_per_unit
     angled = replace(read, values=size * read.values)
     encoders = _unwrap_columns(angled) if angles else angled
     turned = np.abs(encoders.values - angled.values) > 1.0
     findings = [
-        Finding("info", f"encoders: {name} wraps by a whole turn at {encoders.t[own][0]:.3f} s; its angle is unwrapped")
-        for name, own in zip(body.joints, turned.T, strict=True) if own.any()
-    ]  # fmt: skip
+        Finding(
+            "info",
+            f"encoders: {name} wraps by a whole turn at {encoders.t[own][0]:.3f} s; its "
+            "angle is unwrapped",
+        )
+        for name, own in zip(body.joints, turned.T, strict=True)
+        if own.any()
+    ]
     in_units = replace(encoders, values=encoders.values / size)
     complete = angles and np.isfinite(encoders.values).any(axis=0).all()
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
@@ -60,15 +73,22 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))
     }
     faults = [
-        _convert_fault_unit(fault, name, size, evidence.unit) for name, one in found.items() for fault in one.faults
+        _convert_fault_unit(fault, name, size, evidence.unit)
+        for name, one in found.items()
+        for fault in one.faults
     ]
     hypotheses = [
-        Hypothesis(f"encoder {kind}", name, nats, EVIDENCE_THRESHOLD_NATS, nats > EVIDENCE_THRESHOLD_NATS)
-        for name, one in found.items() for kind, nats in one.nats.items()
-    ]  # fmt: skip
+        Hypothesis(
+            f"encoder {kind}", name, nats, EVIDENCE_THRESHOLD_NATS, nats > EVIDENCE_THRESHOLD_NATS
+        )
+        for name, one in found.items()
+        for kind, nats in one.nats.items()
+    ]
     return replace(
         evidence,
-        encoders=_convert_screened_unit(read, angled, _with_columns(encoders, [one.values for one in found.values()]), size),
+        encoders=_convert_screened_unit(
+            read, angled, _with_columns(encoders, [one.values for one in found.values()]), size
+        ),
         faults=(*evidence.faults, *sorted(faults, key=lambda fault: fault.since)),
         findings=(*evidence.findings, *findings),
         hypotheses=(*evidence.hypotheses, *hypotheses),
@@ -78,11 +98,17 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
 def _convert_fault_unit(fault: ReadingFault, name: str, size: float, unit: str) -> Fault:
     """A joint's fault, with its size in readings of `size` rad a unit."""
     std = None if fault.std is None else fault.std / size
-    return Fault("encoders", name, fault.kind, fault.since, fault.size / size, unit, std, until=fault.until)
+    return Fault(
+        "encoders", name, fault.kind, fault.since, fault.size / size, unit, std, until=fault.until
+    )
 
 
-def _convert_screened_unit(read: Encoders, angled: Encoders, screened: Encoders, size: float) -> Encoders:
-    """Screened angles (rad) as readings of `size` rad a unit; those that screening left as they were are exact."""
+def _convert_screened_unit(
+    read: Encoders, angled: Encoders, screened: Encoders, size: float
+) -> Encoders:
+    """Screened angles (rad) as readings of `size` rad a
+    unit; those that screening left as they were are exact.
+    """
     same = screened.values == angled.values
     return replace(screened, values=np.where(same, read.values, screened.values / size))
 
@@ -103,7 +129,8 @@ def _with_columns(encoders: Encoders, columns: Sequence[Array]) -> Encoders:
 
 
 def _screen_encoder(t: Array, y: Array, moved: Callable[[int, int], float]) -> ScreenedEncoder:
-    """Screen one encoder's readings y (N,) rad at t (N,) s; `moved`: nats of images that it moved in [begin, end).
+    """Screen one encoder's readings y (N,) rad at t (N,) s;
+    `moved`: nats of images that it moved in [begin, end).
 
     Only jumps and glitches have a size.
     """
@@ -115,7 +142,9 @@ def _screen_encoder(t: Array, y: Array, moved: Callable[[int, int], float]) -> S
     for one in (find_final_silence(t, y), *find_frozen_readings(t, y, moved)):
         nats[one.kind] = max(nats[one.kind], one.nats)
         if one.nats > EVIDENCE_THRESHOLD_NATS:
-            found.append(ReadingFault(one.kind, float(t[one.begin]), _find_recovery_time(t, y, one)))
+            found.append(
+                ReadingFault(one.kind, float(t[one.begin]), _find_recovery_time(t, y, one))
+            )
             values[one.begin : one.end] = np.nan
     moves = find_level_shifts(t, values)
     nats["jumped"] = max((won for *_, won in moves), default=0.0)
@@ -134,14 +163,21 @@ def _find_recovery_time(t: Array, y: Array, stuck: RepeatedReadings) -> float | 
     return float(t[stuck.end + later[0]]) if len(later) and stuck.end > stuck.begin else None
 
 
-def _find_excursions(t: Array, y: Array, moves: Sequence[tuple[int, float, float]]) -> list[tuple[int, int, float]]:
-    """Short stretches [begin, end) of readings y (N,) before the first jump or between two, and their shifts (rad).
+def _find_excursions(
+    t: Array, y: Array, moves: Sequence[tuple[int, float, float]]
+) -> list[tuple[int, int, float]]:
+    """Short stretches [begin, end) of readings y (N,) before
+    the first jump or between two, and their shifts (rad).
 
-    Such as a driver's zeros before its first reading: the readings after them are sound. Jumps are those of the `moves`
-    that win EVIDENCE_THRESHOLD_NATS.
+    Such as a driver's zeros before its first reading: the readings after them are sound. Jumps are
+    those of the `moves` that win EVIDENCE_THRESHOLD_NATS.
     """
     edges = [(at, size) for at, size, nats in moves if nats > EVIDENCE_THRESHOLD_NATS]
     if not edges:
         return []
     stretches = pairwise([(int(np.isfinite(y).argmax()), -edges[0][1]), *edges])
-    return [(begin, end, size) for (begin, size), (end, _) in stretches if t[end] - t[begin] < LONG_SILENCE_S]
+    return [
+        (begin, end, size)
+        for (begin, size), (end, _) in stretches
+        if t[end] - t[begin] < LONG_SILENCE_S
+    ]

@@ -12,52 +12,79 @@ from ..inference.solution import Solution
 from ..measurements.records import Evidence
 from ..noise.quantisation import step_size
 from .offset_score import offset_score
-from .offset_step import OffsetHypothesis, total_free_energy, find_likeliest_step
-from .threshold import EVIDENCE_THRESHOLD_NATS, CERTAIN_SIGMA
+from .offset_step import OffsetHypothesis, find_likeliest_step, total_free_energy
+from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS
 
 RANDOM_WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
-"""rad²/s: random-walk variances tried; the last one is a constant offset, as of a joint homed differently."""
+"""rad²/s: random-walk variances tried; the last one
+is a constant offset, as of a joint homed differently.
+"""
 
 
-def find_suspected_encoders(problem: FilterProblem, solved: Solution) -> tuple[FilterProblem, Array]:
-    """The problem with the hypotheses of an offset of each encoder, to first order, and which (M,) bool win EVIDENCE_THRESHOLD_NATS."""
+def find_suspected_encoders(
+    problem: FilterProblem, solved: Solution
+) -> tuple[FilterProblem, Array]:
+    """The problem with the hypotheses of an offset of each encoder, to first order, and which (M,)
+    bool win EVIDENCE_THRESHOLD_NATS.
+    """
     gain, offset, var = offset_score(problem, solved, RANDOM_WALKS[0])
     certain = _mark_significant_offsets(offset, var, smallest_fault(problem.evidence))
     found = (("offset", j, nats, False) for j, nats in enumerate(gain)) if gain.any() else ()
-    return _add_hypotheses(problem, found), np.asarray((gain > EVIDENCE_THRESHOLD_NATS) & certain.any(axis=0) & (_list_random_walks(problem) == 0))
+    return _add_hypotheses(problem, found), np.asarray(
+        (gain > EVIDENCE_THRESHOLD_NATS) & certain.any(axis=0) & (_list_random_walks(problem) == 0)
+    )
 
 
 def choose_encoder_offsets(
-    problem: FilterProblem, solved: Solution, suspected: Array, cost: Callable[[FilterProblem], float],
+    problem: FilterProblem,
+    solved: Solution,
+    suspected: Array,
+    cost: Callable[[FilterProblem], float],
     tuned: Callable[[FilterProblem], FilterProblem],
-) -> FilterProblem:  # fmt: skip
-    """Add one offset after the other while each wins EVIDENCE_THRESHOLD_NATS, and the hypotheses compared.
+) -> FilterProblem:
+    """Add one offset after the other while each wins
+    EVIDENCE_THRESHOLD_NATS, and the hypotheses compared.
 
-    suspected (M,) bool: the encoders tried first, at least one. `cost` gives nats, `tuned` a problem with noise of its
-    own evidence. Steps are taken out of the readings, and are faults of the evidence. Joints with an offset are keys of
-    the problem's `alternatives`.
+    suspected (M,) bool: the encoders tried first, at least one. `cost` gives nats, `tuned` a
+    problem with noise of its own evidence. Steps are taken out of the readings, and are faults of
+    the evidence. Joints with an offset are keys of the problem's `alternatives`.
     """
-    first, found = cost(problem), problem
+    first = cost(problem)
+    found = problem
     nats = total_free_energy(solved) if np.isinf(first) else first
     while suspected.any():
-        walks = {j: cost(_with_walk(found, j, RANDOM_WALKS[0])) for j in np.flatnonzero(suspected).tolist()}
-        found = _add_hypotheses(found, (("offset", j, nats - walk, False) for j, walk in walks.items()))
+        walks = {
+            j: cost(_with_walk(found, j, RANDOM_WALKS[0]))
+            for j in np.flatnonzero(suspected).tolist()
+        }
+        found = _add_hypotheses(
+            found, (("offset", j, nats - walk, False) for j, walk in walks.items())
+        )
         wins = min(walks.values()) <= nats - EVIDENCE_THRESHOLD_NATS
         if not wins and found.alternatives:
             break
-        # a gate rejects the readings after a large step, so that no offset wanders there: only a step is left to try
+        # a gate rejects the readings after a large step, so that
+        # no offset wanders there: only a step is left to try
         near = _list_near_optimal_joints(walks) if wins else list(walks)
-        # the kind of offset is chosen before a further one is tried: one that wanders too freely hides others
+        # the kind of offset is chosen before a further one
+        # is tried: one that wanders too freely hides others
         ways = {j: _best_offset_hypothesis(found, j, solved, cost, tuned) for j in near}
         if min(way.nats for way in ways.values()) > nats - EVIDENCE_THRESHOLD_NATS:
             break
-        # among indistinguishable joints take the smallest walk: a larger one follows errors of the body model
+        # among indistinguishable joints take the smallest
+        # walk: a larger one follows errors of the body model
         near = sorted(_list_near_optimal_joints({j: way.nats for j, way in ways.items()}))
         joint = min(near, key=lambda j: (_list_random_walks(ways[j].problem)[j], ways[j].nats))
-        compared = [("step" if way.fault else "offset", j, nats - way.nats, j == joint) for j, way in ways.items()]
-        found, nats = _add_hypotheses(_with_offset_hypothesis(ways[joint], joint, near), compared), ways[joint].nats
+        compared = [
+            ("step" if way.fault else "offset", j, nats - way.nats, j == joint)
+            for j, way in ways.items()
+        ]
+        found = _add_hypotheses(_with_offset_hypothesis(ways[joint], joint, near), compared)
+        nats = ways[joint].nats
         # once one offset is modelled, another may show
-        suspected = (_list_random_walks(found) == 0) & ~np.isin(np.arange(len(suspected)), list(found.alternatives))
+        suspected = (_list_random_walks(found) == 0) & ~np.isin(
+            np.arange(len(suspected)), list(found.alternatives)
+        )
     if len(found.alternatives) < 2:
         return found
     return _reconsider_offsets(problem, found, nats, solved, cost, tuned)
@@ -78,7 +105,9 @@ def _reconsider_offsets(
     again = found
     again_nats = nats
     for joint, others in found.alternatives.items():
-        way = _best_offset_hypothesis(_remove_joint_offset(problem, again, joint), joint, solved, cost, tuned)
+        way = _best_offset_hypothesis(
+            _remove_joint_offset(problem, again, joint), joint, solved, cost, tuned
+        )
         again = _with_offset_hypothesis(way, joint, [joint, *others])
         again_nats = way.nats
     return again if again_nats < nats else found
@@ -107,26 +136,44 @@ def _remove_joint_offset(problem: FilterProblem, found: FilterProblem, joint: in
 
 def _list_near_optimal_joints(costs: Mapping[int, float]) -> list[int]:
     """Joints whose cost is within EVIDENCE_THRESHOLD_NATS of the least."""
-    return [joint for joint, nats in costs.items() if nats < min(costs.values()) + EVIDENCE_THRESHOLD_NATS]
+    return [
+        joint
+        for joint, nats in costs.items()
+        if nats < min(costs.values()) + EVIDENCE_THRESHOLD_NATS
+    ]
 
 
-def _add_hypotheses(problem: FilterProblem, found: Iterable[tuple[str, int, float, bool]]) -> FilterProblem:
-    """The problem with further hypotheses: kind, joint, nats won, chosen or not; the last one of a joint and kind."""
+def _add_hypotheses(
+    problem: FilterProblem, found: Iterable[tuple[str, int, float, bool]]
+) -> FilterProblem:
+    """The problem with further hypotheses: kind, joint, nats
+    won, chosen or not; the last one of a joint and kind.
+    """
     evidence = problem.evidence
-    each = (Hypothesis(f"encoder {kind}", evidence.joints[j], float(nats), EVIDENCE_THRESHOLD_NATS, won) for kind, j, nats, won in found)
+    each = (
+        Hypothesis(f"encoder {kind}", evidence.joints[j], float(nats), EVIDENCE_THRESHOLD_NATS, won)
+        for kind, j, nats, won in found
+    )
     new = {(one.name, one.about): one for one in each}
     known = [new.pop((one.name, one.about), one) for one in evidence.hypotheses]
     return replace(problem, evidence=replace(evidence, hypotheses=(*known, *new.values())))
 
 
 def _with_offset_hypothesis(way: OffsetHypothesis, joint: int, near: list[int]) -> FilterProblem:
-    """The problem with an offset of one joint, or of the others in `near`, which explain as much."""
-    evidence, others = way.problem.evidence, tuple(j for j in near if j != joint)
+    """The problem with an offset of one joint, or
+    of the others in `near`, which explain as much.
+    """
+    evidence = way.problem.evidence
+    others = tuple(j for j in near if j != joint)
     if way.fault is not None:
         size = np.nan if others else way.fault.size
-        fault = replace(way.fault, name=_name_alternatives(evidence.joints, joint, others), size=size)
+        fault = replace(
+            way.fault, name=_name_alternatives(evidence.joints, joint, others), size=size
+        )
         evidence = replace(evidence, faults=(*evidence.faults, fault))
-    return replace(way.problem, evidence=evidence, alternatives={**way.problem.alternatives, joint: others})
+    return replace(
+        way.problem, evidence=evidence, alternatives={**way.problem.alternatives, joint: others}
+    )
 
 
 def _name_alternatives(names: tuple[str, ...], joint: int, others: tuple[int, ...]) -> str:
@@ -135,39 +182,56 @@ def _name_alternatives(names: tuple[str, ...], joint: int, others: tuple[int, ..
 
 
 def _best_offset_hypothesis(
-    problem: FilterProblem, joint: int, solved: Solution, cost: Callable[[FilterProblem], float],
+    problem: FilterProblem,
+    joint: int,
+    solved: Solution,
+    cost: Callable[[FilterProblem], float],
     tuned: Callable[[FilterProblem], FilterProblem],
-) -> OffsetHypothesis:  # fmt: skip
+) -> OffsetHypothesis:
     """The best random walk of one joint's offset, or its step where that costs less.
 
     These are compared with noise `tuned` with the offset: the problem's own has absorbed it.
     """
-    allowed = with_drift(tuned(_with_walk(problem, joint, RANDOM_WALKS[0])), _list_random_walks(problem))
+    allowed = with_drift(
+        tuned(_with_walk(problem, joint, RANDOM_WALKS[0])), _list_random_walks(problem)
+    )
     walks = (_with_walk(allowed, joint, walk) for walk in RANDOM_WALKS)
     best = min((OffsetHypothesis(one, cost(one)) for one in walks), key=lambda way: way.nats)
     step = find_likeliest_step(allowed, best.problem, joint, solved)
     way = step if step is not None and step.nats < best.nats else best
-    # against no offset it counts with the problem's noise: less of it makes an offset of a poor body's errors
-    found = replace(way.problem, precision=replace(problem.precision, drift=way.problem.precision.drift))
+    # against no offset it counts with the problem's noise:
+    # less of it makes an offset of a poor body's errors
+    found = replace(
+        way.problem, precision=replace(problem.precision, drift=way.problem.precision.drift)
+    )
     return way._replace(problem=found, nats=cost(found) + way.prior)
 
 
 def _list_random_walks(problem: FilterProblem) -> Array:
     """Random walks (M,) rad²/s of the offsets in the problem so far."""
-    return np.zeros(len(problem.start)) if problem.precision.drift is None else np.asarray(problem.precision.drift)
+    return (
+        np.zeros(len(problem.start))
+        if problem.precision.drift is None
+        else np.asarray(problem.precision.drift)
+    )
 
 
 def _with_walk(problem: FilterProblem, joint: int, walk: float) -> FilterProblem:
-    return with_drift(problem, np.where(np.arange(len(problem.start)) == joint, walk, _list_random_walks(problem)))
+    return with_drift(
+        problem, np.where(np.arange(len(problem.start)) == joint, walk, _list_random_walks(problem))
+    )
 
 
 def with_drift(problem: FilterProblem, drift: Array) -> FilterProblem:
-    """Return the problem with random walks `drift` (M,) rad²/s of encoder offsets; 0 for no offset."""
+    """Return the problem with random walks `drift`
+    (M,) rad²/s of encoder offsets; 0 for no offset.
+    """
     return replace(problem, precision=replace(problem.precision, drift=drift))
 
 
 def preset_walks(setting: str, evidence: Evidence) -> Array | None:
-    """Random walks (M,) rad²/s set beforehand: for all joints if `on`, for encoders that jumped if `auto`.
+    """Random walks (M,) rad²/s set beforehand: for all
+    joints if `on`, for encoders that jumped if `auto`.
 
     Without images nothing tells what is left of a jump: its size's variance is all that is known.
     """
@@ -175,12 +239,15 @@ def preset_walks(setting: str, evidence: Evidence) -> Array | None:
     seen = any(sighting.name != "touch" for sighting in evidence.sightings)
     jumped = {fault.name for fault in evidence.faults if fault.kind == "jumping" and seen}
     if setting == "on" or (setting == "auto" and jumped):
-        return np.array([RANDOM_WALKS[1] if setting == "on" or name in jumped else 0.0 for name in names])
+        return np.array(
+            [RANDOM_WALKS[1] if setting == "on" or name in jumped else 0.0 for name in names]
+        )
     return None
 
 
 def repaired_variance(problem: FilterProblem, offset_var: Array | None) -> Array:
-    """Variance (E,M) rad² of angles by the sizes ± std of jumps that were taken out of earlier readings.
+    """Variance (E,M) rad² of angles by the sizes ± std
+    of jumps that were taken out of earlier readings.
 
     offset_var (E,M) rad²: of offsets in the state, or None. Images that turned an offset's prior
     variance V into P hold the information 1/P − 1/V. They hold it of what is left of the jump, too:
@@ -205,21 +272,27 @@ def repaired_variance(problem: FilterProblem, offset_var: Array | None) -> Array
 
 
 def smallest_fault(evidence: Evidence) -> Array | float:
-    """Smallest offsets (M,) that count as faults, in the readings' unit: sound encoders are off by half a count.
+    """Smallest offsets (M,) that count as faults, in the
+    readings' unit: sound encoders are off by half a count.
 
     An encoder that never moved is assumed to have the largest step of the others.
     """
-    encoders, least = evidence.encoders, OFFSET_STD / evidence.rad_per_unit
+    encoders = evidence.encoders
+    least = OFFSET_STD / evidence.rad_per_unit
     if encoders is None:
         return least
     columns = [column[np.isfinite(column)] for column in encoders.values.T]
     steps = [step_size(y) for y in columns]
-    steps_shown = [step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, columns, strict=True)]
+    steps_shown = [
+        step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, columns, strict=True)
+    ]
     return np.maximum(least, steps_shown)
 
 
 def _mark_significant_offsets(offset: Array, var: Array, least: Array | float) -> Array:
-    """Where offsets (N,M) with variances (N,M) are significant and at least `smallest_fault` (M,) rad."""
+    """Where offsets (N,M) with variances (N,M) are
+    significant and at least `smallest_fault` (M,) rad.
+    """
     return np.asarray(np.abs(offset) > np.maximum(least, CERTAIN_SIGMA * np.sqrt(var)))
 
 
@@ -228,9 +301,14 @@ def list_drifting_encoders(problem: FilterProblem, offset: Array, var: Array) ->
 
     Where another joint's offset explains nearly as much, both are named and the size is NaN.
     """
-    t, walks, names = problem.timeline.t, _list_random_walks(problem), problem.evidence.joints
-    found, certain = [], _mark_significant_offsets(offset, var, smallest_fault(problem.evidence))
-    stepped = [(joint, *others) for joint, others in problem.alternatives.items() if not walks[joint]]
+    t = problem.timeline.t
+    walks = _list_random_walks(problem)
+    names = problem.evidence.joints
+    found = []
+    certain = _mark_significant_offsets(offset, var, smallest_fault(problem.evidence))
+    stepped = [
+        (joint, *others) for joint, others in problem.alternatives.items() if not walks[joint]
+    ]
     known = (fault.name for fault in problem.evidence.faults if fault.sense == "encoders")
     faulty = {*known, *(names[j] for joints in stepped for j in joints)}
     for joint, name in enumerate(names):
@@ -242,7 +320,14 @@ def list_drifting_encoders(problem: FilterProblem, offset: Array, var: Array) ->
             alternatives = problem.alternatives.get(joint, ())
             # the largest that is certain
             at = int((np.abs(offset[:, joint]) - CERTAIN_SIGMA * np.sqrt(var[:, joint])).argmax())
-            size, std = (np.nan, None) if alternatives else (float(offset[at, joint]), float(np.sqrt(var[at, joint])))
-            either, since = _name_alternatives(names, joint, alternatives), float(t[lasting.argmax()])
-            found.append(Fault("encoders", either, "drifting", since, size, problem.evidence.unit, std))
+            size, std = (
+                (np.nan, None)
+                if alternatives
+                else (float(offset[at, joint]), float(np.sqrt(var[at, joint])))
+            )
+            either = _name_alternatives(names, joint, alternatives)
+            since = float(t[lasting.argmax()])
+            found.append(
+                Fault("encoders", either, "drifting", since, size, problem.evidence.unit, std)
+            )
     return tuple(found)

@@ -6,12 +6,14 @@ import numpy as np
 
 from ...types import Array
 from ..inference.initial_path import OFFSET_STD
-from ..measurements.long_arrays import LEVEL_READINGS, median_by_pivot, median_step, index_true_rows
+from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_by_pivot, median_step
 from ..noise.quantisation import step_size
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 MAX_ACCELERATION_RAD_S2 = 1000.0
-"""rad/s²: largest acceleration of a joint; the fastest parallel robots reach a third of it at 1 m (15 g at 0.5 m)."""
+"""rad/s²: largest acceleration of a joint; the fastest
+parallel robots reach a third of it at 1 m (15 g at 0.5 m).
+"""
 
 
 SIZE_READINGS = 2 * LEVEL_READINGS
@@ -21,9 +23,12 @@ sizes are off by 0.90 to 0.95 of the stated standard deviation, and by 3.0 of it
 
 
 def find_jumps(t: Array, y: Array) -> list[tuple[int, float, float]]:
-    """Return first index after each lasting shift in level of y (N,) rad at t (N,) s, its size and std (rad)."""
+    """Return first index after each lasting shift in level
+    of y (N,) rad at t (N,) s, its size and std (rad).
+    """
     known = np.flatnonzero(np.isfinite(y))
-    when, v = t[known], y[known]
+    when = t[known]
+    v = y[known]
     begins = [at for at, _, nats in find_level_shifts(t, y) if nats > EVIDENCE_THRESHOLD_NATS]
     at_known = np.searchsorted(known, begins)
     edges = [0, *at_known.tolist(), len(known)]
@@ -34,7 +39,9 @@ def find_jumps(t: Array, y: Array) -> list[tuple[int, float, float]]:
 
 
 def _fit_jump_size(t: Array, v: Array, at: int) -> tuple[float, float]:
-    """Size and std (rad) of a jump before the reading `at` of v (N,) rad at t (N,) s: a cubic and a step."""
+    """Size and std (rad) of a jump before the reading
+    `at` of v (N,) rad at t (N,) s: a cubic and a step.
+    """
     window = slice(max(0, at - SIZE_READINGS), at + SIZE_READINGS)
     since = t[window] - t[at]
     after = np.where(since >= 0.0, 1.0, 0.0)
@@ -48,7 +55,9 @@ def _fit_jump_size(t: Array, v: Array, at: int) -> tuple[float, float]:
 
 
 def _estimate_reading_noise(v: Array) -> float:
-    """Scatter (rad) of readings v (N,), by their second differences, and at least that of rounding."""
+    """Scatter (rad) of readings v (N,), by their
+    second differences, and at least that of rounding.
+    """
     bends = np.abs(np.diff(v, 2))
     # a normal scatter σ has second differences of √6 σ, whose median size is 0.67 of that
     scatter = float(median_by_pivot(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
@@ -57,33 +66,45 @@ def _estimate_reading_noise(v: Array) -> float:
 
 
 def find_level_shifts(t: Array, y: Array) -> list[tuple[int, float, float]]:
-    """The first index after each shift that may be a jump, its size (rad) and the nats it wins, for y (N,) at t (N,) s.
+    """The first index after each shift that may be a jump, its
+    size (rad) and the nats it wins, for y (N,) at t (N,) s.
 
-    The largest sound shift wins EVIDENCE_THRESHOLD_NATS. The largest step is among them, sound or not.
+    The largest sound shift wins EVIDENCE_THRESHOLD_NATS.
+    The largest step is among them, sound or not.
     """
     known = index_true_rows(np.isfinite(y))
-    v, when = y[known], t[known]
+    v = y[known]
+    when = t[known]
     if len(v) < 4 * LEVEL_READINGS:
         return []
-    steps, usual = np.diff(v), median_step(when)
+    steps = np.diff(v)
+    usual = median_step(when)
     bound = _largest_sound_step(steps, when, usual)
     # after a gap the joint may have moved to the new reading
     sizes = np.where(np.diff(when) < 3.0 * usual, np.abs(steps), 0.0)
     tried = {*np.flatnonzero(sizes > bound).tolist(), int(sizes.argmax())}
     found = [(k, _measure_level_shift(v, k)) for k in sorted(tried)]
-    return [(int(np.searchsorted(t, when[k + 1])), size, EVIDENCE_THRESHOLD_NATS * (size / bound) ** 2) for k, size in found]
+    return [
+        (int(np.searchsorted(t, when[k + 1])), size, EVIDENCE_THRESHOLD_NATS * (size / bound) ** 2)
+        for k, size in found
+    ]
 
 
 def _largest_sound_step(steps: Array, when: Array, usual: float) -> float:
-    """Largest step (rad) of a sound encoder, from steps (N-1,) rad at `when` (N,) s, `usual` s apart."""
+    """Largest step (rad) of a sound encoder, from
+    steps (N-1,) rad at `when` (N,) s, `usual` s apart.
+    """
     # from rest to rest in a time h takes 4 s/h²
     fastest = MAX_ACCELERATION_RAD_S2 * max(usual, _hold_time(steps, when)) ** 2 / 4.0
     return max(EVIDENCE_THRESHOLD_NATS * _estimate_step_scale(steps), OFFSET_STD, fastest)
 
 
 def _measure_level_shift(v: Array, k: int) -> float:
-    """Shift in level (rad) of readings v (N,) after the k-th; 0 if they change as much beside it, or are too few."""
-    before, after = v[max(0, k + 1 - LEVEL_READINGS) : k + 1], v[k + 1 : k + 1 + LEVEL_READINGS]
+    """Shift in level (rad) of readings v (N,) after the
+    k-th; 0 if they change as much beside it, or are too few.
+    """
+    before = v[max(0, k + 1 - LEVEL_READINGS) : k + 1]
+    after = v[k + 1 : k + 1 + LEVEL_READINGS]
     if len(before) < LEVEL_READINGS or len(after) < LEVEL_READINGS:
         return 0.0
     size = _extrapolate_level(after[::-1]) - _extrapolate_level(before)
@@ -92,15 +113,20 @@ def _measure_level_shift(v: Array, k: int) -> float:
 
 
 def unwrap_turns(y: Array) -> Array:
-    """Return readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
+    """Return readings y (N,) rad, NaN where missing,
+    with whole turns between neighbours removed.
+    """
     # a shift nearer to half a turn is a false reading
-    found, known = y.copy(), np.isfinite(y)
+    found = y.copy()
+    known = np.isfinite(y)
     found[known] = np.unwrap(y[known], 0.75 * tau)
     return found
 
 
 def _hold_time(steps: Array, t: Array) -> float:
-    """Time (s), at most 0.1, for which the driver holds a reading, from steps (N-1,) rad at t (N,) s, or 0."""
+    """Time (s), at most 0.1, for which the driver holds
+    a reading, from steps (N-1,) rad at t (N,) s, or 0.
+    """
     sizes = np.abs(steps)
     if 2 * np.count_nonzero(steps) > len(steps):
         return 0.0
@@ -109,7 +135,8 @@ def _hold_time(steps: Array, t: Array) -> float:
 
 
 def _estimate_step_scale(steps: Array) -> float:
-    """Scale (rad) of steps (N,) rad with the long tails of motion, e^(−|step|/scale): a step of EVIDENCE_THRESHOLD_NATS scales wins EVIDENCE_THRESHOLD_NATS.
+    """Scale (rad) of steps (N,) rad with the long tails of motion, e^(−|step|/scale): a step of
+    EVIDENCE_THRESHOLD_NATS scales wins EVIDENCE_THRESHOLD_NATS.
 
     For coarse encoders, whose median step is 0, the median nonzero step.
     """

@@ -1,9 +1,10 @@
 """A moved camera: from some time on, everything it shows is displaced by the same pixels.
 
-Means of encoder readings predict positions. The residuals r (R,) px of a track's curve are normal with covariance C:
-noise, model error (correlated by posture), and wandering offsets of all encoders. A displacement Δ ~ N(0, σ²I) from the
-k-th mean on, with all k equally likely, adds ½ bᵀA⁻¹b − ½ ln|σ²A| to ln p(r), where A = SᵀC⁻¹S + I/σ² and b = SᵀC⁻¹r.
-It must win against no displacement, encoders that wander, one that steps, and all wrong at first.
+Means of encoder readings predict positions. The residuals r (R,) px of a track's curve are normal
+with covariance C: noise, model error (correlated by posture), and wandering offsets of all
+encoders. A displacement Δ ~ N(0, σ²I) from the k-th mean on, with all k equally likely, adds ½
+bᵀA⁻¹b − ½ ln|σ²A| to ln p(r), where A = SᵀC⁻¹S + I/σ² and b = SᵀC⁻¹r. It must win against no
+displacement, encoders that wander, one that steps, and all wrong at first.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,7 @@ from ..measurements.gather import camera_of_track
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.track_curve import Curve, interpolate_curve, track_curve
 from .encoder_offset import RANDOM_WALKS
-from .threshold import PRIOR_STD_RAD, MIN_DELAY_S, EVIDENCE_THRESHOLD_NATS
+from .threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
 MAX_READING_MEANS = 160
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
@@ -28,7 +29,9 @@ MAX_READING_MEANS = 160
 
 @dataclass(frozen=True, eq=False)
 class CameraDisplacement:
-    """A displacement (2,) px since t (s), its covariance (2,2), and the nats won against all other explanations."""
+    """A displacement (2,) px since t (s), its covariance
+    (2,2), and the nats won against all other explanations.
+    """
 
     t: float
     size: Array
@@ -38,8 +41,8 @@ class CameraDisplacement:
 
 @dataclass(frozen=True, eq=False)
 class _DisplacementRows:
-    """Rows of all tracks: t (R,) s · output (R,) 0 or 1 · residuals r (R,) px · jac (R,M) px/rad · the Cholesky factor
-    (R,R) of their covariance.
+    """Rows of all tracks: t (R,) s · output (R,) 0 or 1 · residuals r (R,) px · jac (R,M) px/rad ·
+    the Cholesky factor (R,R) of their covariance.
     """
 
     t: Array
@@ -50,7 +53,9 @@ class _DisplacementRows:
 
     def without(self, moves: Sequence[CameraDisplacement]) -> "_DisplacementRows":
         """The rows with displacements subtracted."""
-        return replace(self, r=self.r - sum(one.size[self.output] * (self.t >= one.t) for one in moves))
+        return replace(
+            self, r=self.r - sum(one.size[self.output] * (self.t >= one.t) for one in moves)
+        )
 
     def wandering(self, walk: float) -> "_DisplacementRows":
         """The rows with encoders' offsets that wander by `walk` rad²/s."""
@@ -60,14 +65,20 @@ class _DisplacementRows:
     @property
     def cost(self) -> float:
         """−ln p (nats), up to a constant of all hypotheses."""
-        return float(_nats_at_best_scale(np.square(forward_substituted(self.chol, self.r[:, None])).sum(), self.chol))
+        return float(
+            _nats_at_best_scale(
+                np.square(forward_substituted(self.chol, self.r[:, None])).sum(), self.chol
+            )
+        )
 
 
 class _ModelWithAddedVariance:
     """A forward model with added variance (D,) unit²; otherwise the plain model."""
 
     def __init__(self, plain: ForwardModel, added: Array) -> None:
-        self._plain, self._added, self.outputs = plain, added, plain.outputs
+        self._plain = plain
+        self._added = added
+        self.outputs = plain.outputs
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__") or name == "_plain":
@@ -80,18 +91,31 @@ class _ModelWithAddedVariance:
 
 
 def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
-    """Undo camera displacements in the tracks; the uncertainty of each is added to the model's variance.
+    """Undo camera displacements in the tracks; the
+    uncertainty of each is added to the model's variance.
 
     Without effect if encoders read another function of the angle.
     """
     if evidence.encoders is None or "encoders" in body.senses:
         return evidence
-    sightings, faults, hypotheses = list(evidence.sightings), list[Fault](), list[Hypothesis]()
-    tracks = [k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs == ("u", "v")]
+    sightings = list(evidence.sightings)
+    faults = list[Fault]()
+    hypotheses = list[Hypothesis]()
+    tracks = [
+        k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs == ("u", "v")
+    ]
     for name in dict.fromkeys(camera_of_track(sightings[k].name) for k in tracks):
         own = [k for k in tracks if camera_of_track(sightings[k].name) == name]
         for found in find_displacements(evidence.encoders, [sightings[k] for k in own]):
-            hypotheses.append(Hypothesis("camera moved", name, found.nats, EVIDENCE_THRESHOLD_NATS, found.nats > EVIDENCE_THRESHOLD_NATS))
+            hypotheses.append(
+                Hypothesis(
+                    "camera moved",
+                    name,
+                    found.nats,
+                    EVIDENCE_THRESHOLD_NATS,
+                    found.nats > EVIDENCE_THRESHOLD_NATS,
+                )
+            )
             if found.nats > EVIDENCE_THRESHOLD_NATS:
                 faults.append(_displacement_fault(name, found))
                 for k in own:
@@ -115,23 +139,33 @@ def subtract_displacement(sighting: Sighting, moved: CameraDisplacement) -> Sigh
 
 
 def find_displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[CameraDisplacement]:
-    """Return the displacements of one camera's tracks that win EVIDENCE_THRESHOLD_NATS, by time, or else the most likely one.
+    """Return the displacements of one camera's tracks that win EVIDENCE_THRESHOLD_NATS, by time, or
+    else the most likely one.
 
     Empty where too little is seen.
     """
-    found = [(s, curve) for s in seen if (curve := track_curve(encoders, s, MAX_READING_MEANS // len(seen))) is not None]
+    found = [
+        (s, curve)
+        for s in seen
+        if (curve := track_curve(encoders, s, MAX_READING_MEANS // len(seen))) is not None
+    ]
     rows = _build_displacement_rows(found) if found else None
     if rows is None or not len(rows.t):
         return []
     moves = _search_displacements(rows)
     if moves[0].nats > EVIDENCE_THRESHOLD_NATS:
         beyond = _gain_over_encoders(rows, moves)
-        moves = [replace(one, nats=min(one.nats, beyond)) for one in (moves if beyond > EVIDENCE_THRESHOLD_NATS else moves[:1])]
+        moves = [
+            replace(one, nats=min(one.nats, beyond))
+            for one in (moves if beyond > EVIDENCE_THRESHOLD_NATS else moves[:1])
+        ]
     return sorted(moves, key=lambda one: one.t)
 
 
 def _search_displacements(rows: _DisplacementRows) -> list[CameraDisplacement]:
-    """Add displacements while each wins EVIDENCE_THRESHOLD_NATS, re-estimating the others each time; else the most likely one."""
+    """Add displacements while each wins EVIDENCE_THRESHOLD_NATS, re-estimating the others each
+    time; else the most likely one.
+    """
     moves = [_best_displacement(rows)]
     while moves[-1].nats > EVIDENCE_THRESHOLD_NATS:
         more = [*moves, _best_displacement(rows.without(moves))]
@@ -152,10 +186,12 @@ def _best_displacement(rows: _DisplacementRows) -> CameraDisplacement:
 
 
 def _gain_over_encoders(rows: _DisplacementRows, moves: list[CameraDisplacement]) -> float:
-    """Nats won by each move against the best alternative: encoders wander, one steps, or all err at first.
+    """Nats won by each move against the best alternative:
+    encoders wander, one steps, or all err at first.
 
-    Negative where residuals exceed the noise: the model is not linear over a large offset. A step of one encoder is as
-    simple as one displacement, so it is compared with the first displacement alone.
+    Negative where residuals exceed the noise: the model is not linear
+    over a large offset. A step of one encoder is as simple as one
+    displacement, so it is compared with the first displacement alone.
     """
     white = forward_substituted(rows.chol, rows.without(moves).r[:, None])
     # the mean square is 1 where all noise is as stated
@@ -166,24 +202,43 @@ def _gain_over_encoders(rows: _DisplacementRows, moves: list[CameraDisplacement]
     settled = _best_step(rows, rows.jac, PRIOR_STD_RAD, until=True).nats
     # each given those before it: given those after it, too, displacements that cancel win twice
     won = [_best_displacement(rows.without(moves[:k])).nats for k in range(len(moves))]
-    return min(steps - rows.cost + won[0], (min(settled, *wandering) - rows.cost + sum(won)) / len(moves))
+    return min(
+        steps - rows.cost + won[0], (min(settled, *wandering) - rows.cost + sum(won)) / len(moves)
+    )
 
 
 def _build_displacement_rows(found: Sequence[tuple[Sighting, Curve]]) -> _DisplacementRows:
-    """The tracks' curves beside the encoders, as rows whose covariance is that of a fixed camera and sound encoders."""
-    parts, own = list[tuple[Array, ...]](), list[Array]()
+    """The tracks' curves beside the encoders, as rows whose
+    covariance is that of a fixed camera and sound encoders.
+    """
+    parts = list[tuple[Array, ...]]()
+    own = list[Array]()
     for sighting, curve in found:
         place, speed, *_, sound = interpolate_curve(curve, 0.0)
-        x, off = curve.x[sound] / getattr(sighting.model, "reach", np.inf), place - curve.predicted
-        correlation = np.exp(-0.5 * sum(np.square(np.subtract.outer(column, column)) for column in x.T))
+        x = curve.x[sound] / getattr(sighting.model, "reach", np.inf)
+        off = place - curve.predicted
+        correlation = np.exp(
+            -0.5 * sum(np.square(np.subtract.outer(column, column)) for column in x.T)
+        )
         for d in range(2):
             model = np.sqrt(curve.model[sound, d])
             own.append(np.outer(model, model) * correlation + curve.noise[d] * np.eye(len(model)))
-            columns = curve.at, np.full(len(curve.at), d), off[:, d], curve.jac[:, d], curve.encoder, speed[:, d]
+            columns = (
+                curve.at,
+                np.full(len(curve.at), d),
+                off[:, d],
+                curve.jac[:, d],
+                curve.encoder,
+                speed[:, d],
+            )
             parts.append(tuple(column[sound] for column in columns))
-    t, output, r, jac, encoder, speed = (np.concatenate(column) for column in zip(*parts, strict=True))
+    t, output, r, jac, encoder, speed = (
+        np.concatenate(column) for column in zip(*parts, strict=True)
+    )
     # rows of one time share the same means of encoder readings
-    cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _offset_covariance(t, jac, RANDOM_WALKS[-1])
+    cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _offset_covariance(
+        t, jac, RANDOM_WALKS[-1]
+    )
     # smaller delays are left
     cov += MIN_DELAY_S**2 * np.outer(speed, speed)
     for end, block in zip(np.cumsum([len(block) for block in own]).tolist(), own, strict=True):
@@ -192,20 +247,29 @@ def _build_displacement_rows(found: Sequence[tuple[Sighting, Curve]]) -> _Displa
 
 
 def _offset_covariance(t: Array, jac: Array, walk: float) -> Array:
-    """Covariance (R,R) px² added by encoders' offsets that wander by `walk` rad²/s; jac (R,M) px/rad."""
+    """Covariance (R,R) px² added by encoders' offsets
+    that wander by `walk` rad²/s; jac (R,M) px/rad.
+    """
     since = t - t.min(initial=np.inf)
     return np.asarray((jac @ jac.T) * (OFFSET_STD**2 + walk * np.minimum.outer(since, since)))
 
 
-def _best_step(rows: _DisplacementRows, basis: Array, wide: float, until: bool = False) -> CameraDisplacement:
+def _best_step(
+    rows: _DisplacementRows, basis: Array, wide: float, until: bool = False
+) -> CameraDisplacement:
     """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time.
 
-    Its `nats` is the cost, −ln p of all rows, averaged over all times of a step. `until`: it is undone at its time.
+    Its `nats` is the cost, −ln p of all rows, averaged over
+    all times of a step. `until`: it is undone at its time.
     """
-    times, d = np.unique(rows.t), basis.shape[1]
+    times = np.unique(rows.t)
+    d = basis.shape[1]
     steps = basis[:, :, None] * ((rows.t[:, None] >= times) != until)[:, None, :]
-    white = forward_substituted(rows.chol, np.column_stack([rows.r, steps.reshape(len(rows.t), -1)]))
-    r, s = white[:, 0], white[:, 1:].reshape(len(rows.t), d, len(times))
+    white = forward_substituted(
+        rows.chol, np.column_stack([rows.r, steps.reshape(len(rows.t), -1)])
+    )
+    r = white[:, 0]
+    s = white[:, 1:].reshape(len(rows.t), d, len(times))
     info = np.einsum("rdk,rek->kde", s, s) + np.eye(d) / wide**2
     pull = np.einsum("rdk,r->kd", s, r)
     size = np.linalg.solve(info, pull[..., None])[..., 0]
@@ -220,4 +284,6 @@ def _best_step(rows: _DisplacementRows, basis: Array, wide: float, until: bool =
 def _nats_at_best_scale(square: Array, chol: Array) -> Array:
     """−ln p (nats) from squared whitened residuals, at the most likely common noise scale ≥ 1."""
     scale = np.maximum(square / len(chol), 1.0)
-    return np.asarray(0.5 * (square / scale + len(chol) * np.log(scale)) + np.log(np.diag(chol)).sum())
+    return np.asarray(
+        0.5 * (square / scale + len(chol) * np.log(scale)) + np.log(np.diag(chol)).sum()
+    )

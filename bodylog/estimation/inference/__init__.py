@@ -1,1 +1,3 @@
-"""The Gaussian engine: one pass over a log, the same instant by instant, and re-acquisition after silences."""
+"""The Gaussian engine: one pass over a log, the same
+instant by instant, and re-acquisition after silences.
+"""

@@ -7,10 +7,13 @@ from ...types import Array
 MAX_SWEEPS = 25
 """Most sweeps: both methods converge within 13 on 15 simulated and recorded logs."""
 CONVERGED_MOVE = 1e-9
-"""Once converged, a stretch's start moves by fewer standard deviations, a frame's linearisation point by fewer rad."""
+"""Once converged, a stretch's start moves by fewer standard
+deviations, a frame's linearisation point by fewer rad.
+"""
 ROUGHLY_CONVERGED_MOVE = 1e-3
-"""The same for comparing evidence, for a path through silences and for a delay. With 1e-2 a smoother keeps a wrong
-posture in a log whose encoder is off by 0.5 rad in its first two readings."""
+"""The same for comparing evidence, for a path through silences and for a delay. With 1e-2 a
+smoother keeps a wrong posture in a log whose encoder is off by 0.5 rad in its first two readings.
+"""
 
 
 class DidNotConverge(Exception):

@@ -12,11 +12,13 @@ from .stationary import Stationary
 
 @dataclass(frozen=True, eq=False)
 class FilterDynamics:
-    """White acceleration (M,) rad²/s³, or jerk rad²/s⁵ · random walk (M,) rad²/s of offsets, or None; or (M,C).
+    """White acceleration (M,) rad²/s³, or jerk rad²/s⁵ ·
+    random walk (M,) rad²/s of offsets, or None; or (M,C).
 
-    is_prior (M,) bool: joints whose readings come from the posture prior; they do not count as evidence · order: 2 for
-    white acceleration, 3 for white jerk · stationary: motion of joints whose encoders are silent for long, or None. A
-    state holds all joints' angles, rates[, accelerations][, encoder offsets].
+    is_prior (M,) bool: joints whose readings come from the posture prior; they do not count as
+    evidence · order: 2 for white acceleration, 3 for white jerk · stationary: motion of joints
+    whose encoders are silent for long, or None. A state holds all joints' angles, rates[,
+    accelerations][, encoder offsets].
     """
 
     process: Array
@@ -36,12 +38,15 @@ class FilterDynamics:
         return None if self.drift is None else self.order * len(self.process)
 
     def moves(self, dt: Array, held: Array) -> tuple[Array, Array, Array]:
-        """Move (E,S,S,M), shift (E,S,M) and noise (E,S,S,M) of joints held (E,M) for dt (E,) s: a stationary process.
+        """Move (E,S,S,M), shift (E,S,M) and noise (E,S,S,M) of
+        joints held (E,M) for dt (E,) s: a stationary process.
 
         The move of other joints is NaN.
         """
         assert self.stationary is not None
-        m, order, some = len(self.process), self.order, np.flatnonzero(held.any(axis=1))
+        m = len(self.process)
+        order = self.order
+        some = np.flatnonzero(held.any(axis=1))
         states = self.size // m
         move, noise = np.zeros((2, len(dt), states, states, m))
         shift = np.zeros((*move.shape[:-2], m))
@@ -56,12 +61,13 @@ class FilterDynamics:
 
 @dataclass(frozen=True, eq=False)
 class FilterReadings:
-    """Measurements, folded (L,…,C): dt s · encoders, var (L,M,C), NaN where silent · T tracks of D rows.
+    """Measurements, folded (L,…,C): dt s · encoders,
+    var (L,M,C), NaN where silent · T tracks of D rows.
 
-    A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where unseen.
-    reset (L,M,C) bool: joints that restart from a wide prior at an instant, or None.
-    more (L,M,C): factor on the process variance before an instant, or None for 1.
-    moves: move (L,S,S,M,C), shift (L,S,M,C), noise (L,S,S,M,C) of the states before an instant; NaN: by dt.
+    A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where
+    unseen. reset (L,M,C) bool: joints that restart from a wide prior at an instant, or None. more
+    (L,M,C): factor on the process variance before an instant, or None for 1. moves: move
+    (L,S,S,M,C), shift (L,S,M,C), noise (L,S,S,M,C) of the states before an instant; NaN: by dt.
     gate: standard deviations beyond which innovations count as outliers.
     """
 
@@ -78,7 +84,9 @@ class FilterReadings:
 
     def between(self, first: int, last: int) -> "FilterReadings":
         """Those of some instants."""
-        parts: dict[str, Any] = {k: part[first:last] for k, part in vars(self).items() if isinstance(part, np.ndarray)}
+        parts: dict[str, Any] = {
+            k: part[first:last] for k, part in vars(self).items() if isinstance(part, np.ndarray)
+        }
         if self.moves is not None:
             parts["moves"] = tuple(part[first:last] for part in self.moves)
         return replace(self, **parts)
@@ -86,7 +94,9 @@ class FilterReadings:
     def repeated(self, count: int) -> "FilterReadings":
         """One stretch, `count` times side by side."""
         parts: dict[str, Any] = {
-            k: np.repeat(part, count, axis=-1) for k, part in vars(self).items() if isinstance(part, np.ndarray)
+            k: np.repeat(part, count, axis=-1)
+            for k, part in vars(self).items()
+            if isinstance(part, np.ndarray)
         }
         if self.moves is not None:
             parts["moves"] = tuple(np.repeat(part, count, axis=-1) for part in self.moves)

@@ -13,11 +13,18 @@ if TYPE_CHECKING:
     from .problem import FilterProblem
 
 
-def fold_readings(problem: "FilterProblem", fold: Fold, held: Array | None = None) -> FilterReadings:
-    """Readings of all instants, folded, without the frames' tangents; held (E,M) bool: joints silent for long."""
-    more, held = None if problem.more is None else fold.fold(problem.more, 1.0), problem.held if held is None else held
+def fold_readings(
+    problem: "FilterProblem", fold: Fold, held: Array | None = None
+) -> FilterReadings:
+    """Readings of all instants, folded, without the frames'
+    tangents; held (E,M) bool: joints silent for long.
+    """
+    more = None if problem.more is None else fold.fold(problem.more, 1.0)
+    held = problem.held if held is None else held
     parts = _build_reading_parts(problem, fold, *encoder_rows(problem))
-    found = FilterReadings(*parts, reset=_mark_restarting_joints(problem, fold), more=more, gate=problem.gate)
+    found = FilterReadings(
+        *parts, reset=_mark_restarting_joints(problem, fold), more=more, gate=problem.gate
+    )
     if held is None or problem.stationary is None or not held.any():
         return found
     dt = np.diff(problem.timeline.t, prepend=problem.timeline.t[0])
@@ -40,26 +47,35 @@ def _build_reading_parts(
     problem: "FilterProblem", fold: Fold, values: Array, values_var: Array
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     """The parts of `FilterReadings`: encoder rows (E,M) with variances, and room for the frames."""
-    line, m = problem.timeline, len(problem.start)
+    line = problem.timeline
+    m = len(problem.start)
     sizes = [sighting.values.shape[1] for sighting in problem.evidence.sightings]
     shape = (fold.length, len(sizes), max(sizes, default=2))
-    y, var = np.full((*shape, fold.count), np.nan), np.ones((*shape, fold.count))
+    y = np.full((*shape, fold.count), np.nan)
+    var = np.ones((*shape, fold.count))
     jac = np.zeros((*shape, m, fold.count))
     dt = fold.fold(np.diff(line.t, prepend=line.t[0]), 0.0)
     return dt, fold.fold(values, np.nan), fold.fold(values_var, 1.0), y, jac, var
 
 
 def encoder_rows(problem: "FilterProblem", until: int | None = None) -> tuple[Array, Array]:
-    """Readings (E,M) rad, NaN where silent, and variances (E,M); the posture prior for joints without an encoder.
+    """Readings (E,M) rad, NaN where silent, and variances
+    (E,M); the posture prior for joints without an encoder.
 
     Only of the first `until` instants, if given.
     """
-    t, at = problem.timeline.t[:until], problem.timeline.encoders
-    encoders, found = np.full((len(t), len(problem.start)), np.nan), problem.evidence.encoders
+    t = problem.timeline.t[:until]
+    at = problem.timeline.encoders
+    encoders = np.full((len(t), len(problem.start)), np.nan)
+    found = problem.evidence.encoders
     var = np.tile(problem.precision.encoder, (len(t), 1))
     if found is not None:
         rows = int(np.searchsorted(at, len(t)))
         encoders[at[:rows]] = found.values[:rows]
         if found.relative is not None:
             var[at[:rows]] *= found.relative[:rows]
-    return (encoders, var) if problem.posture_prior is None else problem.posture_prior.fill(t, encoders, var)
+    return (
+        (encoders, var)
+        if problem.posture_prior is None
+        else problem.posture_prior.fill(t, encoders, var)
+    )

@@ -1,4 +1,6 @@
-"""A long log folded into stretches that are filtered in parallel: (E,…) in time order <-> (L,…,C)."""
+"""A long log folded into stretches that are filtered
+in parallel: (E,…) in time order <-> (L,…,C).
+"""
 
 from dataclasses import dataclass
 
@@ -23,7 +25,9 @@ class Fold:
         """(E,…) -> (L,…,C), with `fill` after the last event."""
         padded = np.empty((self.length * self.count, *a.shape[1:]))
         padded[: self.events], padded[self.events :] = a, fill
-        return np.ascontiguousarray(np.moveaxis(padded.reshape(self.count, self.length, *a.shape[1:]), 0, -1))
+        return np.ascontiguousarray(
+            np.moveaxis(padded.reshape(self.count, self.length, *a.shape[1:]), 0, -1)
+        )
 
     def unfold(self, a: Array) -> Array:
         """(L,…,C) -> (E,…)."""

@@ -1,14 +1,22 @@
-"""The generalised free-energy filter: belief over angles and rates, Gauss–Newton to convergence at every instant.
+"""The generalised free-energy filter: belief over angles
+and rates, Gauss–Newton to convergence at every instant.
 
-Under the Laplace approximation this is an iterated extended Kalman filter. Each sweep linearises all frames, and
-filters all stretches of the log side by side from the ends of their predecessors. Sweeps repeat until neither the
-linearisation points nor the starts move: the fixed point is the sequential filter's solution.
+Under the Laplace approximation this is an iterated extended Kalman filter. Each sweep linearises
+all frames, and filters all stretches of the log side by side from the ends of their predecessors.
+Sweeps repeat until neither the linearisation points nor the starts move: the fixed point is the
+sequential filter's solution.
 """
 
 import numpy as np
 
 from ...types import Array
-from .convergence import CONVERGED_MOVE, MAX_SWEEPS, DidNotConverge, measure_farthest_move, require_finite
+from .convergence import (
+    CONVERGED_MOVE,
+    MAX_SWEEPS,
+    DidNotConverge,
+    measure_farthest_move,
+    require_finite,
+)
 from .folded_readings import fold_readings
 from .folds import Fold, choose_fold
 from .initial_path import hand_over_starts, initial_tangents, starts_from_solution
@@ -18,15 +26,25 @@ from .solution import Solution
 from .tangents import Tangents
 
 
-def solve_by_gauss_newton(problem: FilterProblem, warm: Solution | None = None, at: str = "posterior", rest: float = CONVERGED_MOVE) -> Solution:
-    """The sequential filter's fixed point; frames are linearised at the `posterior` (iterated) or the `prior` mean.
+def solve_by_gauss_newton(
+    problem: FilterProblem,
+    warm: Solution | None = None,
+    at: str = "posterior",
+    rest: float = CONVERGED_MOVE,
+) -> Solution:
+    """The sequential filter's fixed point; frames are linearised
+    at the `posterior` (iterated) or the `prior` mean.
 
-    `warm` is a solution of the same log to start from; `rest`: tolerance on starts, in standard deviations.
+    `warm` is a solution of the same log to start from;
+    `rest`: tolerance on starts, in standard deviations.
     """
     fold = choose_fold(len(problem.timeline.t))
     tangents, z, p = initial_sweep(problem, fold, warm)
-    tangents.resting, tangents.whole = rest, False
-    readings, trace, move = fold_readings(problem, fold), None, np.inf
+    tangents.resting = rest
+    tangents.whole = False
+    readings = fold_readings(problem, fold)
+    trace = None
+    move = np.inf
     tangents.write(problem, fold, readings)
     for _ in range(MAX_SWEEPS):
         moved = tangents.draw(problem, fold, readings)
@@ -39,8 +57,12 @@ def solve_by_gauss_newton(problem: FilterProblem, warm: Solution | None = None, 
     raise DidNotConverge(f"laplace: no rest after {MAX_SWEEPS} sweeps, last move {move:.2g}")
 
 
-def initial_sweep(problem: FilterProblem, fold: Fold, warm: Solution | None) -> tuple[Tangents, Array, Array]:
+def initial_sweep(
+    problem: FilterProblem, fold: Fold, warm: Solution | None
+) -> tuple[Tangents, Array, Array]:
     """Tangents and starts to begin with: from the encoders alone, or from the solution `warm`."""
     if warm is None:
         return initial_tangents(problem, fold)
-    return warm.tangents.again(problem.evidence.sightings), *starts_from_solution(problem, fold, warm)
+    return warm.tangents.again(problem.evidence.sightings), *starts_from_solution(
+        problem, fold, warm
+    )

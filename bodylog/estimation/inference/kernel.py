@@ -1,4 +1,6 @@
-"""The compiled library of the engine: `setup.py` builds it from the C files of `estimation/`, and ctypes calls it."""
+"""The compiled library of the engine: `setup.py` builds
+it from the C files of `estimation/`, and ctypes calls it.
+"""
 
 import ctypes
 from collections.abc import Callable
@@ -18,7 +20,9 @@ LANES = 8
 
 @cache
 def load_library() -> ctypes.CDLL:
-    """The library, loaded at the first call; threads may run its functions side by side, without Python's lock."""
+    """The library, loaded at the first call; threads may
+    run its functions side by side, without Python's lock.
+    """
     try:
         return ctypes.CDLL(str(LIBRARY))
     except OSError as err:
@@ -31,14 +35,23 @@ def list_struct_fields(integers: str, numbers: str, arrays: str) -> list[tuple[s
     return [(name, kind) for names, kind in kinds for name in names.split()]
 
 
-def bind_kernel_call(function: str, record: type[ctypes.Structure], **values: Any) -> Callable[[], None]:
-    """A call of a function with a struct: numbers, and arrays of float64 or bool in C's order, or None.
+def bind_kernel_call(
+    function: str, record: type[ctypes.Structure], **values: Any
+) -> Callable[[], None]:
+    """A call of a function with a struct: numbers, and
+    arrays of float64 or bool in C's order, or None.
 
     Arrays are read and written where they are, at each call. MemoryError where it finds no room.
     """
-    given = record(**{name: _array_address(part) if isinstance(part, np.ndarray) else part for name, part in values.items()})
+    given = record(
+        **{
+            name: _array_address(part) if isinstance(part, np.ndarray) else part
+            for name, part in values.items()
+        }
+    )
     given.arrays = values  # they live as long as the struct
-    known, size = getattr(load_library(), function, None), ctypes.c_int64(ctypes.sizeof(record))
+    known = getattr(load_library(), function, None)
+    size = ctypes.c_int64(ctypes.sizeof(record))
 
     def called() -> None:
         failed = known(ctypes.byref(given), size) if known else 2
@@ -51,7 +64,10 @@ def bind_kernel_call(function: str, record: type[ctypes.Structure], **values: An
 
 
 def _array_address(array: Array) -> int:
-    assert array.dtype in (np.float64, np.bool_) and array.flags.c_contiguous, (array.dtype, array.strides)
+    assert array.dtype in (np.float64, np.bool_) and array.flags.c_contiguous, (
+        array.dtype,
+        array.strides,
+    )
     return int(array.__array_interface__["data"][0])
 
 

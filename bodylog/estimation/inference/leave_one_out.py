@@ -1,8 +1,8 @@
 """Predictions of each reading from all others of a smoothed log, and the outliers that they show.
 
-A reading y = H x + n with noise R leaves the residual ε = y − H x̂ of covariance R − A, where A = H P Hᵀ is by the
-smoothed belief. All other readings predict it with the error R (R − A)⁻¹ ε, of covariance R (R − A)⁻¹ R (de Jong 1988).
-Where the reading was not used, these are ε and R + A.
+A reading y = H x + n with noise R leaves the residual ε = y − H x̂ of covariance R − A, where A = H
+P Hᵀ is by the smoothed belief. All other readings predict it with the error R (R − A)⁻¹ ε, of
+covariance R (R − A)⁻¹ R (de Jong 1988). Where the reading was not used, these are ε and R + A.
 """
 
 from dataclasses import dataclass, replace
@@ -17,15 +17,19 @@ from .problem import FilterProblem
 from .solution import Smooth
 
 MIN_VARIANCE_SHARE = 1e-3
-"""Least share of R that R − A is, above the rounding of A after a wide prior, which is up to 4e-5 of R."""
+"""Least share of R that R − A is, above the rounding
+of A after a wide prior, which is up to 4e-5 of R.
+"""
 
 
 class LeftOut(NamedTuple):
-    """Each reading as all others predict it: errors of encoders (N,M), in standard deviations; frames of sightings.
+    """Each reading as all others predict it: errors of encoders
+    (N,M), in standard deviations; frames of sightings.
 
-    places: mean (F,D), covariance (F,D,D) and the model's variance (F,D), without the noise of the frame itself ·
-    squares (N,M), then (F,): errors over their covariance · nats, alike: cost of readings that were removed, else 0 ·
-    gated: whether the smoother's forward pass took any for outliers.
+    places: mean (F,D), covariance (F,D,D) and the model's variance (F,D), without the
+    noise of the frame itself · squares (N,M), then (F,): errors over their covariance ·
+    nats, alike: cost of readings that were removed, else 0 · gated: whether the
+    smoother's forward pass took any for outliers.
     """
 
     encoders: Array
@@ -49,26 +53,44 @@ class SmoothedWithResiduals(Smooth):
 
 def predict_left_out(problem: FilterProblem, smooth: Smooth) -> LeftOut:
     """The problem's readings, by a smoothed log from which some may have been removed."""
-    unfold, d = smooth.fold.unfold, smooth.trace.encoder_d
-    x, cov = unfold(smooth.z), unfold(smooth.cov)
-    encoders, nats = _left_out_encoders(problem, x, np.einsum("eoo->eo", cov), unfold(d), smooth.readings.gate)
-    frames = [_left_out_frames(problem, smooth, index, x, cov) for index in range(len(problem.evidence.sightings))]
+    unfold = smooth.fold.unfold
+    d = smooth.trace.encoder_d
+    x = unfold(smooth.z)
+    cov = unfold(smooth.cov)
+    encoders, nats = _left_out_encoders(
+        problem, x, np.einsum("eoo->eo", cov), unfold(d), smooth.readings.gate
+    )
+    frames = [
+        _left_out_frames(problem, smooth, index, x, cov)
+        for index in range(len(problem.evidence.sightings))
+    ]
     places, squares, costs, far = zip(*frames, strict=True) if frames else ((), (), (), ())
     gated = bool((np.abs(d) > smooth.readings.gate).any()) or any(some.any() for some in far)
     return LeftOut(encoders, places, (encoders * encoders, *squares), (nats, *costs), gated)
 
 
-def _left_out_encoders(problem: FilterProblem, x: Array, var: Array, d: Array, gate: float) -> tuple[Array, Array]:
-    """Errors and nats (N,M); smoothed x (E,K), their variances var (E,O), innovations d (E,M), gated."""
-    found, at, m = problem.evidence.encoders, problem.timeline.encoders, len(problem.start)
+def _left_out_encoders(
+    problem: FilterProblem, x: Array, var: Array, d: Array, gate: float
+) -> tuple[Array, Array]:
+    """Errors and nats (N,M); smoothed x (E,K), their
+    variances var (E,O), innovations d (E,M), gated.
+    """
+    found = problem.evidence.encoders
+    at = problem.timeline.encoders
+    m = len(problem.start)
     if found is None:
         return np.empty((0, m)), np.empty((0, m))
-    read = x[at, :m] + (0.0 if problem.dynamics.offset is None else x[at, problem.dynamics.offset :])
+    read = x[at, :m] + (
+        0.0 if problem.dynamics.offset is None else x[at, problem.dynamics.offset :]
+    )
     noise = problem.precision.encoder * (1.0 if found.relative is None else found.relative)
-    used, a = np.abs(d[at]) <= gate, np.maximum(var[at, -m:], 0.0)  # rounding
+    # rounding
+    used = np.abs(d[at]) <= gate
+    a = np.maximum(var[at, -m:], 0.0)
     total = np.where(used, np.maximum(noise - a, MIN_VARIANCE_SHARE * noise), noise + a)
     errors = (found.values - read) / np.sqrt(total)
-    removed, nats = np.isnan(d[at]) & np.isfinite(errors), np.zeros(errors.shape)
+    removed = np.isnan(d[at]) & np.isfinite(errors)
+    nats = np.zeros(errors.shape)
     nats[removed] = _removal_cost(np.square(errors[removed]), np.log(2.0 * np.pi * total[removed]))
     return errors, nats
 
@@ -76,26 +98,44 @@ def _left_out_encoders(problem: FilterProblem, x: Array, var: Array, d: Array, g
 def _left_out_frames(
     problem: FilterProblem, smooth: Smooth, index: int, x: Array, cov: Array
 ) -> tuple[tuple[Array, Array, Array], Array, Array, Array]:
-    """Places, squares and nats of a sighting's frames, and which were gated; smoothed x (E,K) and cov (E,O,O)."""
-    sighting, at, m = problem.evidence.sightings[index], problem.timeline.sightings[index], len(problem.start)
+    """Places, squares and nats of a sighting's frames, and
+    which were gated; smoothed x (E,K) and cov (E,O,O).
+    """
+    sighting = problem.evidence.sightings[index]
+    at = problem.timeline.sightings[index]
+    m = len(problem.start)
     (values, _, mix), pick, x = sighting.independent, smooth.fold.pick, x[at, :m]
-    removed, (mean, jac, var) = np.isnan(pick(smooth.readings.y, at)[:, index, 0]), smooth.tangents.predicted(index, x)
-    std = np.sqrt(pick(smooth.readings.var, at)[:, index, : values.shape[1]] + var * removed[:, None])
-    residual, h = (values - mean) / std, jac / std[..., None]  # their R is 1
+    removed, (mean, jac, var) = (
+        np.isnan(pick(smooth.readings.y, at)[:, index, 0]),
+        smooth.tangents.predicted(index, x),
+    )
+    std = np.sqrt(
+        pick(smooth.readings.var, at)[:, index, : values.shape[1]] + var * removed[:, None]
+    )
+    # their R is 1
+    residual = (values - mean) / std
+    h = jac / std[..., None]
     far = ~removed & _find_gated_frames(smooth, at, index)
-    a, used, one = project_covariance(h, cov[at, :m, :m]), ~(removed | far)[:, None, None], np.eye(h.shape[1])
+    a = project_covariance(h, cov[at, :m, :m])
+    used = ~(removed | far)[:, None, None]
+    one = np.eye(h.shape[1])
     inverse, log_total = _invert_with_log_determinant(one + np.where(used, -a, a))
     scaled = np.einsum("fde,fe->fd", inverse, residual)
-    square, log_size = (scaled * residual).sum(axis=1), log_total + np.log(2.0 * np.pi * std * std).sum(axis=1)
-    error, spread = std * np.where(used[..., 0], scaled, residual), np.where(used, inverse - one, a)
+    square = (scaled * residual).sum(axis=1)
+    log_size = log_total + np.log(2.0 * np.pi * std * std).sum(axis=1)
+    error = std * np.where(used[..., 0], scaled, residual)
+    spread = np.where(used, inverse - one, a)
     place = np.where(np.isfinite(error), values - error, mean)
     nats = np.where(removed & np.isfinite(square), _removal_cost(square, log_size), 0.0)
     return unmix_rows(mix, (place, std[..., None] * spread * std[:, None], var)), square, nats, far
 
 
 def _invert_with_log_determinant(symmetric: Array) -> tuple[Array, Array]:
-    """Inverses of matrices (F,D,D) and the logarithms (F,) of their determinants, by the sweep operator."""
-    s, log_size = np.moveaxis(symmetric, 0, -1).copy(), np.zeros(len(symmetric))
+    """Inverses of matrices (F,D,D) and the logarithms
+    (F,) of their determinants, by the sweep operator.
+    """
+    s = np.moveaxis(symmetric, 0, -1).copy()
+    log_size = np.zeros(len(symmetric))
     for k in range(len(s)):
         pivot = np.maximum(s[k, k], MIN_VARIANCE_SHARE)
         row = s[k] / pivot
@@ -106,45 +146,62 @@ def _invert_with_log_determinant(symmetric: Array) -> tuple[Array, Array]:
 
 
 def _find_gated_frames(smooth: Smooth, at: Array, index: int) -> Array:
-    """Which frames (F,) of a sighting the forward pass rejected: their information is less than by their variance."""
-    var, information, pick = smooth.readings.var, smooth.trace.information, smooth.fold.pick
+    """Which frames (F,) of a sighting the forward pass
+    rejected: their information is less than by their variance.
+    """
+    var = smooth.readings.var
+    information = smooth.trace.information
+    pick = smooth.fold.pick
     assert information is not None
     first = information.shape[1] + (index - var.shape[1]) * var.shape[2]
     return np.asarray(pick(information[:, first], at) * pick(var[:, index, 0], at) < 1.0 - 1e-12)
 
 
 def project_covariance(jac: Array, cov: Array) -> Array:
-    """J P Jᵀ (F,D,D) of jac (F,D,M) and cov (F,M,M); with frames last, products of small matrices are fast."""
+    """J P Jᵀ (F,D,D) of jac (F,D,M) and cov (F,M,M); with
+    frames last, products of small matrices are fast.
+    """
     jac, cov = (np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in (jac, cov))
     found = np.einsum("dkf,ekf->fde", np.einsum("dmf,mkf->dkf", jac, cov), jac)
     return np.ascontiguousarray(found)
 
 
 def _removal_cost(d2: Array, log_size: Array) -> Array:
-    """Nats of removed readings with squares d2 and ln|2π S|: they grow with distance, as those of `outlier_cost`."""
+    """Nats of removed readings with squares d2 and ln|2π
+    S|: they grow with distance, as those of `outlier_cost`.
+    """
     over = np.fmax(d2 / GATE_SIGMA**2, 1.0)
-    return np.asarray(0.5 * (np.fmin(d2, GATE_SIGMA**2) + log_size) + FLAT_COST_NATS * (1.0 - 1.0 / over))
+    return np.asarray(
+        0.5 * (np.fmin(d2, GATE_SIGMA**2) + log_size) + FLAT_COST_NATS * (1.0 - 1.0 / over)
+    )
 
 
 def find_contradicted_readings(found: LeftOut) -> tuple[Array, ...]:
-    """Readings that all others contradict: encoders' (N,M) bool, then frames (F,) of each sighting."""
+    """Readings that all others contradict: encoders'
+    (N,M) bool, then frames (F,) of each sighting.
+    """
     return tuple(squares > GATE_SIGMA**2 for squares in found.squares)
 
 
 def remove_readings(problem: FilterProblem, removed: tuple[Array, ...]) -> FilterProblem:
-    """The problem without the readings that are removed: encoders' (N,M) bool, then frames (F,) of each sighting."""
+    """The problem without the readings that are removed:
+    encoders' (N,M) bool, then frames (F,) of each sighting.
+    """
     evidence, (encoders, *frames) = problem.evidence, removed
     sightings = tuple(
         replace(one, values=np.where(far[:, None], np.nan, one.values))
         for one, far in zip(evidence.sightings, frames, strict=True)
     )
-    rows = evidence.encoders and replace(evidence.encoders, values=np.where(encoders, np.nan, evidence.encoders.values))
+    rows = evidence.encoders and replace(
+        evidence.encoders, values=np.where(encoders, np.nan, evidence.encoders.values)
+    )
     return replace(problem, evidence=replace(evidence, encoders=rows, sightings=sightings))
 
 
 def smoothed_free_energy(problem: FilterProblem, smooth: Smooth, found: LeftOut) -> Array:
     """Nats (E,) of a smoothed log and of the readings removed from it."""
-    nats, line = smooth.fold.unfold(smooth.trace.nats).copy(), problem.timeline
+    nats = smooth.fold.unfold(smooth.trace.nats).copy()
+    line = problem.timeline
     encoders, *frames = found.nats
     nats[line.encoders] += encoders.sum(axis=1)
     for at, cost in zip(line.sightings, frames, strict=True):

@@ -1,7 +1,9 @@
-"""Re-acquisition: detect a belief that lost the arm, at first or while encoders were silent, and reset it.
+"""Re-acquisition: detect a belief that lost the arm,
+at first or while encoders were silent, and reset it.
 
-Images alone may leave a direction undetermined or have several solutions, and a belief linearised at the wrong one is
-overconfident. If a single encoder is wrong, no posture fits both it and the images.
+Images alone may leave a direction undetermined or have several
+solutions, and a belief linearised at the wrong one is overconfident.
+If a single encoder is wrong, no posture fits both it and the images.
 """
 
 import math
@@ -19,60 +21,91 @@ from .gate import GATE_SIGMA
 START_STD = (1.0, 1.0, 3.0)
 """rad, rad/s, rad/s²: prior standard deviations of joints before the first reading.
 
-With (2, 3, 10) filters of 177 drawn logs err up to 4 % more, of (0.5, 0.3, 1) up to 5 % less, but then a robot that
-moves at first is taken for still.
+With (2, 3, 10) filters of 177 drawn logs err up to 4 % more, of (0.5, 0.3, 1) up to 5 % less, but
+then a robot that moves at first is taken for still.
 """
 LONG_SILENCE_S = 0.5
-"""s: after a longer silence an encoder must confirm the belief before the gate may reject it. With 0.25 s errors of
-177 drawn logs stay; with 1 s smoothed ones are 4 % larger in silences of 2 s, and 20 % larger by a frozen encoder.
+"""s: after a longer silence an encoder must confirm the belief before the gate may reject it. With
+0.25 s errors of 177 drawn logs stay; with 1 s smoothed ones are 4 % larger in silences of 2 s, and
+20 % larger by a frozen encoder.
 
 A live filter's readings may be as late: they come before their encoder counts as silent.
 """
 
 
 def find_lost_joints(
-    t: float, ages: Array, z: Array, p: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame],
-    now: bool, order: int,
-) -> tuple[Array | None, Array]:  # fmt: skip
-    """Joints (M,) bool that a belief z (K,), p (K,K) has lost by t (s), or None; encoders (M,) bool that confirm it.
+    t: float,
+    ages: Array,
+    z: Array,
+    p: Array,
+    readings: Array,
+    var: Array,
+    seen: Mapping[Any, PendingFrame],
+    now: bool,
+    order: int,
+) -> tuple[Array | None, Array]:
+    """Joints (M,) bool that a belief z (K,), p (K,K) has lost
+    by t (s), or None; encoders (M,) bool that confirm it.
 
-    ages (M,) s: since each encoder confirmed the belief · readings (M,), NaN where silent, with variances var · seen:
-    last frame of each track; `now`: there are further ones · order: the motion's. A joint is lost if its standard
-    deviation exceeds a turn when something is measured.
+    ages (M,) s: since each encoder confirmed the belief · readings (M,), NaN where silent, with
+    variances var · seen: last frame of each track; `now`: there are further ones · order: the
+    motion's. A joint is lost if its standard deviation exceeds a turn when something is measured.
     """
-    present, m = np.isfinite(readings), len(readings)
-    lost, confirmed = (p.diagonal()[:m] > math.tau**2) & (present | now), present & (ages <= LONG_SILENCE_S)
+    present = np.isfinite(readings)
+    m = len(readings)
+    lost = (p.diagonal()[:m] > math.tau**2) & (present | now)
+    confirmed = present & (ages <= LONG_SILENCE_S)
     if not lost.any():
-        lost, confirmed = _test_lost_joints(t, ages > LONG_SILENCE_S, z, p, readings, var, seen, order)
+        lost, confirmed = _test_lost_joints(
+            t, ages > LONG_SILENCE_S, z, p, readings, var, seen, order
+        )
     return lost if lost.any() else None, confirmed
 
 
 def _test_lost_joints(
-    t: float, mute: Array, z: Array, p: Array, readings: Array, var: Array, seen: Mapping[Any, PendingFrame], order: int
+    t: float,
+    mute: Array,
+    z: Array,
+    p: Array,
+    readings: Array,
+    var: Array,
+    seen: Mapping[Any, PendingFrame],
+    order: int,
 ) -> tuple[Array, Array]:
-    """Joints (M,) bool that the belief has lost, and encoders that confirm it, after some were `mute` (M,) for long.
+    """Joints (M,) bool that the belief has lost, and encoders
+    that confirm it, after some were `mute` (M,) for long.
 
-    The belief is lost if a wide prior for these joints makes all readings likelier, and the images agree with that.
+    The belief is lost if a wide prior for these joints makes
+    all readings likelier, and the images agree with that.
     """
-    m, present = len(readings), np.isfinite(readings)
+    m = len(readings)
+    present = np.isfinite(readings)
     # a wide belief follows a reading, so the reading does not confirm it
     tested = present & mute & (np.diagonal(p)[:m] < START_STD[0] ** 2)
     if not tested.any():
         return tested, present & ~mute
     rows = np.eye(m, len(z)) + np.eye(m, len(z), order * m)
-    h, nu, noise = rows[present], (readings - rows @ z)[present], np.diag(var[present])
+    h = rows[present]
+    nu = (readings - rows @ z)[present]
+    noise = np.diag(var[present])
     x, cov = _restart_joints(z, p, mute, readings, order)
     total = h @ cov @ h.T + noise
     # encoders that were not mute still contradict the reset belief
-    if _innovation_nats((readings - rows @ x)[present], total) >= _innovation_nats(nu, h @ p @ h.T + noise):
+    if _innovation_nats((readings - rows @ x)[present], total) >= _innovation_nats(
+        nu, h @ p @ h.T + noise
+    ):
         return np.zeros(m, bool), present & ~mute | tested
     gain = np.linalg.solve(total, h @ cov).T
-    x, cov = x + gain @ (readings[present] - h @ x), cov - gain @ h @ cov
-    return mute & all(_agrees_with_frames(x, cov, m, t - sight.t, sight, order) for sight in seen.values()), present & ~mute
+    x = x + gain @ (readings[present] - h @ x)
+    cov = cov - gain @ h @ cov
+    return mute & all(
+        _agrees_with_frames(x, cov, m, t - sight.t, sight, order) for sight in seen.values()
+    ), present & ~mute
 
 
 def open_joints(ages: Array, numbers: Array | int) -> Array:
-    """Joints (…,M) bool read last `ages` (…,M) s ago, long before now, that images of `numbers` (…) values leave open.
+    """Joints (…,M) bool read last `ages` (…,M) s ago, long
+    before now, that images of `numbers` (…) values leave open.
 
     ages is infinite before the first reading.
     """
@@ -81,53 +114,84 @@ def open_joints(ages: Array, numbers: Array | int) -> Array:
 
 
 def find_silent_joints(t: Array, encoders: Encoders) -> Array:
-    """Joints (E,M) bool whose encoders, read before, have been silent for long at times t (E,) s."""
+    """Joints (E,M) bool whose encoders, read before,
+    have been silent for long at times t (E,) s.
+    """
     return _reading_ages(t, encoders) > LONG_SILENCE_S
 
 
 def joints_left_open(t: Array, evidence: Evidence) -> Array:
-    """Silent joints (E,M) bool at times t (E,) s that images of the time before, with no more numbers, leave open."""
+    """Silent joints (E,M) bool at times t (E,) s that images
+    of the time before, with no more numbers, leave open.
+    """
     assert evidence.encoders is not None
     seen = [(s.t[np.isfinite(s.values).all(axis=1)], s.values.shape[1]) for s in evidence.sightings]
-    numbers = sum((rows * (np.abs(_time_since_last(times, t)) <= LONG_SILENCE_S) for times, rows in seen), np.zeros(len(t)))
+    numbers = sum(
+        (rows * (np.abs(_time_since_last(times, t)) <= LONG_SILENCE_S) for times, rows in seen),
+        np.zeros(len(t)),
+    )
     return open_joints(_reading_ages(t, evidence.encoders), numbers)
 
 
 def extend_open_silence(t: Array, held: Array) -> Array:
-    """Joints (E,M) bool in or shortly before or after an open silence at times t (E,) s; held (E,M) bool: in it.
+    """Joints (E,M) bool in or shortly before or after an
+    open silence at times t (E,) s; held (E,M) bool: in it.
 
     A joint is held only a while after its last reading.
     """
     known = [np.append(t[column], np.inf) for column in held.T]
-    return np.stack([times[np.searchsorted(times, t - LONG_SILENCE_S)] <= t + 2.0 * LONG_SILENCE_S for times in known], axis=1)
+    return np.stack(
+        [
+            times[np.searchsorted(times, t - LONG_SILENCE_S)] <= t + 2.0 * LONG_SILENCE_S
+            for times in known
+        ],
+        axis=1,
+    )
 
 
 def _reading_ages(t: Array, encoders: Encoders) -> Array:
     """Times (E,M) s since each encoder's last reading before t (E,) s; −∞ before the first."""
-    return np.stack([_time_since_last(encoders.t[np.isfinite(column)], t) for column in encoders.values.T], axis=1)
+    return np.stack(
+        [_time_since_last(encoders.t[np.isfinite(column)], t) for column in encoders.values.T],
+        axis=1,
+    )
 
 
 def _time_since_last(known: Array, t: Array) -> Array:
-    """Times (E,) s since the last of the `known` times (N,) before t (E,) s; −∞ before the first."""
+    """Times (E,) s since the last of the `known`
+    times (N,) before t (E,) s; −∞ before the first.
+    """
     return np.asarray(t - np.concatenate([[np.inf], known])[np.searchsorted(known, t)])
 
 
 def warn_of_resets(names: tuple[str, ...], t: Array, reset: Array) -> Iterator[Finding]:
     """A warning for joints reset at some of the instants t (E,) s, reset (E,M) bool."""
-    at, joints = np.flatnonzero(reset.any(axis=1)), ", ".join(names[j] for j in np.flatnonzero(reset.any(axis=0)))
+    at = np.flatnonzero(reset.any(axis=1))
+    joints = ", ".join(names[j] for j in np.flatnonzero(reset.any(axis=0)))
     if len(at):
         times = list_in_words([f"{t[k]:.3f}" for k in at], " times", unit=" s")
-        text = f"belief: lost {joints} until {times} and reset there by the encoders; the angles just before"
+        text = (
+            f"belief: lost {joints} until {times} and reset there by the encoders; the angles "
+            "just before"
+        )
         yield Finding("warning", f"{text} are wrong")
 
 
-def _restart_joints(z: Array, p: Array, joints: Array, readings: Array, order: int) -> tuple[Array, Array]:
-    """A belief z (K,), p (K,K) of which `joints` (M,) bool restart from the prior, at their readings if any."""
-    m, known = len(joints), joints & np.isfinite(readings)
+def _restart_joints(
+    z: Array, p: Array, joints: Array, readings: Array, order: int
+) -> tuple[Array, Array]:
+    """A belief z (K,), p (K,K) of which `joints` (M,)
+    bool restart from the prior, at their readings if any.
+    """
+    m = len(joints)
+    known = joints & np.isfinite(readings)
     gone = np.concatenate([*[joints] * order, np.zeros(len(z) - order * m, bool)])
     p = p * ~(gone[:, None] | gone)
     p[gone, gone] = np.repeat(np.square(START_STD[:order]), joints.sum())
-    z, offset = np.where(gone & (np.arange(len(z)) >= m), 0.0, z), z[order * m :] if len(z) > order * m else 0.0
+    z, offset = (
+        np.where(gone & (np.arange(len(z)) >= m), 0.0, z),
+        z[order * m :] if len(z) > order * m else 0.0,
+    )
     z[:m] = np.where(known, readings - offset, z[:m])
     return z, p
 
@@ -137,11 +201,17 @@ def _innovation_nats(nu: Array, s: Array) -> float:
     return float(nu @ np.linalg.solve(s, nu) + np.linalg.slogdet(s)[1])
 
 
-def _agrees_with_frames(z: Array, p: Array, m: int, age: float, sight: PendingFrame, order: int) -> bool:
+def _agrees_with_frames(
+    z: Array, p: Array, m: int, age: float, sight: PendingFrame, order: int
+) -> bool:
     """Whether a belief agrees with frames seen `age` s before."""
     states = order * m
-    back = np.concatenate([np.eye(m), -age * np.eye(m), 0.5 * age**2 * np.eye(m)], axis=1)[:, :states]
-    x, cov = back @ z[:states], back @ p[:states, :states] @ back.T
+    back = np.concatenate([np.eye(m), -age * np.eye(m), 0.5 * age**2 * np.eye(m)], axis=1)[
+        :, :states
+    ]
+    x = back @ z[:states]
+    cov = back @ p[:states, :states] @ back.T
     mean, jac, model = sight.predicted(x)
-    nu, s = sight.value - mean, jac @ cov @ jac.T + np.diag(model + sight.var)
+    nu = sight.value - mean
+    s = jac @ cov @ jac.T + np.diag(model + sight.var)
     return float(nu @ np.linalg.solve(s, nu)) <= GATE_SIGMA**2

@@ -1,10 +1,12 @@
 """The smoother of a log whose encoders fall silent.
 
-Frames that leave silent joints open are linearised over the smoothed belief. Over a filter's, which is wide at the end
-of a silence, lines are coarse and may lead to another posture. The smoother begins with the readings on both sides of a
-silence, without its frames; then lines and path follow from each other until the path converges (iterated posterior
-linearisation: García-Fernández, Svensson & Särkkä 2017). Two postures may look the same and both converge, so a silence
-starts several times, through the cubature points of its widest belief, and each path counts by its evidence.
+Frames that leave silent joints open are linearised over the smoothed belief. Over a
+filter's, which is wide at the end of a silence, lines are coarse and may lead to
+another posture. The smoother begins with the readings on both sides of a silence,
+without its frames; then lines and path follow from each other until the path converges
+(iterated posterior linearisation: García-Fernández, Svensson & Särkkä 2017). Two
+postures may look the same and both converge, so a silence starts several times, through
+the cubature points of its widest belief, and each path counts by its evidence.
 """
 
 from collections.abc import Iterator, Mapping
@@ -14,7 +16,7 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from .convergence import ROUGHLY_CONVERGED_MOVE, MAX_SWEEPS
+from .convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from .folds import Fold
 from .initial_path import stretch_priors
 from .instant import linearise_over_belief
@@ -22,11 +24,11 @@ from .leave_one_out import remove_readings
 from .problem import FilterProblem
 from .scan import TraceDetail, filter_stretches
 from .solution import Smooth, Solution, assemble_smooth
-from .walk import frames_by_instant, filter_sequentially, write_lines
+from .walk import filter_sequentially, frames_by_instant, write_lines
 
 BRIEF_SILENCE_S = 5.0
-"""s: a longer silence starts once, as evidence of 40 sines with 10 s does not tell postures apart. Readings within as
-long on either side weigh the paths of a shorter one."""
+"""s: a longer silence starts once, as evidence of 40 sines with 10 s does not tell postures apart.
+Readings within as long on either side weigh the paths of a shorter one."""
 
 Frames = Mapping[int, Mapping[int, PendingFrame]]
 
@@ -34,28 +36,40 @@ Frames = Mapping[int, Mapping[int, PendingFrame]]
 def smooth_across_silence(problem: FilterProblem) -> Smooth:
     """Smooth along the filter's own tangents, and open frames along lines over the smoothed belief.
 
-    Residuals of lines last, so in the last pass they count as often as their silence has frames. Counted so before,
-    images weigh too little to leave a wrong posture.
+    Residuals of lines last, so in the last pass they count as often as their silence has frames.
+    Counted so before, images weigh too little to leave a wrong posture.
     """
     alone = _instants_left_open(problem)
     hidden = (alone[events] for events in problem.timeline.sightings)
-    solution = _undo_resets(problem, filter_sequentially(remove_readings(problem, (np.array(False), *hidden)), whole=True))
+    solution = _undo_resets(
+        problem,
+        filter_sequentially(remove_readings(problem, (np.array(False), *hidden)), whole=True),
+    )
     for frames in _frames_by_silence(problem, alone):
-        x, cov = _mix_beliefs(*_converge_beliefs(problem, *_start_from_cubature_points(problem, solution, frames)))
+        x, cov = _mix_beliefs(
+            *_converge_beliefs(problem, *_start_from_cubature_points(problem, solution, frames))
+        )
         lasted = problem.timeline.t[max(frames)] - problem.timeline.t[min(frames)]
-        _write_lines_over_beliefs(solution, frames, x, cov, len(frames) * BRIEF_SILENCE_S / max(lasted, BRIEF_SILENCE_S))
+        _write_lines_over_beliefs(
+            solution, frames, x, cov, len(frames) * BRIEF_SILENCE_S / max(lasted, BRIEF_SILENCE_S)
+        )
     return _smooth_stretches(problem, solution)
 
 
 def _instants_left_open(problem: FilterProblem) -> Array:
-    """Instants (E,) bool at which images leave joints open whose encoders are silent, or are never read."""
+    """Instants (E,) bool at which images leave joints
+    open whose encoders are silent, or are never read.
+    """
     never = np.full(len(problem.timeline.t), problem.undetermined)
     return never if problem.held is None else never | problem.held.any(axis=1)
 
 
 def _undo_resets(problem: FilterProblem, solution: Solution) -> Solution:
-    """The solution without resets of joints after their silence, of which a smoother knows both sides."""
-    reset, held = solution.readings.reset, problem.held
+    """The solution without resets of joints after their
+    silence, of which a smoother knows both sides.
+    """
+    reset = solution.readings.reset
+    held = problem.held
     if reset is None or held is None:
         return solution
     return replace(solution, readings=replace(solution.readings, reset=reset & ~held[..., None]))
@@ -70,19 +84,31 @@ def _frames_by_silence(problem: FilterProblem, alone: Array) -> Iterator[Frames]
             yield {k: every[k] for k in part.tolist()}
 
 
-def _start_from_cubature_points(problem: FilterProblem, solution: Solution, frames: Frames) -> tuple[Solution, Frames]:
+def _start_from_cubature_points(
+    problem: FilterProblem, solution: Solution, frames: Frames
+) -> tuple[Solution, Frames]:
     """A silence started through each cubature point, side by side, and the frames of all."""
-    line, at, m = problem.timeline.t, list(frames), len(problem.start)
-    first, last = np.searchsorted(line, [line[at[0]] - BRIEF_SILENCE_S, line[at[-1]] + BRIEF_SILENCE_S])
-    length, count = last - first, 1 + 2 * m if line[at[-1]] - line[at[0]] <= BRIEF_SILENCE_S else 1
+    line = problem.timeline.t
+    at = list(frames)
+    m = len(problem.start)
+    first, last = np.searchsorted(
+        line, [line[at[0]] - BRIEF_SILENCE_S, line[at[-1]] + BRIEF_SILENCE_S]
+    )
+    length = last - first
+    count = 1 + 2 * m if line[at[-1]] - line[at[0]] <= BRIEF_SILENCE_S else 1
     fold = Fold(length * count, length, count)
-    silent_solution = replace(solution, fold=fold, readings=solution.readings.between(first, last).repeated(count))
+    silent_solution = replace(
+        solution, fold=fold, readings=solution.readings.between(first, last).repeated(count)
+    )
     sights = {lane * length + k - first: frames[k] for lane in range(count) for k in at}
     if count > 1:
         x, cov, _ = _beliefs_at_frames(problem, silent_solution, sights)
         widest = int(np.linalg.det(cov[: len(at)]).argmax())
-        points, var = _cubature_points(x[widest], cov[widest]), problem.precision.encoder
-        x, cov, _ = _beliefs_at_frames(problem, _with_point_readings(silent_solution, at[widest] - first, points, var), sights)
+        points = _cubature_points(x[widest], cov[widest])
+        var = problem.precision.encoder
+        x, cov, _ = _beliefs_at_frames(
+            problem, _with_point_readings(silent_solution, at[widest] - first, points, var), sights
+        )
         _write_lines_over_beliefs(silent_solution, sights, x, cov)
     return silent_solution, sights
 
@@ -97,13 +123,20 @@ def _cubature_points(x: Array, cov: Array) -> Array:
 def _with_point_readings(solution: Solution, at: int, points: Array, var: Array) -> Solution:
     """The solution with encoders that read points (M,C) at an instant, with variances var (M,)."""
     readings = solution.readings
-    encoders, noise = readings.encoders.copy(), readings.encoder_var.copy()
+    encoders = readings.encoders.copy()
+    noise = readings.encoder_var.copy()
     encoders[at], noise[at] = points, var[:, None]
-    return replace(solution, readings=replace(readings, encoders=encoders, encoder_var=noise, gate=np.inf))
+    return replace(
+        solution, readings=replace(readings, encoders=encoders, encoder_var=noise, gate=np.inf)
+    )
 
 
-def _converge_beliefs(problem: FilterProblem, solution: Solution, frames: Frames) -> tuple[Array, Array, Array]:
-    """Beliefs x (C,F,M), cov (C,F,M,M) whose lines lead to themselves, and nats (C,), of stretches side by side."""
+def _converge_beliefs(
+    problem: FilterProblem, solution: Solution, frames: Frames
+) -> tuple[Array, Array, Array]:
+    """Beliefs x (C,F,M), cov (C,F,M,M) whose lines lead to
+    themselves, and nats (C,), of stretches side by side.
+    """
     before = np.array(np.inf)
     for _ in range(MAX_SWEEPS):
         x, cov, nats = _beliefs_at_frames(problem, solution, frames)
@@ -123,25 +156,48 @@ def _mix_beliefs(x: Array, cov: Array, nats: Array) -> tuple[Array, Array]:
     return mean, np.einsum("c,cfmn->fmn", share, cov + off[..., None] * off[..., None, :])
 
 
-def _beliefs_at_frames(problem: FilterProblem, solution: Solution, frames: Frames) -> tuple[Array, Array, Array]:
-    """Smoothed beliefs x (F,M), cov (F,M,M) at the frames of stretches side by side, and nats (C,) of each stretch."""
-    path, at, m = _smooth_stretches(problem, solution), np.array(list(frames)), len(problem.start)
+def _beliefs_at_frames(
+    problem: FilterProblem, solution: Solution, frames: Frames
+) -> tuple[Array, Array, Array]:
+    """Smoothed beliefs x (F,M), cov (F,M,M) at the frames of
+    stretches side by side, and nats (C,) of each stretch.
+    """
+    path = _smooth_stretches(problem, solution)
+    at = np.array(list(frames))
+    m = len(problem.start)
     x, cov = (path.fold.pick(part, at) for part in (path.z, path.cov))
     return x[:, :m], cov[:, :m, :m], path.trace.nats.sum(axis=0)
 
 
-def _write_lines_over_beliefs(solution: Solution, frames: Frames, x: Array, cov: Array, often: float = 1.0) -> None:
-    """Write lines of frames at F instants over beliefs x (F,M) of cov (F,M,M) into a solution's readings."""
+def _write_lines_over_beliefs(
+    solution: Solution, frames: Frames, x: Array, cov: Array, often: float = 1.0
+) -> None:
+    """Write lines of frames at F instants over beliefs
+    x (F,M) of cov (F,M,M) into a solution's readings.
+    """
     last = dict[tuple[int, int], LastFrame]()
     for (k, sights), mean, spread in zip(frames.items(), x, cov, strict=True):
         lane = k // solution.fold.length
-        sights = {track: replace(s, memory=last.get((lane, track), s.memory)) for track, s in sights.items()}
-        lines = {track: linearise_over_belief(sight, mean, spread, often) for track, sight in sights.items()}
+        sights = {
+            track: replace(s, memory=last.get((lane, track), s.memory))
+            for track, s in sights.items()
+        }
+        lines = {
+            track: linearise_over_belief(sight, mean, spread, often)
+            for track, sight in sights.items()
+        }
         last |= {(lane, track): line.memory for track, line in lines.items()}
         write_lines(np.array([k]), lines, solution.fold, solution.readings)
 
 
 def _smooth_stretches(problem: FilterProblem, solution: Solution) -> Smooth:
     """The smoothed log of a solution's readings, whose stretches do not follow one another."""
-    trace = filter_stretches(solution.readings, problem.dynamics, *stretch_priors(problem, solution.fold), TraceDetail.MEANS)
-    return assemble_smooth(solution.fold, solution.readings, solution.tangents, trace, None, problem.dynamics)
+    trace = filter_stretches(
+        solution.readings,
+        problem.dynamics,
+        *stretch_priors(problem, solution.fold),
+        TraceDetail.MEANS,
+    )
+    return assemble_smooth(
+        solution.fold, solution.readings, solution.tangents, trace, None, problem.dynamics
+    )

@@ -32,8 +32,15 @@ class Smooth(Solution):
 
 
 def assemble_smooth(
-    fold: Fold, readings: FilterReadings, tangents: Tangents, trace: FilterTrace, ends: Array | None, dynamics: FilterDynamics
+    fold: Fold,
+    readings: FilterReadings,
+    tangents: Tangents,
+    trace: FilterTrace,
+    ends: Array | None,
+    dynamics: FilterDynamics,
 ) -> Smooth:
-    """The smoothed log, with covariances, of a forward pass and the adjoints (K,C) at stretches' ends, or None."""
+    """The smoothed log, with covariances, of a forward pass
+    and the adjoints (K,C) at stretches' ends, or None.
+    """
     x, cov = adjoint.smooth_with_covariances(readings, trace, ends, dynamics)
     return Smooth(fold, readings, tangents, trace.without_gains(), x, cov)

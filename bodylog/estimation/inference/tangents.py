@@ -7,7 +7,13 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Sighting, mix_rows
-from ..noise.correlated_noise import ErrorCorrelation, count_directions, correlation_length, shared_model_factors, inflate_variances
+from ..noise.correlated_noise import (
+    ErrorCorrelation,
+    correlation_length,
+    count_directions,
+    inflate_variances,
+    shared_model_factors,
+)
 from ..noise.noise_model import NoiseModel
 from .filter_records import FilterReadings
 from .folds import Fold
@@ -20,31 +26,49 @@ class Tangents:
     """Linearisation points (F,M) rad of each sighting's frames, and the tangents there."""
 
     def __init__(self, sightings: tuple[Sighting, ...], points: tuple[Array, ...]) -> None:
-        """Start from points (F,M), all stale; moves below `resting` rad are ignored · whole: for a smoother."""
-        self._sightings, self.points, self.resting, self.whole = sightings, points, 0.0, False
+        """Start from points (F,M), all stale; moves below
+        `resting` rad are ignored · whole: for a smoother.
+        """
+        self._sightings = sightings
+        self.points = points
+        self.resting = 0.0
+        self.whole = False
         self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
         seen = [np.all(np.isfinite(sighting.values), axis=1) for sighting in sightings]
         # without a copy if that is all
         self._seen = tuple(slice(None) if some.all() else np.flatnonzero(some) for some in seen)
         self._weighed: NoiseModel | None = None
-        self._intercept: tuple[Array, ...] = tuple(np.full(one.values.shape, np.nan) for one in sightings)
-        self._jac = tuple(np.zeros((*y.shape, x.shape[1])) for x, y in zip(points, self._intercept, strict=True))
+        self._intercept: tuple[Array, ...] = tuple(
+            np.full(one.values.shape, np.nan) for one in sightings
+        )
+        self._jac = tuple(
+            np.zeros((*y.shape, x.shape[1])) for x, y in zip(points, self._intercept, strict=True)
+        )
         self._model_var = tuple(np.zeros(y.shape) for y in self._intercept)
         self._var = tuple(np.ones(y.shape) for y in self._intercept)
         # the misfit of the kernel is each model's own
         common = [one.common / getattr(one.model, "misfit", 1.0) for one in sightings]
         counted = [int(some.sum()) for some in seen]
-        models = [one.model for one, share, count in zip(sightings, common, counted, strict=True) if share * count > 0]
-        distinct = count_directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
+        models = [
+            one.model
+            for one, share, count in zip(sightings, common, counted, strict=True)
+            if share * count > 0
+        ]
+        distinct = (
+            count_directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
+        )
         self._repeated = shared_model_factors(counted, common, distinct)
 
     def draw(self, problem: "FilterProblem", fold: Fold, readings: FilterReadings) -> bool:
-        """Write stale tangents into the readings: y = s − g + J x°, with the variances of correlated frames.
+        """Write stale tangents into the readings: y = s −
+        g + J x°, with the variances of correlated frames.
 
         Returns whether any changed.
         """
         changed = False
-        for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
+        for index, (sighting, events) in enumerate(
+            zip(self._sightings, problem.timeline.sightings, strict=True)
+        ):
             stale = self._stale[index]
             if stale.any():
                 self._predict(index, sighting, stale)
@@ -54,18 +78,27 @@ class Tangents:
             elif self._weighed is problem.precision:
                 continue
             var = self._variances(index, sighting, problem.precision, self.whole)
-            other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > 1e-9).T)  # rounding
+            # rounding
+            other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > 1e-9).T)
             self._var[index][other] = var[other]
             _write_frames(fold, readings.var, index, events, var, other)
             changed = changed or bool(other.any())
         self._weighed = problem.precision
         return changed
 
-    def weighed(self, problem: "FilterProblem", fold: Fold, readings: FilterReadings, whole: bool) -> Array:
-        """Variances (L,T,D,C) of readings, frames as in the noise model, for a smoother (`whole`) or a filter."""
+    def weighed(
+        self, problem: "FilterProblem", fold: Fold, readings: FilterReadings, whole: bool
+    ) -> Array:
+        """Variances (L,T,D,C) of readings, frames as in the
+        noise model, for a smoother (`whole`) or a filter.
+        """
         var = readings.var.copy()
-        for index, (sighting, events) in enumerate(zip(self._sightings, problem.timeline.sightings, strict=True)):
-            _write_frames(fold, var, index, events, self._variances(index, sighting, problem.precision, whole))
+        for index, (sighting, events) in enumerate(
+            zip(self._sightings, problem.timeline.sightings, strict=True)
+        ):
+            _write_frames(
+                fold, var, index, events, self._variances(index, sighting, problem.precision, whole)
+            )
         return var
 
     def model_var(self, index: int) -> Array:
@@ -73,32 +106,56 @@ class Tangents:
         return self._model_var[index]
 
     def predicted(self, index: int, x: Array) -> tuple[Array, Array, Array]:
-        """Independent rows of one sighting's frames at angles x (F,M): mean, Jacobian and the model's variance."""
-        jac, var, far = self._jac[index], self._model_var[index], np.abs(x - self.points[index]) > self.resting
-        mean, relinearised = self._intercept[index] + np.einsum("fdm,fm->fd", jac, x), far.any(axis=1)
+        """Independent rows of one sighting's frames at angles
+        x (F,M): mean, Jacobian and the model's variance.
+        """
+        jac = self._jac[index]
+        var = self._model_var[index]
+        far = np.abs(x - self.points[index]) > self.resting
+        mean = self._intercept[index] + np.einsum("fdm,fm->fd", jac, x)
+        relinearised = far.any(axis=1)
         if relinearised.any():
-            jac, var = jac.copy(), var.copy()
-            mean[relinearised], jac[relinearised], var[relinearised] = _independent_rows(self._sightings[index], x[relinearised], relinearised)
+            jac = jac.copy()
+            var = var.copy()
+            mean[relinearised], jac[relinearised], var[relinearised] = _independent_rows(
+                self._sightings[index], x[relinearised], relinearised
+            )
         return mean, jac, var
 
     def _predict(self, index: int, sighting: Sighting, stale: Array) -> None:
         x = self.points[index][stale]
-        mean, self._jac[index][stale], self._model_var[index][stale] = predicted = _independent_rows(sighting, x, stale)
+        mean, self._jac[index][stale], self._model_var[index][stale] = predicted = (
+            _independent_rows(sighting, x, stale)
+        )
         self._intercept[index][stale] = mean - np.einsum("fdm,fm->fd", predicted[1], x)
 
     def _y(self, index: int) -> Array:
         """Readings (F,D) of the angles by one sighting's frames: s − g + J x°."""
         return self._sightings[index].independent.values - self._intercept[index]
 
-    def _variances(self, index: int, sighting: Sighting, precision: NoiseModel, whole: bool) -> Array:
-        """Variances (F,D), inflated such that correlated frames together do not count more than they inform."""
-        var, seen = precision.scale.get(sighting.name, 1.0) * sighting.independent.var, self._seen[index]
-        often, near = self._repeated[index] if whole else 1.0, precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(precision.process, correlation_length(sighting.model), near, whole, precision.order)
+    def _variances(
+        self, index: int, sighting: Sighting, precision: NoiseModel, whole: bool
+    ) -> Array:
+        """Variances (F,D), inflated such that correlated
+        frames together do not count more than they inform.
+        """
+        var = precision.scale.get(sighting.name, 1.0) * sighting.independent.var
+        seen = self._seen[index]
+        often = self._repeated[index] if whole else 1.0
+        near = precision.near.get(sighting.name, 0.0)
+        like = ErrorCorrelation(
+            precision.process, correlation_length(sighting.model), near, whole, precision.order
+        )
         var[seen] = inflate_variances(
-            like, sighting.t[seen], sighting.values[seen], self.points[index][seen], self._jac[index][seen], var[seen],
-            self._model_var[index][seen], often,
-        )  # fmt: skip
+            like,
+            sighting.t[seen],
+            sighting.values[seen],
+            self.points[index][seen],
+            self._jac[index][seen],
+            var[seen],
+            self._model_var[index][seen],
+            often,
+        )
         return var
 
     def write(self, problem: "FilterProblem", fold: Fold, readings: FilterReadings) -> None:
@@ -109,32 +166,45 @@ class Tangents:
                 _write_frames(fold, folded, index, events, rows)
 
     def again(self, sightings: tuple[Sighting, ...]) -> "Tangents":
-        """An independent copy; for other sightings of the same frames, new tangents at the same points."""
+        """An independent copy; for other sightings of
+        the same frames, new tangents at the same points.
+        """
         if sightings is not self._sightings:
             return Tangents(sightings, self.points)
         other = copy(self)
         other._weighed = None
         other._intercept, other._jac, other._model_var, other._var = (
-            tuple(part.copy() for part in parts) for parts in (self._intercept, self._jac, self._model_var, self._var)
+            tuple(part.copy() for part in parts)
+            for parts in (self._intercept, self._jac, self._model_var, self._var)
         )
         return other
 
     def follow(self, problem: "FilterProblem", fold: Fold, means: Array) -> None:
         """Move to the angles of folded states (L,K,C) that are farther away than `resting`."""
-        wanted = [fold.pick(means[:, : len(problem.start)], events) for events in problem.timeline.sightings]
+        wanted = [
+            fold.pick(means[:, : len(problem.start)], events)
+            for events in problem.timeline.sightings
+        ]
         # a row of frames for each joint: numpy is slow along short axes
-        moves = [np.ascontiguousarray((new - old).T) for new, old in zip(wanted, self.points, strict=True)]
+        moves = [
+            np.ascontiguousarray((new - old).T)
+            for new, old in zip(wanted, self.points, strict=True)
+        ]
         self._stale = tuple(np.abs(move).max(axis=0) > self.resting for move in moves)
         choices = zip(self._stale, wanted, self.points, strict=True)
         self.points = tuple(np.where(stale[:, None], new, old) for stale, new, old in choices)
 
 
 def _independent_rows(sighting: Sighting, x: Array, some: Array) -> tuple[Array, Array, Array]:
-    """Mean, Jacobian and the model's variance of the independent rows of some (F,) bool of a sighting's frames."""
+    """Mean, Jacobian and the model's variance of the
+    independent rows of some (F,) bool of a sighting's frames.
+    """
     mix = sighting.independent.mix
     return mix_rows(mix if mix is None else mix[some], sighting.model.predict(x))
 
 
-def _write_frames(fold: Fold, a: Array, index: int, events: Array, rows: Array, some: Array | slice = slice(None)) -> None:
+def _write_frames(
+    fold: Fold, a: Array, index: int, events: Array, rows: Array, some: Array | slice = slice(None)
+) -> None:
     """Write some of a sighting's frames (F,D,…) into its part of the folded a (L,T,…,C)."""
     fold.put(a[:, index, : rows.shape[1]], events[some], rows[some])

@@ -1,4 +1,6 @@
-"""The filter one instant after the other, for logs whose encoders do not determine the arm: slower but robust."""
+"""The filter one instant after the other, for logs whose
+encoders do not determine the arm: slower but robust.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -8,7 +10,7 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, correlation_length
 from ..noise.posture_prior import build_stationary_motion
-from .convergence import ROUGHLY_CONVERGED_MOVE, CONVERGED_MOVE, DidNotConverge
+from .convergence import CONVERGED_MOVE, ROUGHLY_CONVERGED_MOVE, DidNotConverge
 from .filter_records import FilterReadings
 from .folded_readings import encoder_rows, fold_readings
 from .folds import Fold, choose_fold
@@ -25,11 +27,13 @@ from .tangents import Tangents
 
 @dataclass(frozen=True, eq=False)
 class SequentialPath:
-    """The filtered log: points (E,M) rad of linearisation, starts z (K,C), p (K,K,C) of a fold's stretches.
+    """The filtered log: points (E,M) rad of linearisation,
+    starts z (K,C), p (K,K,C) of a fold's stretches.
 
-    resets: times (R,) s of resets and their joints (R,M), or None · held (E,M) bool: joints silent for long · adrift:
-    by instant where images hardly determined some joints, the lines of its tracks, and nats · moments (O,M): mean
-    squares of the angles, from their usual mean, and of their derivatives, where encoders were read.
+    resets: times (R,) s of resets and their joints (R,M), or None · held (E,M) bool: joints silent
+    for long · adrift: by instant where images hardly determined some joints, the lines of its
+    tracks, and nats · moments (O,M): mean squares of the angles, from their usual mean, and of
+    their derivatives, where encoders were read.
     """
 
     points: Array
@@ -42,7 +46,9 @@ class SequentialPath:
 
 
 def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProblem:
-    """Add resets, and a path to linearise along first where encoders do not give one, or the belief is `lost`."""
+    """Add resets, and a path to linearise along first where
+    encoders do not give one, or the belief is `lost`.
+    """
     line = problem.timeline.t
     confirmed, resets = _encoders_confirm_start(problem)
     confirmed = confirmed and not lost
@@ -50,18 +56,26 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
         return replace(problem, resets=resets)
     problem = _with_stationary(problem)
     whole = _step_through_log(problem, False, ROUGHLY_CONVERGED_MOVE, _single_stretch(len(line)))
-    stepwise = not confirmed or _has_long_silence(problem, line[:0]) or len(whole.adrift) > 0 or problem.undetermined
+    stepwise = (
+        not confirmed
+        or _has_long_silence(problem, line[:0])
+        or len(whole.adrift) > 0
+        or problem.undetermined
+    )
     problem = replace(problem, path=(line, whole.points), resets=whole.resets, stepwise=stepwise)
     if problem.precision.learned is None:  # noise is not to be learned from the log
         return problem
-    return _with_stationary(replace(problem, precision=replace(problem.precision, moments=whole.moments)))
+    return _with_stationary(
+        replace(problem, precision=replace(problem.precision, moments=whole.moments))
+    )
 
 
 def loses_encoder(problem: FilterProblem, solution: Solution) -> bool:
     """Whether the belief rejects an encoder for longer than LONG_SILENCE_S."""
     if problem.evidence.encoders is None:
         return False
-    t, read = problem.evidence.encoders.t[:, None], np.isfinite(problem.evidence.encoders.values)
+    t = problem.evidence.encoders.t[:, None]
+    read = np.isfinite(problem.evidence.encoders.values)
     # NaN where a smoother has removed a reading as an outlier
     d = np.abs(solution.fold.unfold(solution.trace.encoder_d)[problem.timeline.encoders])
     accepted = d <= solution.readings.gate
@@ -70,12 +84,25 @@ def loses_encoder(problem: FilterProblem, solution: Solution) -> bool:
 
 
 def _encoders_confirm_start(problem: FilterProblem) -> tuple[bool, tuple[Array, Array] | None]:
-    """Whether each encoder soon confirms the belief that its first reading starts; and the resets until then."""
-    encoders, line = problem.evidence.encoders, problem.timeline.t
-    soon = np.zeros((0, 1)) if encoders is None else encoders.values[encoders.t <= line[0] + LONG_SILENCE_S]
-    often, lost = np.isfinite(soon).sum(axis=0) > 1, dict[float, Array]()
+    """Whether each encoder soon confirms the belief that
+    its first reading starts; and the resets until then.
+    """
+    encoders = problem.evidence.encoders
+    line = problem.timeline.t
+    soon = (
+        np.zeros((0, 1))
+        if encoders is None
+        else encoders.values[encoders.t <= line[0] + LONG_SILENCE_S]
+    )
+    often = np.isfinite(soon).sum(axis=0) > 1
+    lost = dict[float, Array]()
     unsure = bool(often.any())
-    for state in _iterate_states(problem, False, CONVERGED_MOVE, int(np.searchsorted(line, line[0] + LONG_SILENCE_S, "right"))):
+    for state in _iterate_states(
+        problem,
+        False,
+        CONVERGED_MOVE,
+        int(np.searchsorted(line, line[0] + LONG_SILENCE_S, "right")),
+    ):
         if state.lost is not None:
             lost[state.t] = state.lost
         unsure = unsure and not np.isfinite(state.borne)[often].all()
@@ -91,26 +118,42 @@ def _stack_resets(lost: dict[float, Array]) -> tuple[Array, Array] | None:
 def _with_stationary(problem: FilterProblem) -> FilterProblem:
     """The problem with the stationary motion of joints whose encoders are silent for long."""
     models = {sighting.name: sighting.model for sighting in problem.evidence.sightings}
-    return replace(problem, stationary=build_stationary_motion(models, problem.start, problem.precision))
+    return replace(
+        problem, stationary=build_stationary_motion(models, problem.start, problem.precision)
+    )
 
 
 def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution:
-    """The filter's solution; for the `whole` log in one single stretch, with what the smoother needs."""
-    events, keep = len(problem.timeline.t), TraceDetail.MEANS if whole else TraceDetail.BELIEFS
+    """The filter's solution; for the `whole` log in
+    one single stretch, with what the smoother needs.
+    """
+    events = len(problem.timeline.t)
+    keep = TraceDetail.MEANS if whole else TraceDetail.BELIEFS
     fold = _single_stretch(events) if whole else choose_fold(events)
     found = _step_through_log(problem, whole, CONVERGED_MOVE, fold)
-    tangents = Tangents(problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings))
-    tangents.whole, readings = whole, fold_readings(replace(problem, resets=found.resets), fold, found.held)
+    tangents = Tangents(
+        problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings)
+    )
+    tangents.whole, readings = (
+        whole,
+        fold_readings(replace(problem, resets=found.resets), fold, found.held),
+    )
     tangents.draw(problem, fold, readings)
     for at, state in found.adrift.items():
         write_lines(np.array([at]), state.lines or {}, fold, readings)
     trace = filter_stretches(readings, problem.dynamics, found.z, found.p, keep)
-    fold.put(trace.nats, np.array([*found.adrift], int), np.array([state.nats for state in found.adrift.values()]))
+    fold.put(
+        trace.nats,
+        np.array([*found.adrift], int),
+        np.array([state.nats for state in found.adrift.values()]),
+    )
     return Solution(fold, readings, tangents, trace)
 
 
 def filter_roughly(problem: FilterProblem, warm: Solution | None = None) -> Solution:
-    """The filter's solution, roughly; instant by instant where sweeps do not converge, as after a silence."""
+    """The filter's solution, roughly; instant by instant
+    where sweeps do not converge, as after a silence.
+    """
     try:
         return solve_by_gauss_newton(problem, warm, rest=ROUGHLY_CONVERGED_MOVE)
     except DidNotConverge:
@@ -120,7 +163,11 @@ def filter_roughly(problem: FilterProblem, warm: Solution | None = None) -> Solu
 def write_lines(at: Array, lines: Mapping[int, Line], fold: Fold, readings: FilterReadings) -> None:
     """Write the lines of tracks at one instant (1,) into the readings."""
     for track, line in lines.items():
-        for folded, row in ((readings.y, line.y), (readings.jac, line.jac), (readings.var, line.var)):
+        for folded, row in (
+            (readings.y, line.y),
+            (readings.jac, line.jac),
+            (readings.var, line.var),
+        ):
             fold.put(folded[:, track, : len(row)], at, row[None])
 
 
@@ -131,19 +178,29 @@ def _single_stretch(events: int) -> Fold:
 
 def _has_long_silence(problem: FilterProblem, end: Array) -> bool:
     """Whether an encoder is silent for long; `end` (0 or 1,) s: end of the log, if that counts."""
-    encoders, line = problem.evidence.encoders, problem.timeline.t
+    encoders = problem.evidence.encoders
+    line = problem.timeline.t
     if encoders is None:
         return len(end) > 0
-    known = [np.concatenate([line[:1], encoders.t[np.isfinite(column)], end]) for column in encoders.values.T]
+    known = [
+        np.concatenate([line[:1], encoders.t[np.isfinite(column)], end])
+        for column in encoders.values.T
+    ]
     return max(float(np.diff(times).max(initial=0.0)) for times in known) > LONG_SILENCE_S
 
 
-def _step_through_log(problem: FilterProblem, whole: bool, rest: float, fold: Fold) -> SequentialPath:
+def _step_through_log(
+    problem: FilterProblem, whole: bool, rest: float, fold: Fold
+) -> SequentialPath:
     """Filter the log, each frame linearised until it moves less than `rest` standard deviations."""
-    line, m, size = problem.timeline.t, len(problem.start), problem.dynamics.order * len(problem.start)
+    line = problem.timeline.t
+    m = len(problem.start)
+    size = problem.dynamics.order * len(problem.start)
     points, (means, var) = np.empty((len(line), m)), np.empty((2, len(line), size))
-    held, read = np.zeros((len(line), m), bool), np.zeros(len(line), bool)
-    lost, adrift = dict[float, Array](), dict[int, State]()
+    held = np.zeros((len(line), m), bool)
+    read = np.zeros(len(line), bool)
+    lost = dict[float, Array]()
+    adrift = dict[int, State]()
     z, p = stretch_priors(problem, fold)
     for k, state in enumerate(_iterate_states(problem, whole, rest, len(line))):
         if (k + 1) % fold.length == 0 and k + 1 < len(line):
@@ -165,29 +222,54 @@ def _step_through_log(problem: FilterProblem, whole: bool, rest: float, fold: Fo
     return SequentialPath(points, z, p, _stack_resets(lost), held, adrift, moments)
 
 
-def _iterate_states(problem: FilterProblem, whole: bool, rest: float, events: int) -> Iterator[State]:
+def _iterate_states(
+    problem: FilterProblem, whole: bool, rest: float, events: int
+) -> Iterator[State]:
     """The states after the first `events` instants."""
-    steps, more = SequentialFilter(problem.dynamics, problem.posture_prior, rest), problem.more
-    readings, var = (part.tolist() for part in encoder_rows(replace(problem, posture_prior=None), events))
-    state, sights = steps.first(problem.start), frames_by_instant(problem, whole, events)
+    steps = SequentialFilter(problem.dynamics, problem.posture_prior, rest)
+    more = problem.more
+    readings, var = (
+        part.tolist() for part in encoder_rows(replace(problem, posture_prior=None), events)
+    )
+    state = steps.first(problem.start)
+    sights = frames_by_instant(problem, whole, events)
     for k, t in enumerate(problem.timeline.t[:events].tolist()):
         try:
-            state = steps.step(state, t, readings[k], var[k], sights.get(k, {}), None if more is None else more[k])
+            state = steps.step(
+                state, t, readings[k], var[k], sights.get(k, {}), None if more is None else more[k]
+            )
         except np.linalg.LinAlgError as error:
             raise np.linalg.LinAlgError(f"at {t:.3f} s {error}") from None
         yield state
 
 
-def frames_by_instant(problem: FilterProblem, whole: bool, before: int) -> dict[int, dict[int, PendingFrame]]:
+def frames_by_instant(
+    problem: FilterProblem, whole: bool, before: int
+) -> dict[int, dict[int, PendingFrame]]:
     """Frames by instant, and by track, of the first `before` instants."""
     found: dict[int, dict[int, PendingFrame]] = {}
-    precision, line = problem.precision, problem.timeline
-    for track, (sighting, events) in enumerate(zip(problem.evidence.sightings, line.sightings, strict=True)):
-        scale, near = precision.scale.get(sighting.name, 1.0), precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(precision.process, correlation_length(sighting.model), near, whole, order=precision.order)
+    precision = problem.precision
+    line = problem.timeline
+    for track, (sighting, events) in enumerate(
+        zip(problem.evidence.sightings, line.sightings, strict=True)
+    ):
+        scale = precision.scale.get(sighting.name, 1.0)
+        near = precision.near.get(sighting.name, 0.0)
+        like = ErrorCorrelation(
+            precision.process,
+            correlation_length(sighting.model),
+            near,
+            whole,
+            order=precision.order,
+        )
         values, var, mix = sighting.independent
-        for row in np.flatnonzero(np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)):
-            t, own = float(sighting.t[row]), None if mix is None else mix[row]
-            frame = PendingFrame(sighting.model, t, values[row], scale * var[row], like, LastFrame(), own)
+        for row in np.flatnonzero(
+            np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)
+        ):
+            t = float(sighting.t[row])
+            own = None if mix is None else mix[row]
+            frame = PendingFrame(
+                sighting.model, t, values[row], scale * var[row], like, LastFrame(), own
+            )
             found.setdefault(int(events[row]), {})[track] = frame
     return found

@@ -1,4 +1,6 @@
-"""Readings given to a live filter: angles by joint, positions by track; checked, counted and filtered."""
+"""Readings given to a live filter: angles by joint,
+positions by track; checked, counted and filtered.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,7 +27,9 @@ ToAngles = Callable[[Array], Array]
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """Angles (M,) rad, NaN where missing, or None · places {track: (u, v) px and its variance (2,) px²}."""
+    """Angles (M,) rad, NaN where missing, or None ·
+    places {track: (u, v) px and its variance (2,) px²}.
+    """
 
     angles: Array | None
     places: Mapping[str, tuple[Array, Array]]
@@ -42,7 +46,9 @@ class Inputs:
         self.models: dict[str, ForwardModel] = {**visual, **touch}
         self.wanted = {name: model for name, model in self.models.items() if name in wanted}
         self.silent = np.array([name not in wanted for name in body.joints])
-        self._joints, self._noise, self._to_angles = body.joints, body.noise.senses, to_angles
+        self._joints = body.joints
+        self._noise = body.noise.senses
+        self._to_angles = to_angles
         self._newest_angles = np.full(len(body.joints), -np.inf)
         self._newest: dict[str, float] = {}
         self._variance = {name: typed.typed_track_variance(settings, name) for name in self.models}
@@ -51,13 +57,18 @@ class Inputs:
     def read(self, joints: Angles | None, places: Mapping[str, Place | None]) -> Observation:
         """Convert readings to arrays; UsageError or ModelError where they do not fit the body."""
         angles = None if joints is None else self._angles(joints)
-        return Observation(angles, {name: self._place(name, one) for name, one in places.items() if one is not None})
+        return Observation(
+            angles,
+            {name: self._place(name, one) for name, one in places.items() if one is not None},
+        )
 
     def _angles(self, given: Angles) -> Array:
         names = self._joints
         if isinstance(given, Mapping):
             if not any(name in given for name in names):
-                raise ModelError(f"joints: {', '.join(given) or 'none'} found, possible: {', '.join(names)}")
+                raise ModelError(
+                    f"joints: {', '.join(given) or 'none'} found, possible: {', '.join(names)}"
+                )
             given = [given.get(name, np.nan) for name in names]
         possible = f"one angle in rad for each of {', '.join(names)}"
         x = self._to_angles(_parse_numbers("joints", given, (len(names),), possible))
@@ -65,34 +76,53 @@ class Inputs:
 
     def _place(self, name: str, given: Place) -> tuple[Array, Array]:
         if name not in self.models:
-            raise UsageError(f"{name}: the body has no such sense; it has {', '.join(self.models) or 'joints alone'}")
+            raise UsageError(
+                f"{name}: the body has no such sense; it has "
+                f"{', '.join(self.models) or 'joints alone'}"
+            )
         sizes, possible = ((4,), "") if name == "touch" else ((2, 4), "(u, v) or ")
         found = _parse_numbers(name, given, sizes, f"{possible}(u, v, std_u, std_v) in px")
-        place, std = found[:2], found[2:] if len(found) == 4 else None
+        place = found[:2]
+        std = found[2:] if len(found) == 4 else None
         if (given_var := self._variance[name]) is not None:
             return place, np.full(2, given_var)
         if name == "touch" and std is not None:
             return place, np.square(std)
-        return place, pixel_variance(std, self.models[name], np.array(self._noise.get(name, (1.0, 1.0)), float))
+        return place, pixel_variance(
+            std, self.models[name], np.array(self._noise.get(name, (1.0, 1.0)), float)
+        )
 
     def accept(self, t: float, given: Observation, late: bool) -> Observation:
         """Keep the readings of time t (s) that may be used; count the others by reason."""
-        places = {name: one for name, one in given.places.items() if self._accepted(name, t, one[0], late)}
-        return Observation(None if given.angles is None else self._accepted_angles(t, given.angles, late), places)
+        places = {
+            name: one for name, one in given.places.items() if self._accepted(name, t, one[0], late)
+        }
+        return Observation(
+            None if given.angles is None else self._accepted_angles(t, given.angles, late), places
+        )
 
     def _accepted(self, name: str, t: float, place: Array, late: bool) -> bool:
         after = t > self._newest.get(name, -np.inf)
         if after and not late:
             self._newest[name] = t
-        rejected = {"too late": late, "time runs backwards": not after, "out of view": not np.isfinite(place).all()}
+        rejected = {
+            "too late": late,
+            "time runs backwards": not after,
+            "out of view": not np.isfinite(place).all(),
+        }
         return self._count(name, {**rejected, "not asked for": name not in self.wanted})
 
     def _accepted_angles(self, t: float, x: Array, late: bool) -> Array:
-        known, fresh = np.isfinite(x), t > self._newest_angles
+        known = np.isfinite(x)
+        fresh = t > self._newest_angles
         usable = known & fresh & ~self.silent
         if not late:
             self._newest_angles[known & fresh] = t
-        rejected = {"too late": late, "not a number": not known.any(), "time runs backwards": not (known & fresh).any()}
+        rejected = {
+            "too late": late,
+            "not a number": not known.any(),
+            "time runs backwards": not (known & fresh).any(),
+        }
         accepted = self._count("encoders", {**rejected, "not asked for": not usable.any()})
         return np.where(usable & accepted, x, np.nan)
 
@@ -106,7 +136,11 @@ class Inputs:
     def used(self) -> dict[str, Health]:
         """Counts of used and rejected readings, by sense."""
         return {
-            sense: Health(sum(counts.values()), counts.get("", 0), {why: n for why, n in counts.items() if why})
+            sense: Health(
+                sum(counts.values()),
+                counts.get("", 0),
+                {why: n for why, n in counts.items() if why},
+            )
             for sense, counts in self._counts.items()
         }
 
@@ -118,7 +152,9 @@ def require_finite_time(t: float) -> float:
     return float(t)
 
 
-def _parse_numbers(what: str, given: Sequence[float] | Array, sizes: tuple[int, ...], possible: str) -> Array:
+def _parse_numbers(
+    what: str, given: Sequence[float] | Array, sizes: tuple[int, ...], possible: str
+) -> Array:
     try:
         found = np.asarray(given, float)
     except (TypeError, ValueError):

@@ -1,4 +1,6 @@
-"""The last instants of a live filter: late readings are inserted at their time and later ones re-applied."""
+"""The last instants of a live filter: late readings
+are inserted at their time and later ones re-applied.
+"""
 
 from bisect import bisect_left
 from collections.abc import Callable, Mapping
@@ -14,7 +16,9 @@ from ..noise.correlated_noise import PendingFrame
 
 @dataclass(eq=False)
 class Instant:
-    """Time t (s), the state after it, and its readings: angles (M,) rad, NaN where missing, or None, and frames."""
+    """Time t (s), the state after it, and its readings:
+    angles (M,) rad, NaN where missing, or None, and frames.
+    """
 
     t: float
     after: State
@@ -35,7 +39,9 @@ class ReplayBuffer:
 
     def __init__(self, first: State, lag: float, step: Callable[[State, Instant], State]) -> None:
         """Only the `first` state; `step` gives the state after an instant from the one before."""
-        self._instants, self._lag, self._step = [Instant(first.t, first)], lag, step
+        self._instants = [Instant(first.t, first)]
+        self._lag = lag
+        self._step = step
 
     @property
     def last(self) -> State:
@@ -48,8 +54,10 @@ class ReplayBuffer:
 
     def add(
         self, t: float, angles: Array | None, frames: Mapping[str, PendingFrame]
-    ) -> tuple[State, State, float]:  # fmt: skip
-        """Insert readings at t (s) and recompute all later instants: the states after t and now, and the nats added."""
+    ) -> tuple[State, State, float]:
+        """Insert readings at t (s) and recompute all later
+        instants: the states after t and now, and the nats added.
+        """
         at = bisect_left(self._instants, t, key=lambda one: one.t)
         if at == len(self._instants) or self._instants[at].t > t:
             self._instants.insert(at, Instant(t, self._instants[at - 1].after))

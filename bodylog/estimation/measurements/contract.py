@@ -9,7 +9,9 @@ from .records import Sighting
 
 
 class Measured(NamedTuple):
-    """Measurements of one name (t (N,) · values (N,D) · cov (N,D,D) or var (N,D) · model), and counts of use."""
+    """Measurements of one name (t (N,) · values (N,D) ·
+    cov (N,D,D) or var (N,D) · model), and counts of use.
+    """
 
     sighting: Sighting
     health: Health
@@ -21,4 +23,6 @@ Sense = Callable[[Features, BodyModel], Mapping[str, Measured]]
 
 def build_health(seen: int, used: int, reasons: Mapping[str, int], gap: float = 0.0) -> Health:
     """Counts of use, without the reasons of no rejection; gap: the largest, in s."""
-    return Health(seen, int(used), {reason: int(count) for reason, count in reasons.items() if count}, gap)
+    return Health(
+        seen, int(used), {reason: int(count) for reason, count in reasons.items() if count}, gap
+    )

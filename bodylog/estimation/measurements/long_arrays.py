@@ -7,9 +7,13 @@ import numpy as np
 from ...types import Array
 
 MIN_READINGS = 30
-"""Readings from which a variance is known to a fourth, √(2/N): from fewer, neither noise nor a delay is sure."""
+"""Readings from which a variance is known to a fourth,
+√(2/N): from fewer, neither noise nor a delay is sure.
+"""
 LEVEL_READINGS = 5
-"""Readings on each side that show a level: its shift is a jump, and a step that differs from it may be false."""
+"""Readings on each side that show a level: its shift is
+a jump, and a step that differs from it may be false.
+"""
 
 
 def any_of_row(mask: Array) -> Array:
@@ -28,12 +32,16 @@ def find_finite_rows(values: Array) -> Array:
 
 
 def index_true_rows(mask: Array) -> Array | slice:
-    """Index of the rows where mask (N,) is True: a slice, which copies nothing, if that is all of them."""
+    """Index of the rows where mask (N,) is True: a
+    slice, which copies nothing, if that is all of them.
+    """
     return slice(None) if mask.all() else np.flatnonzero(mask)
 
 
 def median_by_pivot(a: Array) -> float:
-    """Median of finite numbers (N,), N > 0; one pivot is found several times faster than NumPy's two or three."""
+    """Median of finite numbers (N,), N > 0; one pivot is
+    found several times faster than NumPy's two or three.
+    """
     half = len(a) // 2
     parted = np.partition(a, half)
     return float(parted[half] if len(a) % 2 else (parted[:half].max() + parted[half]) / 2.0)
@@ -45,9 +53,14 @@ def median_step(t: Array) -> float:
 
 
 def noise_variance(values: Array, most: int = 6000) -> Array:
-    """Variance (M,) of white noise in values (N,M), from third differences of `most` of them in the middle."""
+    """Variance (M,) of white noise in values (N,M), from
+    third differences of `most` of them in the middle.
+    """
     middle = max(0, (len(values) - most) // 2)
     # readings of several topics are in separate rows, with NaN between them
     columns = [column[np.isfinite(column)] for column in values[middle : middle + most].T]
-    jerks = [median_by_pivot(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan for column in columns]
+    jerks = [
+        median_by_pivot(np.abs(np.diff(column, 3))) if len(column) > 3 else np.nan
+        for column in columns
+    ]
     return np.asarray(np.square(1.4826 * np.array(jerks)) / 20.0)

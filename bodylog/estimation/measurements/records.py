@@ -10,12 +10,13 @@ import numpy as np
 from ...body_model import ForwardModel
 from ...types import Array, Fault, Finding, Health, Hypothesis
 from ..noise.quantisation import quantisation_variance
-from .long_arrays import noise_variance, index_true_rows
+from .long_arrays import index_true_rows, noise_variance
 
 
 @dataclass(frozen=True, eq=False)
 class Encoders:
-    """Encoder rows: t (N,) s strictly rising · values (N,M) rad, NaN where missing · source_ns (N,).
+    """Encoder rows: t (N,) s strictly rising · values
+    (N,M) rad, NaN where missing · source_ns (N,).
 
     relative: variance (N,M) of each reading over its encoder's, None where all are 1.
     """
@@ -37,7 +38,9 @@ class Encoders:
 
 
 def interpolate_values(t: Array, values: Array, at: Array) -> Array:
-    """Values (N,D) of t (N,) s at other times (F,) s, the first or last one beyond the end; NaN without any."""
+    """Values (N,D) of t (N,) s at other times (F,) s, the
+    first or last one beyond the end; NaN without any.
+    """
     found = np.full((len(at), values.shape[1]), np.nan)
     for own, column in zip(found.T, values.T, strict=True):
         if len(t[known := index_true_rows(np.isfinite(column))]):
@@ -47,12 +50,13 @@ def interpolate_values(t: Array, values: Array, at: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Sighting:
-    """Measurements of one sense: t (N,) s · values, var (N,D) unit, unit² · source_ns · the model that predicts them.
+    """Measurements of one sense: t (N,) s · values, var (N,D)
+    unit, unit² · source_ns · the model that predicts them.
 
-    D is the number of a sense's rows (`Sense`). cov (N,D,D) unit²: covariance of the rows, with `var` its
-    diagonal; None where rows are independent. displaced (N,D): displacement of a moved camera, already subtracted from
-    the values. common: share of the model's variance that comes from the exploration's encoder errors, common to all
-    tracks.
+    D is the number of a sense's rows (`Sense`). cov (N,D,D) unit²: covariance of the rows, with
+    `var` its diagonal; None where rows are independent. displaced (N,D): displacement of a moved
+    camera, already subtracted from the values. common: share of the model's variance that comes
+    from the exploration's encoder errors, common to all tracks.
     """
 
     name: str
@@ -68,15 +72,24 @@ class Sighting:
     def cut(self, begin: float, end: float) -> "Sighting":
         """The measurements from `begin` to before `end`, s."""
         rows = (self.t >= begin) & (self.t < end)
-        cov, displaced = (None if part is None else part[rows] for part in (self.cov, self.displaced))
+        cov, displaced = (
+            None if part is None else part[rows] for part in (self.cov, self.displaced)
+        )
         return replace(
-            self, t=self.t[rows], values=self.values[rows], var=self.var[rows], source_ns=self.source_ns[rows],
-            cov=cov, displaced=displaced,
-        )  # fmt: skip
+            self,
+            t=self.t[rows],
+            values=self.values[rows],
+            var=self.var[rows],
+            source_ns=self.source_ns[rows],
+            cov=cov,
+            displaced=displaced,
+        )
 
     @cached_property
     def independent(self) -> "IndependentRows":
-        """The values as independent rows: cov = L diag(var) Lᵀ, and mix = L⁻¹ has the determinant 1."""
+        """The values as independent rows: cov = L
+        diag(var) Lᵀ, and mix = L⁻¹ has the determinant 1.
+        """
         if self.cov is None:
             return IndependentRows(self.values, self.var)
         root = np.linalg.cholesky(self.cov)
@@ -86,23 +99,33 @@ class Sighting:
 
 
 class IndependentRows(NamedTuple):
-    """Independent rows: values and var (N,D) · mix (N,D,D), which makes them from those of a sense; None for 1."""
+    """Independent rows: values and var (N,D) · mix (N,D,D),
+    which makes them from those of a sense; None for 1.
+    """
 
     values: Array
     var: Array
     mix: Array | None = None
 
 
-def mix_rows(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """Mean (…,D), Jacobian (…,D,M) and model variance (…,D) of the rows made by mix (…,D,D); None for 1."""
+def mix_rows(
+    mix: Array | None, predicted: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Mean (…,D), Jacobian (…,D,M) and model variance
+    (…,D) of the rows made by mix (…,D,D); None for 1.
+    """
     if mix is None:
         return predicted
     mean, jac, var = predicted
     return (mix @ mean[..., None])[..., 0], mix @ jac, (mix * mix @ var[..., None])[..., 0]
 
 
-def unmix_rows(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
-    """Mean (…,D), covariance (…,D,D) and model variance (…,D) of a sense's own rows, from those made by mix (…,D,D)."""
+def unmix_rows(
+    mix: Array | None, predicted: tuple[Array, Array, Array]
+) -> tuple[Array, Array, Array]:
+    """Mean (…,D), covariance (…,D,D) and model variance (…,D)
+    of a sense's own rows, from those made by mix (…,D,D).
+    """
     if mix is None:
         return predicted
     (mean, cov, var), back = predicted, np.linalg.inv(mix)
@@ -114,8 +137,9 @@ def unmix_rows(mix: Array | None, predicted: tuple[Array, Array, Array]) -> tupl
 class Evidence:
     """All measurements. `encoders` stay when unused (all NaN), for their clock.
 
-    faults: sensors with faults, whose readings are removed · hypotheses: alternatives compared · read (N,M) rad: all
-    encoder readings, unused ones included · joints: their names (M,) · unit of the readings, rad_per_unit its size.
+    faults: sensors with faults, whose readings are removed · hypotheses: alternatives compared ·
+    read (N,M) rad: all encoder readings, unused ones included · joints: their names (M,) · unit of
+    the readings, rad_per_unit its size.
     """
 
     encoders: Encoders | None

@@ -10,15 +10,17 @@ from .long_arrays import median_step
 from .records import Evidence
 
 MAX_OUTPUT_RATE_HZ = 100.0
-"""Hz: encoders faster than this are all used, but the output is on a grid of this rate, and noise is learned from means
-of so many a second, because a shorter stretch shows no acceleration."""
+"""Hz: encoders faster than this are all used, but the output is on a grid of this rate, and noise
+is learned from means of so many a second, because a shorter stretch shows no acceleration."""
 MAX_EXTRA_INSTANTS = 1_000_000
 """A grid of so many more instants than there are stamps mostly covers silence and is refused."""
 
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Instants t (E,) s · instants of encoder rows (N,), of sightings' rows (F,), of outputs (O,) · source_ns (O,)."""
+    """Instants t (E,) s · instants of encoder rows (N,), of
+    sightings' rows (F,), of outputs (O,) · source_ns (O,).
+    """
 
     t: Array
     encoders: Array
@@ -28,7 +30,9 @@ class Timeline:
 
 
 def build_timeline(evidence: Evidence, rate: float | None) -> Timeline:
-    """Union of all stamps and output times; equal times are one instant, so simultaneous senses have no order."""
+    """Union of all stamps and output times; equal times
+    are one instant, so simultaneous senses have no order.
+    """
     clock = np.empty(0) if evidence.encoders is None else evidence.encoders.t
     wanted = output_times(evidence, rate)
     regular = np.array_equal(wanted, clock)
@@ -36,14 +40,20 @@ def build_timeline(evidence: Evidence, rate: float | None) -> Timeline:
     encoders = np.searchsorted(t, clock)
     sightings = tuple(np.searchsorted(t, s.t) for s in evidence.sightings)
     outputs = encoders if regular else np.searchsorted(t, wanted)
-    return Timeline(t, encoders, sightings, outputs, _latest_source(evidence, t, encoders, sightings)[outputs])
+    return Timeline(
+        t, encoders, sightings, outputs, _latest_source(evidence, t, encoders, sightings)[outputs]
+    )
 
 
 def output_times(evidence: Evidence, rate: float | None) -> Array:
-    """Times (O,) s: encoder stamps (frames without encoders) up to 100 Hz, else a 100 Hz grid; `rate` overrides."""
+    """Times (O,) s: encoder stamps (frames without encoders)
+    up to 100 Hz, else a 100 Hz grid; `rate` overrides.
+    """
     if rate is not None and not rate > 0:
         raise UsageError(f"rate: {rate} found, a frequency above 0 Hz is possible; type --rate 100")
-    clocks = [s.t for s in evidence.sightings] if evidence.encoders is None else [evidence.encoders.t]
+    clocks = (
+        [s.t for s in evidence.sightings] if evidence.encoders is None else [evidence.encoders.t]
+    )
     t = merge_clocks(*clocks)
     if len(t) == 0:
         raise EvidenceError("joints: no sound time stamp to estimate at")
@@ -60,8 +70,10 @@ def _check_grid(rate: float, t: Array) -> None:
     if count > MAX_EXTRA_INSTANTS + len(t):
         at = int(np.diff(t).argmax()) if len(t) > 1 else 0
         raise UsageError(
-            f"rate: {rate:g} Hz found, {count:.3g} instants for {len(t)} stamps, none of these between {t[at]:.3f} and "
-            f"{t[min(at + 1, len(t) - 1)]:.3f} s; type --rate {max(MAX_EXTRA_INSTANTS / (t[-1] - t[0]), 1e-9):.1g} or less"
+            f"rate: {rate:g} Hz found, {count:.3g} instants for {len(t)} stamps, none of "
+            f"these between {t[at]:.3f} and "
+            f"{t[min(at + 1, len(t) - 1)]:.3f} s; type --rate "
+            f"{max(MAX_EXTRA_INSTANTS / (t[-1] - t[0]), 1e-9):.1g} or less"
         )
 
 
@@ -74,7 +86,9 @@ def merge_clocks(*clocks: Array) -> Array:
 
 
 def list_span_starts(t: Array, width: float) -> Array:
-    """Starts (B,) s of the spans of `width` s, counted from t[0], that contain any of ascending t (N,) s."""
+    """Starts (B,) s of the spans of `width` s, counted
+    from t[0], that contain any of ascending t (N,) s.
+    """
     number = np.floor((t - t[:1]) / width)
     return np.asarray(t[:1] + width * number[np.append(True, number[1:] != number[:-1])[: len(t)]])
 
@@ -82,11 +96,15 @@ def list_span_starts(t: Array, width: float) -> Array:
 def snap_to_stamps(grid: Array, t: Array) -> Array:
     """Grid times (O,) s moved onto a stamp of t that is the same up to rounding, 1e-6 s."""
     right = np.minimum(np.searchsorted(t, grid), len(t) - 1)
-    near = np.where(np.abs(t[right] - grid) <= np.abs(t[np.maximum(right - 1, 0)] - grid), right, right - 1)
+    near = np.where(
+        np.abs(t[right] - grid) <= np.abs(t[np.maximum(right - 1, 0)] - grid), right, right - 1
+    )
     return np.where(np.abs(t[near] - grid) < 1e-6, t[near], grid)
 
 
-def _latest_source(evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]) -> Array:
+def _latest_source(
+    evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]
+) -> Array:
     """Log time (E,) of the last message up to each instant."""
     latest = np.full(len(t), np.iinfo(np.int64).min)
     if evidence.encoders is not None:

@@ -1,4 +1,6 @@
-"""Touch as a sighting: while skin and image are stroked in synchrony, the stroking hand is at the effector."""
+"""Touch as a sighting: while skin and image are stroked
+in synchrony, the stroking hand is at the effector.
+"""
 
 from collections.abc import Mapping
 
@@ -16,7 +18,9 @@ REASONS_WITHOUT_WEIGHT = {
     "not synchronous": "not synchronous with the images",
     "no common cause": "seen elsewhere than it is felt",
 }
-"""Why a touch has hardly any weight although it is paired with a stroke, and the same for a warning."""
+"""Why a touch has hardly any weight although it is
+paired with a stroke, and the same for a warning.
+"""
 
 
 def read_touch(features: Features, body: BodyModel) -> Mapping[str, Measured]:
@@ -24,9 +28,14 @@ def read_touch(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     if "effector" not in body.senses:
         return {}
     (found, count), seen = read_touch_sighting(features, body), len(features.touches or ())
-    paired = sum(bool(np.isfinite(pair.delay)) and not is_synchronous(pair) for pair in features.synchrony)
+    paired = sum(
+        bool(np.isfinite(pair.delay)) and not is_synchronous(pair) for pair in features.synchrony
+    )
     apart = sum(is_synchronous(pair) and not has_common_cause(pair) for pair in features.synchrony)
-    reasons = {"not synchronous": min(paired, seen - count), "no common cause": min(apart, seen - count)}
+    reasons = {
+        "not synchronous": min(paired, seen - count),
+        "no common cause": min(apart, seen - count),
+    }
     reasons["no stroke seen"] = max(seen - count - paired - apart, 0)
     return {"touch": Measured(found, build_health(seen, count, reasons))}
 
@@ -34,15 +43,21 @@ def read_touch(features: Features, body: BodyModel) -> Mapping[str, Measured]:
 def read_touch_sighting(features: Features, body: BodyModel) -> tuple[Sighting, int]:
     """Effector by touch, positions and variances (K,2) px, px²; and how many touches are used.
 
-    ln g_t = −b₁ w |g_v − o_v|² + const is a Gaussian of variance 1/(2 b₁ w) about the hand, or about the learned
-    position of the touched cell. A hand strokes along the limb, so errors of one touch's frames are correlated: all of
-    them count as one sighting.
+    ln g_t = −b₁ w |g_v − o_v|² + const is a Gaussian of variance 1/(2 b₁ w) about the hand, or
+    about the learned position of the touched cell. A hand strokes along the limb, so errors of one
+    touch's frames are correlated: all of them count as one sighting.
     """
-    hand, touches, count = features.hand, features.touches or (), 0
+    hand = features.hand
+    touches = features.touches or ()
+    count = 0
     if hand is None:
         hand = Series(np.empty(0), np.empty((0, 2)), ("u", "v"), "px", np.empty(0, np.int64))
-    sound, (_, pairs) = find_ascending_times(hand.t) & rows_seen(hand.values), find_strongest_touches(features, hand.t)
-    places, variance = np.full(hand.values.shape, np.nan), np.ones(hand.values.shape)
+    sound, (_, pairs) = (
+        find_ascending_times(hand.t) & rows_seen(hand.values),
+        find_strongest_touches(features, hand.t),
+    )
+    places = np.full(hand.values.shape, np.nan)
+    variance = np.ones(hand.values.shape)
     for number, pair in enumerate(features.synchrony):
         during = sound & (pairs == number)
         if has_weight(pair) and during.any():
@@ -56,12 +71,16 @@ def read_touch_sighting(features: Features, body: BodyModel) -> tuple[Sighting, 
 
 
 def is_synchronous(pair: Synchrony) -> bool:
-    """Whether a touch counts as used: its weight is the likelihood of its delay, over that of none."""
+    """Whether a touch counts as used: its weight is
+    the likelihood of its delay, over that of none.
+    """
     return bool(pair.weight > np.exp(-EVIDENCE_THRESHOLD_NATS))
 
 
 def has_weight(pair: Synchrony) -> bool:
-    """Whether a touch has a weight; so small a one that its variance swamps all others counts as none."""
+    """Whether a touch has a weight; so small a one
+    that its variance swamps all others counts as none.
+    """
     return pair.event_weight > 1e-9
 
 
@@ -79,8 +98,12 @@ def place_of_cell(body: BodyModel, cell: int) -> tuple[float, float, float]:
 
 
 def find_strongest_touches(features: Features, t: Array) -> tuple[Array, Array]:
-    """The greatest synchrony weight of touches at each time t (K,) s, 0 without one, and the pair's number, or −1."""
-    weight, number, touches = np.zeros(len(t)), np.full(len(t), -1), features.touches or ()
+    """The greatest synchrony weight of touches at each time
+    t (K,) s, 0 without one, and the pair's number, or −1.
+    """
+    weight = np.zeros(len(t))
+    number = np.full(len(t), -1)
+    touches = features.touches or ()
     for k, pair in enumerate(features.synchrony if touches else ()):
         touch = touches[pair.touch]
         more = (t >= touch.onset) & (t <= touch.offset) & (pair.event_weight > weight)

@@ -7,25 +7,39 @@ import numpy as np
 from ...body_model import BodyModel, ForwardModel
 from ...types import Array, Features, Series
 from .contract import Measured, build_health
-from .long_arrays import index_true_rows
 from .long_arrays import find_finite_rows as seen_rows
+from .long_arrays import index_true_rows
 from .records import Sighting
 
 
 def read_tracks(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     """Read every track that the body predicts, in the log's order; NaN where it was not seen."""
-    return {name: _read_track(name, track, body) for name, track in features.tracks.items() if name in body.senses}
+    return {
+        name: _read_track(name, track, body)
+        for name, track in features.tracks.items()
+        if name in body.senses
+    }
 
 
 def _read_track(name: str, track: Series, body: BodyModel) -> Measured:
-    rising, seen = find_ascending_times(track.t), seen_rows(track.values)
+    rising = find_ascending_times(track.t)
+    seen = seen_rows(track.values)
     reasons = {"time runs backwards": (~rising).sum(), "out of view": (rising & ~seen).sum()}
-    counts = build_health(len(track.t), (rising & seen).sum(), reasons, find_longest_gap(track.t[rising & seen]))
-    model, noise = body.senses[name], np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
+    counts = build_health(
+        len(track.t), (rising & seen).sum(), reasons, find_longest_gap(track.t[rising & seen])
+    )
+    model = body.senses[name]
+    noise = np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
     var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
-    values, kept = np.where(seen[:, None], track.values, np.nan), index_true_rows(rising)
-    t, values, var, source = track.t[kept], values[kept], var[kept], track.source_ns[kept]
-    return Measured(Sighting(name, model, t, values, var, source, _common_variance_share(model, noise)), counts)
+    values = np.where(seen[:, None], track.values, np.nan)
+    kept = index_true_rows(rising)
+    t = track.t[kept]
+    values = values[kept]
+    var = var[kept]
+    source = track.source_ns[kept]
+    return Measured(
+        Sighting(name, model, t, values, var, source, _common_variance_share(model, noise)), counts
+    )
 
 
 def find_ascending_times(t: Array) -> Array:
@@ -43,7 +57,9 @@ def find_longest_gap(t: Array) -> float:
 
 
 def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> Array:
-    """Variance px²: stated std (…,D) squared plus the model's learned excess, or `fallback` (D,) without a std."""
+    """Variance px²: stated std (…,D) squared plus the
+    model's learned excess, or `fallback` (D,) without a std.
+    """
     if std is None:
         return fallback
     beyond = getattr(model, "noise", 0.0)
@@ -51,7 +67,9 @@ def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> A
 
 
 def _common_variance_share(model: ForwardModel, noise: Array) -> float:
-    """Share of a model's variance that comes from encoder errors in exploration; `noise` (D,) px² is the pixels'."""
+    """Share of a model's variance that comes from encoder
+    errors in exploration; `noise` (D,) px² is the pixels'.
+    """
     spread = float(np.mean(getattr(model, "spread", 0.0)))
     pixels = float(np.mean(noise - getattr(model, "noise", 0.0)))
     return max(1.0 - pixels / spread, 0.0) if spread > 0.0 else 0.0

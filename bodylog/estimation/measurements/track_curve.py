@@ -16,23 +16,28 @@ MAX_CURVE_MEANS = 600
 OFFSET_KNOT_S = 8.0
 """s between knots of an encoder's offset, or more for at least MIN_READINGS means on each."""
 BLUNDER_MEDIANS = 10.0
-"""Median residuals against neighbours beyond which a frame is left out; with 7.4 of them, the filter's gate, 9 in place
-of 10 of 12 cameras that moved by 3 px in reaches are found, as frames of fast motion are left out."""
+"""Median residuals against neighbours beyond which a frame is left out; with 7.4 of them, the
+filter's gate, 9 in place of 10 of 12 cameras that moved by 3 px in reaches are found, as frames of
+fast motion are left out."""
 MAX_SPEED_NOISE_SHARE = 0.1
-"""Share of noise in the track's speed above which frames are averaged in pairs. Without averages 13 of 36 delays are
-measured of slow sines at 30 Hz; with averages throughout, the standard error is up to 1.3 times as large."""
+"""Share of noise in the track's speed above which frames are averaged in
+pairs. Without averages 13 of 36 delays are measured of slow sines at 30 Hz;
+with averages throughout, the standard error is up to 1.3 times as large."""
 MAX_FRAME_GAP_S = 0.3
-"""s: frames farther apart are not interpolated: their errors would show a moved camera. With any gap 27 of 36 delays of
-reaches are measured. Averages are at most half as far apart; with MAX_FRAME_GAP_S itself, 198 of 200 of slow sines at 12 Hz."""
+"""s: frames farther apart are not interpolated: their errors would show a moved camera. With any
+gap 27 of 36 delays of reaches are measured. Averages are at most half as far apart; with
+MAX_FRAME_GAP_S itself, 198 of 200 of slow sines at 12 Hz."""
 
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Positions (N,2) px at t (N,) s with a median step (s), and the predictions of B means of encoder readings.
+    """Positions (N,2) px at t (N,) s with a median step
+    (s), and the predictions of B means of encoder readings.
 
-    images: how many are averaged to a position · noise (2,) px²: stated variance of one · blur (2,) px²: variance of
-    its own noise · at (B,) s · angles x (B,M) · predicted positions (B,2) · jac (B,2,M) · model (B,2) px²: variance of
-    predictions · encoder (B,M) rad²: variance of the means · bends (B,K): shares of the knots of encoder offsets.
+    images: how many are averaged to a position · noise (2,) px²: stated variance of one · blur (2,)
+    px²: variance of its own noise · at (B,) s · angles x (B,M) · predicted positions (B,2) · jac
+    (B,2,M) · model (B,2) px²: variance of predictions · encoder (B,M) rad²: variance of the means ·
+    bends (B,K): shares of the knots of encoder offsets.
     """
 
     t: Array
@@ -59,15 +64,20 @@ class Curve:
     @cached_property
     def offsets(self) -> Array:
         """Slopes (B,2,KM) of whitened predictions in encoder offsets at the knots."""
-        return np.asarray(np.einsum("bde,bem,bk->bdmk", self.root, self.jac, self.bends).reshape(len(self.at), 2, -1))
+        return np.asarray(
+            np.einsum("bde,bem,bk->bdmk", self.root, self.jac, self.bends).reshape(
+                len(self.at), 2, -1
+            )
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class RegressionRows:
-    """A regression at R instants t: misfit (R,2) on slopes (R,2,1+P), noise terms of the first slope's sums (R,).
+    """A regression at R instants t: misfit (R,2) on slopes
+    (R,2,1+P), noise terms of the first slope's sums (R,).
 
-    frames (R,4): numbers of the images that each misfit is interpolated from · image (R,4,2,2): its derivative with
-    respect to their noise, in standard deviations.
+    frames (R,4): numbers of the images that each misfit is interpolated from · image (R,4,2,2): its
+    derivative with respect to their noise, in standard deviations.
     """
 
     t: Array
@@ -80,7 +90,9 @@ class RegressionRows:
 
     def some(self, rows: Array | slice) -> "RegressionRows":
         """Some of the instants."""
-        return RegressionRows(*(getattr(self, name)[rows] for name in RegressionRows.__annotations__))
+        return RegressionRows(
+            *(getattr(self, name)[rows] for name in RegressionRows.__annotations__)
+        )
 
 
 def regression_rows(curve: Curve, late: float) -> RegressionRows:
@@ -88,27 +100,40 @@ def regression_rows(curve: Curve, late: float) -> RegressionRows:
     place, slope, value, speed, first, sound = interpolate_curve(curve, late)
     image = curve.root * np.sqrt(curve.blur / curve.images)
     blur = np.square(image).sum(axis=(1, 2))
-    misfit, slope = (np.einsum("bde,be->bd", curve.root, part) for part in (curve.predicted - place, slope))
+    misfit, slope = (
+        np.einsum("bde,be->bd", curve.root, part) for part in (curve.predicted - place, slope)
+    )
     slopes = np.concatenate([slope[..., None], curve.offsets], axis=-1)
-    cross, own = blur * (value * speed).sum(axis=1), blur * np.square(speed).sum(axis=1)
+    cross = blur * (value * speed).sum(axis=1)
+    own = blur * np.square(speed).sum(axis=1)
     frames = first[:, None] + np.arange(4)
-    return RegressionRows(curve.at, misfit, slopes, cross, own, frames, value[:, :, None, None] * image[:, None]).some(sound)
+    return RegressionRows(
+        curve.at, misfit, slopes, cross, own, frames, value[:, :, None, None] * image[:, None]
+    ).some(sound)
 
 
 def interpolate_curve(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Cubic through a curve delayed by `late` s: positions (B,2) px and speeds (B,2) px/s, the weights (B,4) of both in
-    the four images around, the first of these (B,), and whether no gap between them is too long.
+    """Cubic through a curve delayed by `late` s: positions (B,2) px and speeds (B,2) px/s, the
+    weights (B,4) of both in the four images around, the first of these (B,), and whether no gap
+    between them is too long.
     """
-    t, at = curve.t, curve.at + late
+    t = curve.t
+    at = curve.at + late
     i = np.clip(np.searchsorted(t, at, "right") - 1, 1, len(t) - 3)
     h = t[i + 1] - t[i]
-    before, after, s = h / (t[i + 1] - t[i - 1]), h / (t[i + 2] - t[i]), (at - t[i]) / h
+    before = h / (t[i + 1] - t[i - 1])
+    after = h / (t[i + 2] - t[i])
+    s = (at - t[i]) / h
 
     def four(here: Array, leave: Array, there: Array, arrive: Array) -> Array:
-        return np.stack([-leave * before, here - arrive * after, there + leave * before, arrive * after], axis=1)
+        return np.stack(
+            [-leave * before, here - arrive * after, there + leave * before, arrive * after], axis=1
+        )
 
     value = four(1 + s * s * (2 * s - 3), s * (s - 1) ** 2, s * s * (3 - 2 * s), s * s * (s - 1))
-    speed = four(6 * s * (s - 1), (3 * s - 1) * (s - 1), 6 * s * (1 - s), s * (3 * s - 2)) / h[:, None]
+    speed = (
+        four(6 * s * (s - 1), (3 * s - 1) * (s - 1), 6 * s * (1 - s), s * (3 * s - 2)) / h[:, None]
+    )
     close = np.maximum(np.maximum(t[i] - t[i - 1], h), t[i + 2] - t[i + 1]) <= MAX_FRAME_GAP_S
     near = curve.places[(i - 1)[:, None] + np.arange(4)]
     place, slope = (np.einsum("bk,bkd->bd", weights, near) for weights in (value, speed))
@@ -116,12 +141,20 @@ def interpolate_curve(curve: Curve, late: float) -> tuple[Array, Array, Array, A
 
 
 def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
-    """The curve of a track beside at most `most` means of encoder readings; None where either is too short."""
+    """The curve of a track beside at most `most` means
+    of encoder readings; None where either is too short.
+    """
     t, places, var = _clean_track(seen)
-    if len(t) < MIN_READINGS or len(encoders.t) < MIN_READINGS or (step := median_step(t)) > MAX_FRAME_GAP_S:
+    if (
+        len(t) < MIN_READINGS
+        or len(encoders.t) < MIN_READINGS
+        or (step := median_step(t)) > MAX_FRAME_GAP_S
+    ):
         return None
     # slightly more than a step, so that readings and frames do not stay in phase
-    at, x, count = _average_span_readings(encoders, max(step, 1.0001 * median_step(encoders.t)), most)
+    at, x, count = _average_span_readings(
+        encoders, max(step, 1.0001 * median_step(encoders.t)), most
+    )
     if len(at) < MIN_READINGS:
         return None
     predicted, jac, model = seen.model.predict(x)
@@ -129,40 +162,62 @@ def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     pieces = np.clip(np.ptp(encoders.t) / OFFSET_KNOT_S, 1, len(at) // MIN_READINGS)
     knots = np.linspace(encoders.t[0], encoders.t[-1], 1 + int(pieces))
     bends = np.maximum(0.0, 1.0 - np.abs(at[:, None] - knots) / (knots[1] - knots[0]))
-    # stated variance may include a model's misfit, scatter the arm's jerk: a frame's own noise is below both
+    # stated variance may include a model's misfit, scatter
+    # the arm's jerk: a frame's own noise is below both
     blur = np.minimum(var, noise_variance(places))
     curve = Curve(t, places, step, 1, var, blur, at, x, predicted, jac, model, encoder, bends)
-    while 4.0 * curve.step <= MAX_FRAME_GAP_S and len(curve.t) >= 2 * MIN_READINGS and _is_blurred(curve):
+    while (
+        4.0 * curve.step <= MAX_FRAME_GAP_S
+        and len(curve.t) >= 2 * MIN_READINGS
+        and _is_blurred(curve)
+    ):
         curve = _average_frame_pairs(curve)
     return curve if len(curve.t) >= MIN_READINGS else None
 
 
 def _clean_track(seen: Sighting) -> tuple[Array, Array, Array]:
-    """Times (N,), positions (N,2) and typical variance (2,), without repeated frames and single blunders."""
+    """Times (N,), positions (N,2) and typical variance
+    (2,), without repeated frames and single blunders.
+    """
     shown = np.flatnonzero(seen_rows(seen.values))
-    shown = shown[np.append(True, any_of_row(np.diff(seen.values[shown], axis=0) != 0.0))[: len(shown)]]
-    t, places = seen.t[shown], seen.values[shown]
+    shown = shown[
+        np.append(True, any_of_row(np.diff(seen.values[shown], axis=0) != 0.0))[: len(shown)]
+    ]
+    t = seen.t[shown]
+    places = seen.values[shown]
     if len(t) < MIN_READINGS:
         return t, places, np.ones(2)
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     off = np.abs(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:]).max(axis=1)
     # at either end nothing tells a false frame from a false neighbour
     kept = np.pad(off <= BLUNDER_MEDIANS * median_by_pivot(off), 1, "edge")
-    return t[kept], places[kept], np.array([median_by_pivot(column) for column in seen.var[shown].T])
+    return (
+        t[kept],
+        places[kept],
+        np.array([median_by_pivot(column) for column in seen.var[shown].T]),
+    )
 
 
-def _average_span_readings(encoders: Encoders, width: float, most: int) -> tuple[Array, Array, Array]:
-    """Mean times (B,), angles (B,M) and counts (B,M) of readings in spans of `width` s with all joints."""
+def _average_span_readings(
+    encoders: Encoders, width: float, most: int
+) -> tuple[Array, Array, Array]:
+    """Mean times (B,), angles (B,M) and counts (B,M)
+    of readings in spans of `width` s with all joints.
+    """
     begins = list_span_starts(encoders.t, width)
     begins = begins[:: max(1, -(-len(begins) // most))]
     bounds = np.searchsorted(encoders.t, np.column_stack([begins, begins + width]))
     bounds = bounds[bounds[:, 0] < bounds[:, 1]].ravel()
-    known, since = np.isfinite(encoders.values), (encoders.t - encoders.t[0])[:, None]
+    known = np.isfinite(encoders.values)
+    since = (encoders.t - encoders.t[0])[:, None]
     parts = (known.astype(float), np.where(known, encoders.values, 0.0), known * since)
-    count, total, time = (np.add.reduceat(np.append(part, part[:1], axis=0), bounds)[::2] for part in parts)
+    count, total, time = (
+        np.add.reduceat(np.append(part, part[:1], axis=0), bounds)[::2] for part in parts
+    )
     full = count.min(axis=1) >= np.maximum(0.5 * np.median(count), 1.0)
     count, total, time = count[full], total[full], time[full] / count[full]
-    # a delay is known to a millisecond at best: joints whose mean times differ by more were not read together
+    # a delay is known to a millisecond at best: joints
+    # whose mean times differ by more were not read together
     together = np.ptp(time, axis=1) < 1e-3
     return encoders.t[0] + time[together].mean(axis=1), (total / count)[together], count[together]
 

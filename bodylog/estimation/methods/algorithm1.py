@@ -1,7 +1,9 @@
-"""The paper's Algorithm 1 with its errata (docs/paper.md) corrected, for any senses and many runs at once.
+"""The paper's Algorithm 1 with its errata (docs/paper.md)
+corrected, for any senses and many runs at once.
 
-An explicit step integrates belief, errors and prior as printed. A step at equilibrium sets the errors to what they tend
-to, (s − g)/σ. A linearly implicit one also divides by I + Δt·H, H the Gauss–Newton Hessian, which is stable at any Δt.
+An explicit step integrates belief, errors and prior as printed. A step at equilibrium sets the
+errors to what they tend to, (s − g)/σ. A linearly implicit one also divides by I + Δt·H, H the
+Gauss–Newton Hessian, which is stable at any Δt.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,7 +19,9 @@ DIVERGENCE_RAD = 100.0
 
 @dataclass(frozen=True, eq=False)
 class SensedErrors:
-    """What R readings say about B beliefs at an instant: s − g (B,R), NaN where absent · ∂g/∂x̂ (B,R,M) · σ (B,R)."""
+    """What R readings say about B beliefs at an instant: s
+    − g (B,R), NaN where absent · ∂g/∂x̂ (B,R,M) · σ (B,R).
+    """
 
     off: Array
     slope: Array
@@ -27,13 +31,17 @@ class SensedErrors:
         """The same with absent readings as rows of zeros, which contribute nothing."""
         here = np.isfinite(self.off)
         return SensedErrors(
-            np.where(here, self.off, 0.0), np.where(here[..., None], self.slope, 0.0), np.where(here, self.sigma, 1.0)
+            np.where(here, self.off, 0.0),
+            np.where(here[..., None], self.slope, 0.0),
+            np.where(here, self.sigma, 1.0),
         )
 
 
 @dataclass(frozen=True, eq=False)
 class CodingDynamics:
-    """Constants of B runs: Δt s · σ_x (B,M) · λ (B,) 1/s · who has errors at rest, and implicit steps (B,)."""
+    """Constants of B runs: Δt s · σ_x (B,M) · λ (B,) 1/s
+    · who has errors at rest, and implicit steps (B,).
+    """
 
     dt: float
     sigma_x: Array
@@ -56,17 +64,28 @@ class CodingStep:
 
 
 def descend_free_energy(
-    start: Array, prior: Array, count: int, sense: Callable[[int, Array], SensedErrors], dynamics: CodingDynamics
+    start: Array,
+    prior: Array,
+    count: int,
+    sense: Callable[[int, Array], SensedErrors],
+    dynamics: CodingDynamics,
 ) -> Iterator[CodingStep]:
-    """`count` steps of B runs from beliefs `start` and prior beliefs (B,M) rad; fewer when all runs have diverged.
+    """`count` steps of B runs from beliefs `start` and prior
+    beliefs (B,M) rad; fewer when all runs have diverged.
 
     sense(k, x): what the senses say at instant k about beliefs x (B,M).
     """
-    x, mu, prior_error, errors = start, prior, np.zeros(start.shape), np.zeros(0)
-    at_rest, rate, implicit = dynamics.at_rest[:, None], dynamics.rate[:, None], np.flatnonzero(dynamics.implicit)
+    x = start
+    mu = prior
+    prior_error = np.zeros(start.shape)
+    errors = np.zeros(0)
+    at_rest = dynamics.at_rest[:, None]
+    rate = dynamics.rate[:, None]
+    implicit = np.flatnonzero(dynamics.implicit)
     for k in range(count):
         sensed = sense(k, x)
-        here, present = np.isfinite(sensed.off), sensed.present()
+        here = np.isfinite(sensed.off)
+        present = sensed.present()
         errors = np.where(here, errors, 0.0) if k else np.zeros(here.shape)
         prior_off = x - mu
         error = np.where(at_rest, present.off / present.sigma, errors)
@@ -82,7 +101,8 @@ def descend_free_energy(
             prior_move[implicit] = reach / (dynamics.sigma_x[implicit] + reach) * ahead
         prior_error = error_x + dynamics.dt * (prior_off - dynamics.sigma_x * error_x)
         errors = error + dynamics.dt * np.where(here, present.off - present.sigma * error, 0.0)
-        x, mu = x + move, mu + prior_move
+        x = x + move
+        mu = mu + prior_move
         x = np.where((np.abs(x).max(axis=1) < DIVERGENCE_RAD)[:, None], x, np.nan)
         yield CodingStep(x, errors, prior_off, sensed)
         if not np.isfinite(x).any():
@@ -91,7 +111,8 @@ def descend_free_energy(
 
 def gauss_newton_hessian(present: SensedErrors, sigma_x: Array, runs: Array) -> Array:
     """H = 1/σ_x + Σ g′ᵀ g′/σ (K,M,M) of the free energy of `runs` (K,)."""
-    slope, sigma = present.slope[runs], present.sigma[runs]
+    slope = present.slope[runs]
+    sigma = present.sigma[runs]
     prior = np.eye(slope.shape[2]) / sigma_x[runs][:, :, None]
     return np.asarray(prior + np.einsum("brm,brn->bmn", slope / sigma[..., None], slope))
 

@@ -1,4 +1,6 @@
-"""The filter methods: set up the problem, solve it, look for encoder offsets, and return the beliefs."""
+"""The filter methods: set up the problem, solve it,
+look for encoder offsets, and return the beliefs.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -18,7 +20,7 @@ from ..inference.gauss_newton import solve_by_gauss_newton
 from ..inference.problem import FilterProblem
 from ..inference.reacquisition import warn_of_resets
 from ..inference.solution import Solution
-from ..inference.walk import filter_roughly, find_initial_path, loses_encoder, filter_sequentially
+from ..inference.walk import filter_roughly, filter_sequentially, find_initial_path, loses_encoder
 from ..measurements.gather import choose_initial_angles
 from ..measurements.timeline import build_timeline
 from ..noise import encoder_noise, typed
@@ -31,10 +33,13 @@ from .results import Beliefs
 S = TypeVar("S", bound=Solution)
 
 
-def estimate_by_filter(features: Features, body: BodyModel, settings: EstimationSettings) -> Estimate:
+def estimate_by_filter(
+    features: Features, body: BodyModel, settings: EstimationSettings
+) -> Estimate:
     """Filtered belief at each output time, given all measurements up to then.
 
-    `laplace` linearises frames at the belief until it converges; `ekf` does so once, at the prior mean.
+    `laplace` linearises frames at the belief until it
+    converges; `ekf` does so once, at the prior mean.
     """
     at = "prior" if settings.method == "ekf" else "posterior"
     start_problem = build_filter_problem(features, body, settings)
@@ -42,63 +47,104 @@ def estimate_by_filter(features: Features, body: BodyModel, settings: Estimation
     def solved(problem: FilterProblem) -> tuple[FilterProblem, Solution]:
         problem, warm = tune_noise(problem, settings)
         stepwise = at == "posterior" and problem.stepwise
-        solver = (lambda posed, _: filter_sequentially(posed)) if stepwise else partial(solve_by_gauss_newton, at=at)
+        solver = (
+            (lambda posed, _: filter_sequentially(posed))
+            if stepwise
+            else partial(solve_by_gauss_newton, at=at)
+        )
         return solve_with_offsets(problem, warm, settings, solver, filter_sequentially)
 
     problem, solution = solve_with_reacquisition(start_problem, solved)
-    trace, unfold, m = solution.trace, solution.fold.unfold, len(problem.start)
+    trace = solution.trace
+    unfold = solution.fold.unfold
+    m = len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(
         select_reported_states(unfold(trace.z), problem),
-        with_repairs(precision.of(unfold(trace.cov[:, :m, :m]), problem.held), problem, solution), unfold(trace.nats),
+        with_repairs(precision.of(unfold(trace.cov[:, :m, :m]), problem.held), problem, solution),
+        unfold(trace.nats),
         unfold(trace.prior),
-        unfold(trace.prior_cov), unfold(trace.encoder_d), precision.scale, precision.plain(),
-        find_offset_faults(problem, solution), tuple(warn_of_lost_belief(problem, body.joints, solution)),
-    )  # fmt: skip
-    found = results.build_estimate(settings.method, body, problem.evidence, problem.timeline, beliefs)
+        unfold(trace.prior_cov),
+        unfold(trace.encoder_d),
+        precision.scale,
+        precision.plain(),
+        find_offset_faults(problem, solution),
+        tuple(warn_of_lost_belief(problem, body.joints, solution)),
+    )
+    found = results.build_estimate(
+        settings.method, body, problem.evidence, problem.timeline, beliefs
+    )
     return results.with_lasting_error(found, problem, beliefs.z, settings)
 
 
-def build_filter_problem(features: Features, body: BodyModel, settings: EstimationSettings) -> FilterProblem:
+def build_filter_problem(
+    features: Features, body: BodyModel, settings: EstimationSettings
+) -> FilterProblem:
     """The problem with the encoders' noise model."""
     evidence = warn_of_few_readings(screen_measurements(features, body, settings), body, settings)
     evidence = replace(evidence, sightings=typed.with_typed_variances(evidence.sightings, settings))
     first = choose_initial_angles(evidence, settings, body.joints)
-    precision = typed.with_typed_noise(resolve_noise_model(evidence, body, settings), settings, body.joints)
-    evidence = replace(evidence, findings=(*evidence.findings, *typed.remark_on_precision(settings, precision, evidence.sightings)))
+    precision = typed.with_typed_noise(
+        resolve_noise_model(evidence, body, settings), settings, body.joints
+    )
+    evidence = replace(
+        evidence,
+        findings=(
+            *evidence.findings,
+            *typed.remark_on_precision(settings, precision, evidence.sightings),
+        ),
+    )
     evidence = weigh_repeated_readings(evidence, precision, settings)
     usual = learn_posture_prior(evidence, precision.process, first)
-    problem = FilterProblem(evidence, build_timeline(evidence, settings.rate), first, precision, posture_prior=usual)
+    problem = FilterProblem(
+        evidence, build_timeline(evidence, settings.rate), first, precision, posture_prior=usual
+    )
     allowed = encoder_offset.preset_walks(settings.bias, evidence)
     problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
     if settings.process is None:  # it is a white acceleration
         problem = with_preferred_order(problem)
-        problem = replace(problem, precision=typed.with_typed_noise(problem.precision, settings, body.joints))
+        problem = replace(
+            problem, precision=typed.with_typed_noise(problem.precision, settings, body.joints)
+        )
     return find_initial_path(problem)
 
 
-def solve_with_reacquisition(problem: FilterProblem, solved: Callable[[FilterProblem], tuple[FilterProblem, S]]) -> tuple[FilterProblem, S]:
-    """The problem as `solved`, and solved again with re-acquisition if the belief loses an encoder for long."""
+def solve_with_reacquisition(
+    problem: FilterProblem, solved: Callable[[FilterProblem], tuple[FilterProblem, S]]
+) -> tuple[FilterProblem, S]:
+    """The problem as `solved`, and solved again with
+    re-acquisition if the belief loses an encoder for long.
+    """
     found, solution = solved(problem)
     if found.stepwise or not loses_encoder(found, solution):
         return found, solution
     return solved(find_initial_path(problem, lost=True))
 
 
-def tune_noise(problem: FilterProblem, settings: EstimationSettings) -> tuple[FilterProblem, Solution | None]:
-    """The problem with process and pixel noise by the log's evidence, if the settings ask for that."""
+def tune_noise(
+    problem: FilterProblem, settings: EstimationSettings
+) -> tuple[FilterProblem, Solution | None]:
+    """The problem with process and pixel noise by
+    the log's evidence, if the settings ask for that.
+    """
     if settings.precision != "auto":
         return problem, None
     found, warm = tune_by_evidence(problem, whole=settings.method == "smoother")
     # variances that are set replace learned ones afterwards
-    return replace(problem, precision=typed.with_typed_noise(found, settings, problem.evidence.joints)), warm
+    return replace(
+        problem, precision=typed.with_typed_noise(found, settings, problem.evidence.joints)
+    ), warm
 
 
 def solve_with_offsets(
-    problem: FilterProblem, warm: Solution | None, settings: EstimationSettings,
-    solver: Callable[[FilterProblem, Solution | None], S], patient: Callable[[FilterProblem], S],
-) -> tuple[FilterProblem, S]:  # fmt: skip
-    """Solve the problem, with encoder offsets if the settings allow them and the evidence asks for them.
+    problem: FilterProblem,
+    warm: Solution | None,
+    settings: EstimationSettings,
+    solver: Callable[[FilterProblem, Solution | None], S],
+    patient: Callable[[FilterProblem], S],
+) -> tuple[FilterProblem, S]:
+    """Solve the problem, with encoder offsets if the
+    settings allow them and the evidence asks for them.
 
     `patient`, slower but robust, takes over if the solver does not converge.
     """
@@ -113,28 +159,43 @@ def solve_with_offsets(
     if settings.bias != "auto" or problem.evidence.encoders is None:
         return problem, solved
     found, suspected = encoder_offset.find_suspected_encoders(problem, solved)
-    if suspected.any() and not problem.stepwise and loses_encoder(problem, filter_roughly(problem, solved)):
+    if (
+        suspected.any()
+        and not problem.stepwise
+        and loses_encoder(problem, filter_roughly(problem, solved))
+    ):
         # a filter that is lost makes offsets of sound readings: with re-acquisition first
         again, begin = tune_noise(find_initial_path(problem, lost=True), settings)
         return solve_with_offsets(again, begin, settings, lambda posed, _: patient(posed), patient)
     if suspected.any():
         known = partial(filter_free_energy, warm=solved)
-        found = encoder_offset.choose_encoder_offsets(found, solved, suspected, known, lambda posed: relearn_noise(posed, settings)[0])
+        found = encoder_offset.choose_encoder_offsets(
+            found, solved, suspected, known, lambda posed: relearn_noise(posed, settings)[0]
+        )
     if not found.alternatives:
         return found, solved
     found, begin = relearn_noise(found, settings)
     return found, sure(found, begin)
 
 
-def relearn_noise(problem: FilterProblem, settings: EstimationSettings) -> tuple[FilterProblem, Solution | None]:
-    """The problem with noise learned again, first from the encoders: the process noise had absorbed the offset."""
-    encoders, precision = problem.evidence.encoders, problem.precision
+def relearn_noise(
+    problem: FilterProblem, settings: EstimationSettings
+) -> tuple[FilterProblem, Solution | None]:
+    """The problem with noise learned again, first from the
+    encoders: the process noise had absorbed the offset.
+    """
+    encoders = problem.evidence.encoders
+    precision = problem.precision
     if precision.learned is None or encoders is None:
         return tune_noise(problem, settings)
     known = precision.learned[precision.order - 2].dithered
     joints = encoder_noise.average_joint_readings(encoders)
-    evident = encoder_noise.learn_encoder_noise(joints, precision.encoder, precision.process, precision.order, known).process
-    held = typed.with_typed_noise(precision.held(evident, encoders), settings, problem.evidence.joints)
+    evident = encoder_noise.learn_encoder_noise(
+        joints, precision.encoder, precision.process, precision.order, known
+    ).process
+    held = typed.with_typed_noise(
+        precision.held(evident, encoders), settings, problem.evidence.joints
+    )
     return tune_noise(replace(problem, precision=held), settings)
 
 
@@ -145,14 +206,21 @@ def filter_free_energy(problem: FilterProblem, warm: Solution | None = None) -> 
 
 def select_reported_states(z: Array, problem: FilterProblem) -> Array:
     """Angles, rates and, if there are any, offsets (E,·) of states z (E,K)."""
-    m, size = len(problem.start), problem.dynamics.order * len(problem.start)
+    m = len(problem.start)
+    size = problem.dynamics.order * len(problem.start)
     return np.concatenate([z[:, : 2 * m], z[:, size:]], axis=1)
 
 
-def warn_of_lost_belief(problem: FilterProblem, names: tuple[str, ...], solved: Solution) -> Iterator[Finding]:
+def warn_of_lost_belief(
+    problem: FilterProblem, names: tuple[str, ...], solved: Solution
+) -> Iterator[Finding]:
     """A warning where the belief was reset."""
     resets = solved.readings.reset
-    return iter(()) if resets is None else warn_of_resets(names, problem.timeline.t, solved.fold.unfold(resets))
+    return (
+        iter(())
+        if resets is None
+        else warn_of_resets(names, problem.timeline.t, solved.fold.unfold(resets))
+    )
 
 
 def offset_variance(problem: FilterProblem, solved: Solution) -> Array:

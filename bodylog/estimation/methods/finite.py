@@ -1,4 +1,6 @@
-"""The last check of every estimate: a number that is not finite is an error with joint, sense and time."""
+"""The last check of every estimate: a number that is
+not finite is an error with joint, sense and time.
+"""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,12 +12,17 @@ from ...types import Array, Estimate
 
 
 def require_finite_estimate(found: Estimate) -> Estimate:
-    """The same estimate; EvidenceError where any of its numbers is not finite, or a variance is below 0."""
+    """The same estimate; EvidenceError where any of its
+    numbers is not finite, or a variance is below 0.
+    """
     for what, t, numbers in _list_checked_numbers(found):
         good = np.asarray(np.isfinite(numbers).all(axis=tuple(range(1, numbers.ndim))))
         if not good.all():
-            at, bad = float(t[good.argmin()]), len(good) - np.count_nonzero(good)
-            raise _contradiction_error(f"{what} at {at:.3f} s is not a number by {found.method} ({bad} of {len(good)}):")
+            at = float(t[good.argmin()])
+            bad = len(good) - np.count_nonzero(good)
+            raise _contradiction_error(
+                f"{what} at {at:.3f} s is not a number by {found.method} ({bad} of {len(good)}):"
+            )
     return found
 
 
@@ -35,12 +42,15 @@ def _contradiction_error(what: str) -> EvidenceError:
 
 def _list_checked_numbers(found: Estimate) -> Iterator[tuple[str, Array, Array]]:
     """Numbers (N,…) to check, with their times (N,) s; NaN where a variance is below 0."""
-    t, cov = found.joints.t, np.where(np.einsum("nii->ni", found.cov)[..., None] < 0.0, np.nan, found.cov)
+    t = found.joints.t
+    cov = np.where(np.einsum("nii->ni", found.cov)[..., None] < 0.0, np.nan, found.cov)
     of_joints = {"angle": found.joints.values, "rate": found.rate.values, "variance": cov}
     if found.bias is not None:
         of_joints["encoder offset"] = found.bias.values
     for j, name in enumerate(found.joints.names):
-        yield from ((f"the {what} of {name}", t, numbers[:, j]) for what, numbers in of_joints.items())
+        yield from (
+            (f"the {what} of {name}", t, numbers[:, j]) for what, numbers in of_joints.items()
+        )
     yield "the free energy", t, found.free_energy
     for name, track in found.predicted.items():
         yield f"the place predicted of {name}", track.t, track.values

@@ -27,7 +27,8 @@ TRIED_GAINS = np.linspace(0.05, 0.95, 19)
 
 @dataclass(frozen=True, eq=False)
 class GridSense:
-    """One sense on the grid: s (N,D), NaN where absent · model (None: the angles themselves) · σ (N,D) · unit of s.
+    """One sense on the grid: s (N,D), NaN where absent ·
+    model (None: the angles themselves) · σ (N,D) · unit of s.
 
     `printed`: the model's own variance is dropped, as the paper drops it.
     """
@@ -51,8 +52,9 @@ class GridSense:
 class GridProblem:
     """What to integrate: senses, touch as printed, grid t (N,) s, Δt s, σ_x (M,), start (M,).
 
-    moved (M,) rad²: variance of the motion until the next reading · postures (P,M) rad: the start, and all readings ·
-    learning: λ, 1/s, the rate at which the prior follows the belief; 1 is the paper's.
+    moved (M,) rad²: variance of the motion until the next reading ·
+    postures (P,M) rad: the start, and all readings · learning: λ, 1/s,
+    the rate at which the prior follows the belief; 1 is the paper's.
     """
 
     senses: tuple[GridSense, ...]
@@ -73,7 +75,10 @@ class GridProblem:
     @cached_property
     def rows(self) -> tuple[Array, Array]:
         """Readings (N,R), NaN where absent, and variances (N,R) of all senses beside each other."""
-        pairs = [(np.empty((len(self.t), 0)),) * 2, *((sense.s, sense.sigma) for sense in self.senses)]
+        pairs = [
+            (np.empty((len(self.t), 0)),) * 2,
+            *((sense.s, sense.sigma) for sense in self.senses),
+        ]
         s, sigma = (np.hstack(part) for part in zip(*pairs, strict=True))
         return s, sigma
 
@@ -85,40 +90,80 @@ class GridProblem:
         return g, jac, own
 
 
-def build_grid_problem(features: Features, body: BodyModel, settings: EstimationSettings) -> tuple[GridProblem, Evidence, Timeline]:
+def build_grid_problem(
+    features: Features, body: BodyModel, settings: EstimationSettings
+) -> tuple[GridProblem, Evidence, Timeline]:
     """Senses on the grid with their variances: the paper's by preset, else by `precision`."""
     if settings.preset == "paper":
         settings = replace(settings, precision="fixed", touch="literal")
     # faults are reported, but their readings are used as in the paper
-    evidence = warn_of_few_readings(screen_measurements(features, body, settings, repairs=False), body, settings)
+    evidence = warn_of_few_readings(
+        screen_measurements(features, body, settings, repairs=False), body, settings
+    )
     rate = settings.rate or GRID_RATE_HZ
     line = build_timeline(evidence, rate)
-    t, paper = line.t[line.outputs], settings.precision == "fixed"
-    noise = typed.with_typed_noise(resolve_noise_model(evidence, body, settings), settings, body.joints)
-    encoders = None if evidence.encoders is None else _build_encoder_sense(evidence.encoders, body, t, noise.encoder, paper)
-    gains = PAPER_VARIANCES[0] / (PAPER_VARIANCES[0] + noise.encoder[None]) if paper else np.tile(TRIED_GAINS[:, None], len(noise.encoder))
+    t = line.t[line.outputs]
+    paper = settings.precision == "fixed"
+    noise = typed.with_typed_noise(
+        resolve_noise_model(evidence, body, settings), settings, body.joints
+    )
+    encoders = (
+        None
+        if evidence.encoders is None
+        else _build_encoder_sense(evidence.encoders, body, t, noise.encoder, paper)
+    )
+    gains = (
+        PAPER_VARIANCES[0] / (PAPER_VARIANCES[0] + noise.encoder[None])
+        if paper
+        else np.tile(TRIED_GAINS[:, None], len(noise.encoder))
+    )
     sigma_x, moved = _learn_static_variances(encoders, noise.encoder, gains)
     felt = settings.touch == "literal" and any(s.name == "touch" for s in evidence.sightings)
     width = image_width(features, body) if paper else None
-    seen = [s for s in typed.with_typed_variances(evidence.sightings, settings) if not (felt and s.name == "touch")]
+    seen = [
+        s
+        for s in typed.with_typed_variances(evidence.sightings, settings)
+        if not (felt and s.name == "touch")
+    ]
     senses = [] if encoders is None else [encoders]
-    senses += [_build_visual_sense(s, t, noise.scale.get(s.name, 1.0), width, typed.typed_track_variance(settings, s.name)) for s in seen]
+    senses += [
+        _build_visual_sense(
+            s, t, noise.scale.get(s.name, 1.0), width, typed.typed_track_variance(settings, s.name)
+        )
+        for s in seen
+    ]
     touch = build_paper_touch(features, body, t, 1.0 / rate) if felt else None
     learning = GridProblem.learning if settings.lambda_ is None else settings.lambda_
     first = choose_initial_angles(evidence, settings, body.joints)
     angles = encoders is not None and encoders.model is None
     read = evidence.encoders.values if evidence.encoders is not None and angles else first[None]
     postures = np.concatenate([first[None], read[np.isfinite(read).all(axis=1)]])
-    return GridProblem(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, moved, postures, learning), evidence, line
+    return (
+        GridProblem(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, moved, postures, learning),
+        evidence,
+        line,
+    )
 
 
-def _build_encoder_sense(found: Encoders, body: BodyModel, t: Array, variance: Array, printed: bool) -> GridSense:
+def _build_encoder_sense(
+    found: Encoders, body: BodyModel, t: Array, variance: Array, printed: bool
+) -> GridSense:
     s, _ = place_on_grid(found.t, found.values, t)
-    return GridSense("encoders", s, body.senses.get("encoders"), np.broadcast_to(variance, s.shape), printed=printed)
+    return GridSense(
+        "encoders",
+        s,
+        body.senses.get("encoders"),
+        np.broadcast_to(variance, s.shape),
+        printed=printed,
+    )
 
 
-def _build_visual_sense(found: Sighting, t: Array, scale: float, width: float | None, given: float | None) -> GridSense:
-    """A track or touch; in image widths with the paper's variance if `width` (px), and no variance, is given."""
+def _build_visual_sense(
+    found: Sighting, t: Array, scale: float, width: float | None, given: float | None
+) -> GridSense:
+    """A track or touch; in image widths with the paper's
+    variance if `width` (px), and no variance, is given.
+    """
     s, rows = place_on_grid(found.t, found.values, t)
     if width is None:
         return GridSense(found.name, s, found.model, scale * found.var[rows])
@@ -128,12 +173,15 @@ def _build_visual_sense(found: Sighting, t: Array, scale: float, width: float | 
 
 
 def place_on_grid(t: Array, values: Array, grid: Array) -> tuple[Array, Array]:
-    """Values (N,D) at the grid times, each row of (t, values) used once, at the nearest; the rows' indices (N,).
+    """Values (N,D) at the grid times, each row of (t, values)
+    used once, at the nearest; the rows' indices (N,).
 
     A row is moved to its grid time along the line to its neighbour; NaN where no row is nearest.
     """
     rows = find_nearest_index(t, grid)
-    mine = (find_nearest_index(grid, t)[rows] == np.arange(len(grid)))[:, None] & np.isfinite(values[rows])
+    mine = (find_nearest_index(grid, t)[rows] == np.arange(len(grid)))[:, None] & np.isfinite(
+        values[rows]
+    )
     return np.where(mine, interpolate_values(t, values, grid), np.nan), rows
 
 
@@ -143,43 +191,70 @@ def find_nearest_index(t: Array, at: Array) -> Array:
 
 
 def beliefs_at_instants(
-    line: Timeline, evidence: Evidence, encoders: GridSense | None, x: Array, cov: Array, moved: Array, nats: Array,
-    settings: Mapping[str, Any], findings: tuple[Finding, ...] = (),
-) -> Beliefs:  # fmt: skip
-    """Beliefs x (N,M) on the grid, held until the next, at every instant; `moved` (N,M,M): their covariance by then."""
-    t, every, errors = line.t[line.outputs], np.zeros(len(line.t)), np.full((len(line.t), x.shape[1]), np.nan)
-    held, before = (np.maximum(np.searchsorted(t, line.t, side) - 1, 0) for side in ("right", "left"))
+    line: Timeline,
+    evidence: Evidence,
+    encoders: GridSense | None,
+    x: Array,
+    cov: Array,
+    moved: Array,
+    nats: Array,
+    settings: Mapping[str, Any],
+    findings: tuple[Finding, ...] = (),
+) -> Beliefs:
+    """Beliefs x (N,M) on the grid, held until the next, at
+    every instant; `moved` (N,M,M): their covariance by then.
+    """
+    t = line.t[line.outputs]
+    every = np.zeros(len(line.t))
+    errors = np.full((len(line.t), x.shape[1]), np.nan)
+    held, before = (
+        np.maximum(np.searchsorted(t, line.t, side) - 1, 0) for side in ("right", "left")
+    )
     every[line.outputs] = nats
     rate = np.diff(x, axis=0, prepend=x[:1]) / np.diff(t, prepend=-np.inf)[:, None]
     if evidence.encoders is not None and encoders is not None:
         then = before[line.encoders]
         read, jac, _ = encoders.predict(x[then])
         var = np.square(np.einsum("nmm->nm", jac)) * np.einsum("nii->ni", moved[then])
-        errors[line.encoders] = (evidence.encoders.values - read) / np.sqrt(encoders.sigma[then] + var)
+        errors[line.encoders] = (evidence.encoders.values - read) / np.sqrt(
+            encoders.sigma[then] + var
+        )
     z = np.concatenate([x, rate], axis=1)[held]
-    return Beliefs(z, cov[held], every, x[before], moved[before], errors, {}, settings, (), findings)
+    return Beliefs(
+        z, cov[held], every, x[before], moved[before], errors, {}, settings, (), findings
+    )
 
 
 def image_width(features: Features, body: BodyModel) -> float:
-    """Pixels that count as 1: the image's width if the body stores it, else the largest coordinate."""
+    """Pixels that count as 1: the image's width if
+    the body stores it, else the largest coordinate.
+    """
     if "image_width" in body.provenance:
         return float(body.provenance["image_width"])
-    seen = [np.nanmax(np.abs(s.values)) for s in features.tracks.values() if np.isfinite(s.values).any()]
+    seen = [
+        np.nanmax(np.abs(s.values)) for s in features.tracks.values() if np.isfinite(s.values).any()
+    ]
     return float(max(seen, default=1.0))
 
 
-def _learn_static_variances(encoders: GridSense | None, noise: Array, gains: Array) -> tuple[Array, Array]:
-    """σ_x (M,), and by how much (M,) rad² encoders then deviate from a static belief, beyond their noise (M,).
+def _learn_static_variances(
+    encoders: GridSense | None, noise: Array, gains: Array
+) -> tuple[Array, Array]:
+    """σ_x (M,), and by how much (M,) rad² encoders then
+    deviate from a static belief, beyond their noise (M,).
 
-    σ_x is the motion variance with which the belief predicts the next reading best, at one of the gains (G,M).
+    σ_x is the motion variance with which the belief predicts
+    the next reading best, at one of the gains (G,M).
     """
     if encoders is None:
         return noise, np.zeros(len(noise))
-    x, squares = np.where(np.isfinite(encoders.s[0]), encoders.s[0], 0.0), np.zeros(gains.shape)
+    x = np.where(np.isfinite(encoders.s[0]), encoders.s[0], 0.0)
+    squares = np.zeros(gains.shape)
     for row in encoders.s[1:]:
         nu = np.where(np.isfinite(row), row - x, 0.0)
         squares += nu * nu
         x = x + gains * nu
-    best, count = np.take_along_axis(gains, squares.argmin(axis=0)[None], 0)[0], np.isfinite(encoders.s[1:]).sum(axis=0)
+    best = np.take_along_axis(gains, squares.argmin(axis=0)[None], 0)[0]
+    count = np.isfinite(encoders.s[1:]).sum(axis=0)
     moved = np.maximum(squares.min(axis=0) / np.maximum(count, 1) - noise, 0.0)
     return noise * best / (1.0 - best), moved if encoders.model is None else np.zeros(len(noise))

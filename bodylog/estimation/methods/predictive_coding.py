@@ -1,4 +1,6 @@
-"""The paper's Algorithm 1 (`algorithm1`) on a log: one Euler step per instant, explicit as printed or implicit."""
+"""The paper's Algorithm 1 (`algorithm1`) on a log: one
+Euler step per instant, explicit as printed or implicit.
+"""
 
 from dataclasses import replace
 from functools import partial
@@ -12,14 +14,22 @@ from ...types import Array, Estimate, Features, Finding
 from ..measurements.gather import list_unread_joints
 from ..measurements.records import Evidence
 from . import results
-from .algorithm1 import DIVERGENCE_RAD, CodingDynamics, SensedErrors, descend_free_energy, gauss_newton_hessian
+from .algorithm1 import (
+    DIVERGENCE_RAD,
+    CodingDynamics,
+    SensedErrors,
+    descend_free_energy,
+    gauss_newton_hessian,
+)
 from .grid import TRIED_GAINS, GridProblem, beliefs_at_instants, build_grid_problem
 
 SIGMA_T = 1.0
 """σ_t, which is not printed: as σ_x and σ_p."""
 
 
-def estimate_by_predictive_coding(features: Features, body: BodyModel, settings: EstimationSettings) -> Estimate:
+def estimate_by_predictive_coding(
+    features: Features, body: BodyModel, settings: EstimationSettings
+) -> Estimate:
     """The belief on a grid of 20 Hz or `rate`; UsageError when an explicit step diverges."""
     plan, evidence, line = build_grid_problem(features, body, settings)
     explicit = settings.step == "explicit" or settings.preset == "paper"
@@ -29,21 +39,36 @@ def estimate_by_predictive_coding(features: Features, body: BodyModel, settings:
         why = findings[0].text if findings else "step: explicit; type --step implicit"
         raise UsageError(f"{why} (the belief left {DIVERGENCE_RAD:g} rad)")
     findings = (*findings, *_without_encoders(plan, evidence, body.joints))
-    steps = {"step": "explicit" if explicit else "implicit", "dt": plan.dt, "sigma_x": plan.sigma_x.tolist()}
+    steps = {
+        "step": "explicit" if explicit else "implicit",
+        "dt": plan.dt,
+        "sigma_x": plan.sigma_x.tolist(),
+    }
     used = steps | {f"sigma_{s.name}": np.median(s.sigma, axis=0).tolist() for s in plan.senses}
     moved = np.maximum(np.einsum("nii->ni", cov), plan.moved)[:, :, None] * np.eye(x.shape[1])
-    beliefs = beliefs_at_instants(line, evidence, plan.encoders, x, cov, moved, nats, used, findings)
+    beliefs = beliefs_at_instants(
+        line, evidence, plan.encoders, x, cov, moved, nats, used, findings
+    )
     return results.build_estimate("predictive-coding", body, evidence, line, beliefs)
 
 
 def integrate_belief(plan: GridProblem, explicit: bool) -> tuple[Array, Array, Array]:
-    """x (N,M), NaN once diverged, covariance (N,M,M) as inverse Hessian, and free energy (N,) nats before each step."""
-    m, n = len(plan.start), len(plan.t)
-    xs, cov, nats = np.full((n, m), np.nan), np.full((n, m, m), np.nan), np.full(n, np.nan)
+    """x (N,M), NaN once diverged, covariance (N,M,M) as inverse
+    Hessian, and free energy (N,) nats before each step.
+    """
+    m = len(plan.start)
+    n = len(plan.t)
+    xs = np.full((n, m), np.nan)
+    cov = np.full((n, m, m), np.nan)
+    nats = np.full(n, np.nan)
     kind = np.array([not explicit])
-    dynamics = CodingDynamics(plan.dt, plan.sigma_x[None], np.array([plan.learning]), at_rest=kind, implicit=kind)
+    dynamics = CodingDynamics(
+        plan.dt, plan.sigma_x[None], np.array([plan.learning]), at_rest=kind, implicit=kind
+    )
     start = plan.start[None]
-    for k, step in enumerate(descend_free_energy(start, start, n, partial(_evaluate_senses, plan), dynamics)):
+    for k, step in enumerate(
+        descend_free_energy(start, start, n, partial(_evaluate_senses, plan), dynamics)
+    ):
         present = step.sensed.present()
         here = np.isfinite(step.sensed.off[0])
         xs[k] = step.x[0]
@@ -58,10 +83,13 @@ def integrate_belief(plan: GridProblem, explicit: bool) -> tuple[Array, Array, A
 def _evaluate_senses(plan: GridProblem, k: int, x: Array) -> SensedErrors:
     """What the plan's senses say at instant k about one belief (1,M)."""
     (g, jac, own), (s, sigma) = plan.predict(x[0]), (part[k] for part in plan.rows)
-    off, variance = s - g, sigma + own
+    off = s - g
+    variance = sigma + own
     if plan.touch is not None:
         felt, slope = plan.touch.pull(k, x[0])
-        off, variance, jac = np.append(off, felt), np.append(variance, SIGMA_T), np.vstack([jac, slope])
+        off = np.append(off, felt)
+        variance = np.append(variance, SIGMA_T)
+        jac = np.vstack([jac, slope])
     return SensedErrors(off[None], jac[None], variance[None])
 
 
@@ -76,26 +104,37 @@ def step_warning(plan: GridProblem) -> tuple[Finding, ...]:
     rate = 1.0 / stable_step(plan)
     unit = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
     rate = float(np.ceil(rate / unit) * unit)  # rounded up to two digits
-    text = f"explicit with Δt {plan.dt:g} s is unstable, the largest stable Δt is {1.0 / rate:.2g} s"
+    text = (
+        f"explicit with Δt {plan.dt:g} s is unstable, the largest stable Δt is {1.0 / rate:.2g} s"
+    )
     return (Finding("warning", f"step: {text}; type --rate {rate:g} or --step implicit"),)
 
 
-def _without_encoders(plan: GridProblem, evidence: Evidence, names: tuple[str, ...]) -> tuple[Finding, ...]:
+def _without_encoders(
+    plan: GridProblem, evidence: Evidence, names: tuple[str, ...]
+) -> tuple[Finding, ...]:
     """A finding for joints without encoder readings, because σ_x is learned from encoders."""
     still = ", ".join(list_unread_joints(names, evidence.encoders))
     if not still or all(sense.printed for sense in plan.senses):
         return ()
-    text = f"knows no motion of {still} without encoders: errors are far beyond its error bars; type --method laplace"
+    text = (
+        f"knows no motion of {still} without encoders: errors are far beyond its error bars; "
+        "type --method laplace"
+    )
     return (Finding("warning", f"predictive-coding: {text}"),)
 
 
 def stable_step(plan: GridProblem) -> float:
-    """Largest Δt (s) for which one explicit step shrinks every mode, linearised at every posture of the log."""
+    """Largest Δt (s) for which one explicit step shrinks
+    every mode, linearised at every posture of the log.
+    """
     predicted = [sense.predict(plan.postures) for sense in plan.senses]
     n, m = plan.postures.shape
     jac = np.concatenate([np.empty((n, 0, m)), *(jac for _, jac, _ in predicted)], axis=1)
     own = np.concatenate([np.empty((n, 0)), *(var for *_, var in predicted)], axis=1)
-    sigma, i, o = plan.rows[1].min(axis=0) + own, np.eye(m) + np.zeros((n, 1, 1)), np.zeros((n, m, m))
+    sigma = plan.rows[1].min(axis=0) + own
+    i = np.eye(m) + np.zeros((n, 1, 1))
+    o = np.zeros((n, m, m))
     none = np.zeros_like(jac)
     a = np.block([  # rows and columns: x, e_x, μ, the senses' errors
         [o, -i, o, jac.swapaxes(1, 2)],

@@ -1,4 +1,6 @@
-"""From beliefs at instants to an Estimate: errors and predictions per sense, free energy per output, names, clocks."""
+"""From beliefs at instants to an Estimate: errors and
+predictions per sense, free energy per output, names, clocks.
+"""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
@@ -17,14 +19,18 @@ from ..measurements.timeline import Timeline
 from ..noise.lasting_error import FrameBelief, find_lasting_error
 
 LEAST_NEES = 1.5
-"""Mean squared error over stated variance from which a lasting error is worth a warning: 2σ then covers 90 %."""
+"""Mean squared error over stated variance from which a
+lasting error is worth a warning: 2σ then covers 90 %.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Beliefs:
-    """At every instant: z (E,K) · cov (E,M,M) · nats (E,); before the instant: x (E,M), cov, encoder errors (E,M).
+    """At every instant: z (E,K) · cov (E,M,M) · nats (E,);
+    before the instant: x (E,M), cov, encoder errors (E,M).
 
-    places: of each sighting's frames, if not predicted before the instant: mean (F,D), cov (F,D,D), model's var (F,D).
+    places: of each sighting's frames, if not predicted before
+    the instant: mean (F,D), cov (F,D,D), model's var (F,D).
     """
 
     z: Array
@@ -40,16 +46,22 @@ class Beliefs:
     places: tuple[tuple[Array, Array, Array], ...] = ()
 
 
-def build_estimate(method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs) -> Estimate:
+def build_estimate(
+    method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs
+) -> Estimate:
     """The public record of one method's beliefs."""
-    m, at = len(body.joints), line.outputs
-    t, z = line.t[at], beliefs.z[at]
+    m = len(body.joints)
+    at = line.outputs
+    t = line.t[at]
+    z = beliefs.z[at]
 
     def series(values: Array, unit: str) -> Series:
         return Series(t, values, body.joints, unit, line.source_ns)
 
     both = zip(evidence.sightings, line.sightings, strict=True)
-    places = beliefs.places or tuple(predict_frames(s, beliefs.before[at], beliefs.before_cov[at]) for s, at in both)
+    places = beliefs.places or tuple(
+        predict_frames(s, beliefs.before[at], beliefs.before_cov[at]) for s, at in both
+    )
     sights = {
         s.name: standardise_sighting(s, place, beliefs.scale.get(s.name, 1.0))
         for s, place in zip(evidence.sightings, places, strict=True)
@@ -57,21 +69,34 @@ def build_estimate(method: str, body: BodyModel, evidence: Evidence, line: Timel
     errors = {name: error for name, (error, _, _) in sights.items()}
     if evidence.encoders is not None and np.isfinite(evidence.encoders.values).any():
         rows = beliefs.encoder_errors[line.encoders]
-        errors["encoders"] = Series(evidence.encoders.t, rows, body.joints, "std", evidence.encoders.source_ns)
-    hypotheses = {"hypotheses": [asdict(one) for one in evidence.hypotheses]} if evidence.hypotheses else {}
+        errors["encoders"] = Series(
+            evidence.encoders.t, rows, body.joints, "std", evidence.encoders.source_ns
+        )
+    hypotheses = (
+        {"hypotheses": [asdict(one) for one in evidence.hypotheses]} if evidence.hypotheses else {}
+    )
     return Estimate(
-        method, series(z[:, :m], "rad"), series(z[:, m : 2 * m], "rad/s"), beliefs.cov[at], errors,
-        np.diff(np.cumsum(beliefs.nats)[at], prepend=0.0), evidence.used,
+        method,
+        series(z[:, :m], "rad"),
+        series(z[:, m : 2 * m], "rad/s"),
+        beliefs.cov[at],
+        errors,
+        np.diff(np.cumsum(beliefs.nats)[at], prepend=0.0),
+        evidence.used,
         {name: predicted for name, (_, predicted, _) in sights.items() if name != "touch"},
         {name: cov for name, (_, _, cov) in sights.items() if name != "touch"},
         {**beliefs.settings, **hypotheses},
         series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
-        (*evidence.faults, *beliefs.faults), (*evidence.findings, *beliefs.findings),
-    )  # fmt: skip
+        (*evidence.faults, *beliefs.faults),
+        (*evidence.findings, *beliefs.findings),
+    )
 
 
-def with_lasting_error(found: Estimate, problem: FilterProblem, z: Array, settings: EstimationSettings) -> Estimate:
-    """The estimate with wider error bars and a warning where the log shows that its encoders' errors last.
+def with_lasting_error(
+    found: Estimate, problem: FilterProblem, z: Array, settings: EstimationSettings
+) -> Estimate:
+    """The estimate with wider error bars and a warning
+    where the log shows that its encoders' errors last.
 
     z (E,K): beliefs at all instants. Angles stay as they are.
     """
@@ -79,9 +104,13 @@ def with_lasting_error(found: Estimate, problem: FilterProblem, z: Array, settin
         return found
     m = len(problem.start)
     offsets = z[:, 2 * m :] if z.shape[1] > 2 * m else np.zeros((len(z), m))
-    beliefs = [FrameBelief(z[at, :m], z[at, m : 2 * m], offsets[at]) for at in problem.timeline.sightings]
+    beliefs = [
+        FrameBelief(z[at, :m], z[at, m : 2 * m], offsets[at]) for at in problem.timeline.sightings
+    ]
     evidence = problem.evidence
-    lasting = find_lasting_error(evidence.encoders, evidence.sightings, beliefs, problem.precision.encoder)
+    lasting = find_lasting_error(
+        evidence.encoders, evidence.sightings, beliefs, problem.precision.encoder
+    )
     if lasting is None:
         return found
     stated = np.einsum("nii->ni", found.cov)
@@ -90,26 +119,37 @@ def with_lasting_error(found: Estimate, problem: FilterProblem, z: Array, settin
         return found
     own = {LASTING_ERROR: {**asdict(lasting), "nees_if_white": nees}}
     text = (
-        f"encoders: errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad ({lasting.nats:.0f} nats, "
+        f"encoders: errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "
+        f"({lasting.nats:.0f} nats, "
         f"by images): play, load, a bent link or electronics; error bars of white noise are too small (NEES about "
         f'{nees:.2g}) and are widened by it; see "What real arms do" in docs/validation.md'
     )
     return replace(
-        found, cov=found.cov + lasting.std**2 * np.eye(m), settings={**found.settings, **own},
+        found,
+        cov=found.cov + lasting.std**2 * np.eye(m),
+        settings={**found.settings, **own},
         findings=(*found.findings, Finding("warning", text)),
-    )  # fmt: skip
+    )
 
 
 def predict_frames(sighting: Sighting, x: Array, cov: Array) -> tuple[Array, Array, Array]:
-    """Mean (F,D), covariance (F,D,D) and the model's variance (F,D) of frames by angles x (F,M) of cov (F,M,M)."""
+    """Mean (F,D), covariance (F,D,D) and the model's variance
+    (F,D) of frames by angles x (F,M) of cov (F,M,M).
+    """
     mean, jac, var = sighting.model.predict(x)
     return mean, project_covariance(jac, cov), var
 
 
-def standardise_sighting(sighting: Sighting, place: tuple[Array, Array, Array], scale: float) -> tuple[Series, Series, Array]:
-    """Standardised errors where seen; the place predicted without the frame; its covariance (F,D,D) with noise."""
+def standardise_sighting(
+    sighting: Sighting, place: tuple[Array, Array, Array], scale: float
+) -> tuple[Series, Series, Array]:
+    """Standardised errors where seen; the place predicted
+    without the frame; its covariance (F,D,D) with noise.
+    """
     (mean, cov, var), names = place, sighting.model.outputs
-    cov = cov + scale * (sighting.var[..., None] * np.eye(len(names)) if sighting.cov is None else sighting.cov)
+    cov = cov + scale * (
+        sighting.var[..., None] * np.eye(len(names)) if sighting.cov is None else sighting.cov
+    )
     np.einsum("fdd->fd", cov)[:] += var
     std = np.sqrt(np.einsum("fdd->fd", cov))
     seen = seen_rows(sighting.values)

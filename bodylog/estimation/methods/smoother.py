@@ -1,7 +1,8 @@
-"""The full-interval posterior: Gauss–Newton over the whole log; each round is a forward filter and an adjoint pass.
+"""The full-interval posterior: Gauss–Newton over the whole
+log; each round is a forward filter and an adjoint pass.
 
-Linearising all frames at the smoothed angles until convergence gives the maximum a posteriori path. The backward pass
-has the Bryson–Frazier form, which needs the filter's gains but no inverse.
+Linearising all frames at the smoothed angles until convergence gives the maximum a posteriori path.
+The backward pass has the Bryson–Frazier form, which needs the filter's gains but no inverse.
 """
 
 from dataclasses import replace
@@ -12,55 +13,94 @@ from ...body_model import BodyModel
 from ...settings import EstimationSettings
 from ...types import Array, Estimate, Features
 from ..inference import adjoint
-from ..inference.convergence import CONVERGED_MOVE, MAX_SWEEPS, DidNotConverge, measure_farthest_move, require_finite
+from ..inference.convergence import (
+    CONVERGED_MOVE,
+    MAX_SWEEPS,
+    DidNotConverge,
+    measure_farthest_move,
+    require_finite,
+)
 from ..inference.folded_readings import fold_readings
 from ..inference.folds import choose_fold
 from ..inference.gauss_newton import initial_sweep
 from ..inference.initial_path import hand_over_starts
-from ..inference.leave_one_out import SmoothedWithResiduals, smoothed_free_energy, predict_left_out, find_contradicted_readings, remove_readings
+from ..inference.leave_one_out import (
+    SmoothedWithResiduals,
+    find_contradicted_readings,
+    predict_left_out,
+    remove_readings,
+    smoothed_free_energy,
+)
 from ..inference.problem import FilterProblem
-from ..inference.scan import TraceDetail, restart_filter, filter_stretches
+from ..inference.scan import TraceDetail, filter_stretches, restart_filter
 from ..inference.silence import smooth_across_silence
 from ..inference.solution import Smooth, Solution, assemble_smooth
 from . import results
-from .filtering import find_offset_faults, build_filter_problem, solve_with_reacquisition, warn_of_lost_belief, solve_with_offsets, select_reported_states, tune_noise, with_repairs
+from .filtering import (
+    build_filter_problem,
+    find_offset_faults,
+    select_reported_states,
+    solve_with_offsets,
+    solve_with_reacquisition,
+    tune_noise,
+    warn_of_lost_belief,
+    with_repairs,
+)
 from .results import Beliefs
 
 
-def estimate_by_smoother(features: Features, body: BodyModel, settings: EstimationSettings) -> Estimate:
+def estimate_by_smoother(
+    features: Features, body: BodyModel, settings: EstimationSettings
+) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
     start_problem = build_filter_problem(features, body, settings)
 
     def solved(problem: FilterProblem) -> tuple[FilterProblem, SmoothedWithResiduals]:
         problem, warm = tune_noise(problem, settings)
-        solver = (lambda posed, _: smooth_across_silence(posed)) if problem.stepwise else solve_map_path
+        solver = (
+            (lambda posed, _: smooth_across_silence(posed)) if problem.stepwise else solve_map_path
+        )
         problem, smooth = solve_with_offsets(problem, warm, settings, solver, smooth_across_silence)
         return problem, remove_outliers(problem, smooth)
 
     problem, smooth = solve_with_reacquisition(start_problem, solved)
     found = smooth.left_out
-    unfold, m, precision = smooth.fold.unfold, len(problem.start), problem.precision
-    z, cov = unfold(smooth.z), precision.of(unfold(smooth.cov)[:, :m, :m], problem.held)
+    unfold = smooth.fold.unfold
+    m = len(problem.start)
+    precision = problem.precision
+    z = unfold(smooth.z)
+    cov = precision.of(unfold(smooth.cov)[:, :m, :m], problem.held)
     cov = with_repairs(cov, problem, smooth)
     errors = np.full((*problem.timeline.t.shape, m), np.nan)
     errors[problem.timeline.encoders] = found.encoders
     beliefs = Beliefs(
-        select_reported_states(z, problem), cov, smoothed_free_energy(problem, smooth, found), z[:, :m], cov, errors,
-        precision.scale, precision.plain(), find_offset_faults(problem, smooth),
-        tuple(warn_of_lost_belief(problem, body.joints, smooth)), found.places,
-    )  # fmt: skip
+        select_reported_states(z, problem),
+        cov,
+        smoothed_free_energy(problem, smooth, found),
+        z[:, :m],
+        cov,
+        errors,
+        precision.scale,
+        precision.plain(),
+        find_offset_faults(problem, smooth),
+        tuple(warn_of_lost_belief(problem, body.joints, smooth)),
+        found.places,
+    )
     made = results.build_estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
     return results.with_lasting_error(made, problem, beliefs.z, settings)
 
 
 def remove_outliers(problem: FilterProblem, smooth: Smooth) -> SmoothedWithResiduals:
-    """The smoothed log without outliers, which hindsight finds in place of the gate of the forward pass.
+    """The smoothed log without outliers, which hindsight
+    finds in place of the gate of the forward pass.
 
-    An outlier that the filter believes makes it reject the next readings. Here outliers are the readings that all
-    others contradict; they are found again until they stay the same. Otherwise the gated solution is kept.
+    An outlier that the filter believes makes it reject the next readings. Here outliers are the
+    readings that all others contradict; they are found again until they stay the same. Otherwise
+    the gated solution is kept.
     """
     gated = SmoothedWithResiduals.of(smooth, predict_left_out(problem, smooth))
-    found, removed = gated.left_out, find_contradicted_readings(gated.left_out)
+    found = gated.left_out
+    removed = find_contradicted_readings(gated.left_out)
     if problem.stepwise or not (found.gated or any(far.any() for far in removed)):
         return gated
     path: Smooth = smooth
@@ -69,7 +109,8 @@ def remove_outliers(problem: FilterProblem, smooth: Smooth) -> SmoothedWithResid
             path = solve_map_path(replace(remove_readings(problem, removed), gate=np.inf), path)
         except DidNotConverge:
             break
-        found, before = predict_left_out(problem, path), removed
+        found = predict_left_out(problem, path)
+        before = removed
         removed = find_contradicted_readings(found)
         if all(map(np.array_equal, removed, before)):
             return SmoothedWithResiduals.of(path, found)
@@ -77,17 +118,24 @@ def remove_outliers(problem: FilterProblem, smooth: Smooth) -> SmoothedWithResid
 
 
 def solve_map_path(problem: FilterProblem, warm: Solution | None = None) -> Smooth:
-    """The maximum a posteriori path; or DidNotConverge. Without a smoothed log `warm` the first round only filters.
+    """The maximum a posteriori path; or DidNotConverge.
+    Without a smoothed log `warm` the first round only filters.
 
-    Rounds end when a stretch's start and end, in standard deviations, and points, in rad, move by less than the root of
-    CONVERGED_MOVE: a tangent is off by the square of its point's error. The paths of 19 logs are then within 5e-4 standard
-    deviations of the fixed point.
+    Rounds end when a stretch's start and end, in standard deviations, and points, in rad, move by
+    less than the root of CONVERGED_MOVE: a tangent is off by the square of its point's error. The
+    paths of 19 logs are then within 5e-4 standard deviations of the fixed point.
     """
-    lasting, fold, dynamics = CONVERGED_MOVE**0.5, choose_fold(len(problem.timeline.t)), problem.dynamics
+    lasting = CONVERGED_MOVE**0.5
+    fold = choose_fold(len(problem.timeline.t))
+    dynamics = problem.dynamics
     tangents, z, p = initial_sweep(problem, fold, warm)
-    tangents.resting, tangents.whole = lasting, True
-    readings, trace, rest = fold_readings(problem, fold), None, np.inf
-    ends, beyond = np.zeros((2, *z.shape))  # adjoints by all later readings, and by those far from a stretch's start
+    tangents.resting = lasting
+    tangents.whole = True
+    readings = fold_readings(problem, fold)
+    trace = None
+    rest = np.inf
+    # adjoints by all later readings, and by those far from a stretch's start
+    ends, beyond = np.zeros((2, *z.shape))
     tangents.write(problem, fold, readings)
     for sweep in range(MAX_SWEEPS):
         moved = tangents.draw(problem, fold, readings)
@@ -96,20 +144,32 @@ def solve_map_path(problem: FilterProblem, warm: Solution | None = None) -> Smoo
         else:
             restart_filter(readings, dynamics, z, p, trace)
         next_z, next_p = hand_over_starts(z, p, trace.z[-1], trace.end_p)
-        z, p, move, path = next_z, next_p, require_finite(measure_farthest_move(z, p, next_z, next_p)), trace.z
+        z, p, move, path = (
+            next_z,
+            next_p,
+            require_finite(measure_farthest_move(z, p, next_z, next_p)),
+            trace.z,
+        )
         if sweep or isinstance(warm, Smooth):
             near = adjoint.adjoints_at_start(readings, trace, dynamics)
             expected = adjoint.adjoints_for_next_round(near + beyond)
             if not moved and max(rest, move, _measure_end_moves(expected - ends, p)) < lasting:
                 return assemble_smooth(fold, readings, tangents, trace, expected, dynamics)
             path, at_start = adjoint.smooth_states(readings, trace, expected, dynamics)
-            ends, beyond = adjoint.adjoints_for_next_round(at_start), at_start - near
+            ends = adjoint.adjoints_for_next_round(at_start)
+            beyond = at_start - near
             rest = _measure_end_moves(ends - expected, p)
         tangents.follow(problem, fold, path)
     raise DidNotConverge(f"smoother: no rest after {MAX_SWEEPS} sweeps, last move {move:.2g}")
 
 
 def _measure_end_moves(adjoint_moved: Array, p: Array) -> float:
-    """How far moved adjoints (K,C) move ends, in standard deviations, of covariance p (K,K,C) at the next start."""
+    """How far moved adjoints (K,C) move ends, in standard
+    deviations, of covariance p (K,K,C) at the next start.
+    """
     moved = np.einsum("abc,bc->ac", p[..., 1:], adjoint_moved[:, :-1])
-    return float(np.abs(moved / np.sqrt(np.maximum(np.einsum("aac->ac", p[..., 1:]), 1e-24))).max(initial=0.0))
+    return float(
+        np.abs(moved / np.sqrt(np.maximum(np.einsum("aac->ac", p[..., 1:]), 1e-24))).max(
+            initial=0.0
+        )
+    )

@@ -1,1 +1,3 @@
-"""Noise of each sense and process noise of the joints: learned from the log, the body's, or the paper's."""
+"""Noise of each sense and process noise of the joints:
+learned from the log, the body's, or the paper's.
+"""

@@ -1,4 +1,6 @@
-"""How large one unit of joint readings is, so that rules about angles hold for counts and degrees as well."""
+"""How large one unit of joint readings is, so that
+rules about angles hold for counts and degrees as well.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -16,8 +18,9 @@ JOINT_UNIT_KEY = "joint_unit"
 def unit_of(joints: Series | None) -> tuple[str, float]:
     """The unit of joint readings, and its size in rad, 1 where they are angles.
 
-    The size of undeclared units is a guess: of a turn of the least power of two that holds all readings, as encoders
-    count. A declared unit is rad; whole numbers that span more than a turn are counts all the same.
+    The size of undeclared units is a guess: of a turn of the least power
+    of two that holds all readings, as encoders count. A declared unit is
+    rad; whole numbers that span more than a turn are counts all the same.
     """
     if joints is None or not np.isfinite(joints.values).any():
         return "rad", 1.0
@@ -25,11 +28,17 @@ def unit_of(joints: Series | None) -> tuple[str, float]:
     if joints.unit != "rad":
         return joints.unit, _rad_per_unit(span)
     known = joints.values[np.isfinite(joints.values)]
-    return ("counts", _rad_per_unit(span)) if span > tau and (known == np.round(known)).all() else ("rad", 1.0)
+    return (
+        ("counts", _rad_per_unit(span))
+        if span > tau and (known == np.round(known)).all()
+        else ("rad", 1.0)
+    )
 
 
 def _measure_reading_span(values: Array) -> float:
-    """The span of all readings (N,M) and of zero: of counts and of percent, zero is an end or the middle."""
+    """The span of all readings (N,M) and of zero: of
+    counts and of percent, zero is an end or the middle.
+    """
     return max(float(np.nanmax(values)), 0.0) - min(float(np.nanmin(values)), 0.0)
 
 
@@ -41,7 +50,9 @@ def as_angles(features: Features, rad_per_unit: float) -> Features:
     """The features with joint readings as angles, rad."""
     joints = features.joints
     assert joints is not None
-    return replace(features, joints=replace(joints, values=rad_per_unit * joints.values, unit="rad"))
+    return replace(
+        features, joints=replace(joints, values=rad_per_unit * joints.values, unit="rad")
+    )
 
 
 def in_units(found: Estimate, unit: str, rad_per_unit: float) -> Estimate:
@@ -68,6 +79,8 @@ def _settings_in_units(settings: Mapping[str, Any], scale: float) -> dict[str, A
     """The settings with variances of encoders and of motion in the readings' unit."""
     variances = ("encoder", "process", "drift")
     return {
-        name: [scale**2 * each for each in value] if name in variances and isinstance(value, list) else value
+        name: [scale**2 * each for each in value]
+        if name in variances and isinstance(value, list)
+        else value
         for name, value in settings.items()
     }

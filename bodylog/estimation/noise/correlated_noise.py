@@ -1,10 +1,11 @@
 """Common errors of neighbouring frames, and how much less these count for it.
 
-The model's error depends on the posture, and perception's on the place within a pixel. Frames from nearly the same
-place share an error E (px²), and a belief must not be surer than that. With motion of order n, its noise of density q
-(px² / s^(2n−1)) in the image, and readings with noise of density R (px² s), a filter, whose poles are those of a
-Butterworth filter, has the variance c R^(1−1/2n) q^(1/2n), c = 1 / sin(π/2n), and a smoother 1/2n of it. This equals E
-if correlated frames within a span of (E / c²ⁿ q)^(1/(2n−1)) s count as one.
+The model's error depends on the posture, and perception's on the place within a pixel. Frames from
+nearly the same place share an error E (px²), and a belief must not be surer than that. With motion
+of order n, its noise of density q (px² / s^(2n−1)) in the image, and readings with noise of density
+R (px² s), a filter, whose poles are those of a Butterworth filter, has the variance c R^(1−1/2n)
+q^(1/2n), c = 1 / sin(π/2n), and a smoother 1/2n of it. This equals E if correlated frames within a
+span of (E / c²ⁿ q)^(1/(2n−1)) s count as one.
 """
 
 import math
@@ -24,25 +25,30 @@ Number = TypeVar("Number", float, Array)
 PIXEL_CORRELATION_PX = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
 EXTRAPOLATED_WEIGHT = -0.5
-"""Weight of a lasting error in a filter beyond that of an independent one, on average over the time to the next frame.
+"""Weight of a lasting error in a filter beyond that of an
+independent one, on average over the time to the next frame.
 
-Extrapolated from two frames independent errors get 8/3 of their variance, from three on a line 3/2: −5/8 and −1/3. Of
-these and −1/2, tried on 40 drawn explorations and reaches, NEES is nearest to 1 with −1/2.
+Extrapolated from two frames independent errors get 8/3 of their variance,
+from three on a line 3/2: −5/8 and −1/3. Of these and −1/2, tried on 40
+drawn explorations and reaches, NEES is nearest to 1 with −1/2.
 """
 
 
 def steady_variance(density: Array, process: Array, order: int) -> Array:
-    """Variance (M,) rad² of the filtered angle, for readings of density R (M,) rad² s and process q (M,)."""
+    """Variance (M,) rad² of the filtered angle, for
+    readings of density R (M,) rad² s and process q (M,).
+    """
     power = 1.0 / (2 * order)
     return np.asarray(density ** (1.0 - power) * process**power / np.sin(np.pi * power))
 
 
 @dataclass(frozen=True, eq=False)
 class ErrorCorrelation:
-    """When a track's errors correlate: postures within reach (M,) rad, places within `near` px, 0 for never.
+    """When a track's errors correlate: postures within
+    reach (M,) rad, places within `near` px, 0 for never.
 
-    process (M,) rad²/s³: the joints' white acceleration, or jerk, rad²/s⁵, for order 3 · whole: for a smoother, by the
-    frames of the whole log.
+    process (M,) rad²/s³: the joints' white acceleration, or jerk, rad²/s⁵, for order 3 · whole: for
+    a smoother, by the frames of the whole log.
     """
 
     process: Array
@@ -54,7 +60,9 @@ class ErrorCorrelation:
     @cached_property
     def wander(self) -> Array:
         """Process variance (M,) times c²ⁿ."""
-        steady = steady_variance(np.ones(()), np.ones(()), self.order) / (2 * self.order if self.whole else 1)
+        steady = steady_variance(np.ones(()), np.ones(()), self.order) / (
+            2 * self.order if self.whole else 1
+        )
         return np.asarray(steady ** (2 * self.order) * self.process)
 
     @property
@@ -68,10 +76,13 @@ class ErrorCorrelation:
 
     def spots(self, step: Array) -> Array:
         """Correlation (…,) of perception's errors for a step (…,D) px."""
-        return np.asarray((self.near > 0) * np.exp(-np.sqrt(np.square(step).sum(axis=-1)) / (self.near or 1.0)))
+        return np.asarray(
+            (self.near > 0) * np.exp(-np.sqrt(np.square(step).sum(axis=-1)) / (self.near or 1.0))
+        )
 
     def fade(self, dt: Array, lasting: Array, jac: Array) -> Array:
-        """Share κ (F,) of frames dt (F,) s before that still counts, for common variances `lasting` (F,D) px².
+        """Share κ (F,) of frames dt (F,) s before that still
+        counts, for common variances `lasting` (F,D) px².
 
         (1 + κ) / (1 − κ) is span/dt for much shorter dt.
         """
@@ -81,10 +92,11 @@ class ErrorCorrelation:
         return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
 
     def times(self, count: Number, like: Number) -> Number:
-        """Factor on the variance of a frame that counts as one of `count`; `like`: correlation with the last.
+        """Factor on the variance of a frame that counts as
+        one of `count`; `like`: correlation with the last.
 
-        A lasting error keeps its variance. Interpolated between two frames, (1 − x) e₀ + x e₁, independent ones get 2/3
-        of theirs, so that in a smoother it weighs ½ more.
+        A lasting error keeps its variance. Interpolated between two frames, (1 − x) e₀ + x e₁,
+        independent ones get 2/3 of theirs, so that in a smoother it weighs ½ more.
         """
         return 2.0 * count - 1.0 + (0.5 if self.whole else EXTRAPOLATED_WEIGHT) * like / count
 
@@ -95,47 +107,70 @@ def correlation_length(model: ForwardModel) -> Array:
 
 
 def inflate_variances(
-    like: ErrorCorrelation, t: Array, places: Array, points: Array, jac: Array, pixel: Array, model: Array,
+    like: ErrorCorrelation,
+    t: Array,
+    places: Array,
+    points: Array,
+    jac: Array,
+    pixel: Array,
+    model: Array,
     often: float = 1.0,
-) -> Array:  # fmt: skip
-    """Variances (F,D) px² of frames at t (F,) s, inflated such that correlated frames do not count too much.
+) -> Array:
+    """Variances (F,D) px² of frames at t (F,) s, inflated
+    such that correlated frames do not count too much.
 
-    places (F,D) px · points (F,M) rad and jac (F,D,M) there · pixel and model variance (F,D) · often: factor on it.
+    places (F,D) px · points (F,M) rad and jac (F,D,M) there
+    · pixel and model variance (F,D) · often: factor on it.
     """
     if not len(t):
         return pixel + model
     similarity = like.spots(np.diff(places, axis=0)), like.postures(np.diff(points, axis=0))
     lasting = pixel[1:] * similarity[0][:, None] + model[1:] * similarity[1][:, None]
     fade = like.fade(np.diff(t), lasting, jac[1:])
-    spots, postures = (like.times(count_effective_frames(fade * one), np.append(0.0, one))[:, None] for one in similarity)
+    spots, postures = (
+        like.times(count_effective_frames(fade * one), np.append(0.0, one))[:, None]
+        for one in similarity
+    )
     return np.asarray(pixel * spots + often * model * postures)
 
 
-def shared_model_factors(frames: Sequence[int], common: Sequence[float], distinct: float) -> tuple[float, ...]:
-    """Factor on each track's model variance, for the share of it in common with other tracks' models.
+def shared_model_factors(
+    frames: Sequence[int], common: Sequence[float], distinct: float
+) -> tuple[float, ...]:
+    """Factor on each track's model variance, for the
+    share of it in common with other tracks' models.
 
-    frames: number of each track's frames · distinct: directions of joints that their rows determine. Rows with a common
-    error count as often as there are more of them than directions. Without a direction (0) they count once.
+    frames: number of each track's frames · distinct: directions of joints that their rows
+    determine. Rows with a common error count as often as there are more of them than directions.
+    Without a direction (0) they count once.
     """
     rows = 2.0 * sum(count for count, share in zip(frames, common, strict=True) if share > 0)
     return tuple(
-        1.0 + share * (max(rows / (distinct * max(count, 1)), 1.0) - 1.0) if share > 0 and distinct else 1.0
+        1.0 + share * (max(rows / (distinct * max(count, 1)), 1.0) - 1.0)
+        if share > 0 and distinct
+        else 1.0
         for count, share in zip(frames, common, strict=True)
     )
 
 
 def count_directions(models: Sequence[ForwardModel], x: Array) -> int:
     """Rank of the stacked Jacobians of all models at x (M,)."""
-    return int(np.linalg.matrix_rank(np.concatenate([model.predict(x[None])[1][0] for model in models])))
+    return int(
+        np.linalg.matrix_rank(np.concatenate([model.predict(x[None])[1][0] for model in models]))
+    )
 
 
 def count_effective_frames(kept: Array) -> Array:
-    """Number of frames (F,) up to each that count as one, n[k] = 1 + kept[k] n[k−1], for shares kept (F−1,).
+    """Number of frames (F,) up to each that count as one,
+    n[k] = 1 + kept[k] n[k−1], for shares kept (F−1,).
 
-    At a steady rate n is 1 / (1 − kept). A mean over many frames with correlation kept from one to the next has the
-    variance of independent ones with (1 + kept) / (1 − kept) = 2n − 1 times their variance.
+    At a steady rate n is 1 / (1 − kept). A mean over many frames with
+    correlation kept from one to the next has the variance of independent
+    ones with (1 + kept) / (1 − kept) = 2n − 1 times their variance.
     """
-    count, kept, reach = np.ones(len(kept) + 1), np.append(0.0, kept), 1
+    count = np.ones(len(kept) + 1)
+    kept = np.append(0.0, kept)
+    reach = 1
     # by doubling: after each round the sums reach twice as far back
     while reach < len(count) and kept.any():
         count[reach:] += kept[reach:] * count[:-reach]
@@ -156,7 +191,8 @@ class LastFrame:
 
 @dataclass(frozen=True, eq=False)
 class PendingFrame:
-    """One frame of a track at t (s): model, value (D,), its variance (D,), error correlation, last frame.
+    """One frame of a track at t (s): model, value (D,),
+    its variance (D,), error correlation, last frame.
 
     mix (D,D): makes these independent rows from the model's, as in `Rows`; None for 1.
     """
@@ -182,17 +218,21 @@ class PendingFrame:
         return mean[0], jac[0], model[0]
 
     def at(self, x: Array) -> tuple[Array, Array, Array, Array, LastFrame]:
-        """Mean (D,), Jacobian (D,M), model variance (D,), total one as in `inflate_variances`, memory, at angles x (M,)."""
+        """Mean (D,), Jacobian (D,M), model variance (D,), total one as in `inflate_variances`,
+        memory, at angles x (M,).
+        """
         mean, jac, model = self.predicted(x)
         spots, postures, memory = self._inflation(x, jac, model)
         return mean, jac, model, self.var * spots + model * postures, memory
 
     def _inflation(self, x: Array, jac: Array, model: Array) -> tuple[float, float, LastFrame]:
         """Factors on perception's and the model's variance, and the memory afterwards."""
-        last, like = self.memory, self.like
+        last = self.memory
+        like = self.like
         if last.place is None or last.point is None:
             return 1.0, 1.0, LastFrame(self.t, self.value, x, np.ones(2))
-        step, away = (self.value - last.place).tolist(), ((x - last.point) / like.reach).tolist()
+        step = (self.value - last.place).tolist()
+        away = ((x - last.point) / like.reach).tolist()
         spot = math.exp(-math.hypot(*step) / like.near) if like.near > 0 else 0.0
         posture = math.exp(-0.5 * math.hypot(*away) ** 2)
         error = spot * float(self.var.sum()) + posture * float(model.sum())
@@ -201,5 +241,6 @@ class PendingFrame:
         fade = math.exp(-2.0 * (self.t - last.t) / span)
         by_spot, by_posture = last.count.tolist()
         counts = 1.0 + fade * spot * by_spot, 1.0 + fade * posture * by_posture
-        spots, postures = like.times(counts[0], spot), like.times(counts[1], posture)
+        spots = like.times(counts[0], spot)
+        postures = like.times(counts[1], posture)
         return spots, postures, LastFrame(self.t, self.value, x, np.array(counts))

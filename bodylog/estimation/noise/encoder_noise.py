@@ -1,4 +1,6 @@
-"""Encoder noise and process noise of each joint, for white acceleration or jerk, by the evidence of its readings."""
+"""Encoder noise and process noise of each joint, for white
+acceleration or jerk, by the evidence of its readings.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -7,7 +9,7 @@ import numpy as np
 
 from ...types import Array
 from ..inference.gate import GATE_SIGMA
-from ..measurements.long_arrays import LEVEL_READINGS, median_by_pivot, median_step, index_true_rows
+from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_by_pivot, median_step
 from ..measurements.records import Encoders
 from ..measurements.timeline import MAX_OUTPUT_RATE_HZ
 from .encoder_evidence import SKIPPED_READINGS, compute_encoder_evidence
@@ -15,11 +17,13 @@ from .quantisation import dither_readings, shared_variance
 from .visibility import GAP_STEPS
 
 MAX_INSTANTS = 4000
-"""Most averages, or averages and images, used from the middle of the log: these tell a variance to √(2/N), 2 %."""
+"""Most averages, or averages and images, used from the
+middle of the log: these tell a variance to √(2/N), 2 %.
+"""
 TRIED_MEMORIES = 2.0 ** np.linspace(7.7, -4.7, 48)
-"""Averages: memories tried; a parabola through the best three is exact to .05 in the logarithm of the density. With 64
-as the longest, of 180 joints at rest for 12 to 60 s 39 % got a process density above the `least_process_density`; with 128, 4 %; logs
-of motion have the same errors with both."""
+"""Averages: memories tried; a parabola through the best three is exact to .05 in the logarithm of
+the density. With 64 as the longest, of 180 joints at rest for 12 to 60 s 39 % got a process density
+above the `least_process_density`; with 128, 4 %; logs of motion have the same errors with both."""
 MAX_MEMORY_S = 1.0
 """s: longest memory of a filter for a joint at rest."""
 
@@ -30,7 +34,9 @@ Averages = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class LearnedEncoderNoise:
-    """encoder (M,) rad², also of readings dithered · process (M,) for motion of an order · evidence (nats) of all."""
+    """encoder (M,) rad², also of readings dithered · process
+    (M,) for motion of an order · evidence (nats) of all.
+    """
 
     order: int
     encoder: Array
@@ -40,10 +46,11 @@ class LearnedEncoderNoise:
 
 
 class AveragedReadings(NamedTuple):
-    """A joint's readings, dithered, as `Averages` of `each` of them; None if they are too few or constant.
+    """A joint's readings, dithered, as `Averages` of
+    `each` of them; None if they are too few or constant.
 
-    added, least: variances (rad²) of the dither and, at least, of a reading · repeated: factor on the variance of
-    readings without averages.
+    added, least: variances (rad²) of the dither and, at least, of a reading · repeated: factor on
+    the variance of readings without averages.
     """
 
     averages: Averages | None
@@ -65,7 +72,8 @@ def average_joint_readings(encoders: Encoders) -> list[AveragedReadings]:
 def _average_one_joint(t: Array, y: Array) -> AveragedReadings:
     most = MAX_INSTANTS * readings_per_average(t)
     begin = max(0, (len(t) - most) // 2)
-    t, y = t[begin : begin + most], y[begin : begin + most]
+    t = t[begin : begin + most]
+    y = y[begin : begin + most]
     if len(t) // readings_per_average(t) <= SKIPPED_READINGS or np.ptp(y) == 0.0:
         return AveragedReadings(None, repeated=shared_variance(t, y) if len(t) else 1.0)
     spread, added, least = dither_readings(t, y)
@@ -73,27 +81,38 @@ def _average_one_joint(t: Array, y: Array) -> AveragedReadings:
 
 
 def learn_encoder_noise(
-    joints: list[AveragedReadings], encoder: Array, process: Array, order: int = 2, known: Array | None = None
-) -> LearnedEncoderNoise:  # fmt: skip
-    """Learn encoder variances and process densities by evidence, the given variance counting as one reading.
+    joints: list[AveragedReadings],
+    encoder: Array,
+    process: Array,
+    order: int = 2,
+    known: Array | None = None,
+) -> LearnedEncoderNoise:
+    """Learn encoder variances and process densities by
+    evidence, the given variance counting as one reading.
 
-    A joint that reads nothing, or always the same, keeps the given ones. Quantised readings are dithered over their
-    step, whose variance is the least.
-    known (M,) rad²: variances of the dithered readings, for which only process densities are learned.
+    A joint that reads nothing, or always the same, keeps the given ones. Quantised readings are
+    dithered over their step, whose variance is the least. known (M,) rad²: variances of the
+    dithered readings, for which only process densities are learned.
     """
     encoder, found, process, nats = encoder.copy(), encoder.copy(), process.copy(), 0.0
     for joint, one in enumerate(joints):
         if one.averages is not None:
-            usual, given = encoder[joint] + one.added, None if known is None else known[joint] / one.each
-            found[joint], process[joint], own = find_likeliest_noise(one.averages, one.each, usual, order, given)
+            usual = encoder[joint] + one.added
+            given = None if known is None else known[joint] / one.each
+            found[joint], process[joint], own = find_likeliest_noise(
+                one.averages, one.each, usual, order, given
+            )
             encoder[joint], nats = max(found[joint] - one.added, one.least), nats + own
         else:
             encoder[joint] *= one.repeated
     return LearnedEncoderNoise(order, encoder, found, process, nats)
 
 
-def find_followable_process(encoders: Encoders, encoder: Array, process: Array, order: int) -> Array:
-    """Densities (M,), at least `process`, with which a filter of an order follows all readings of the encoders.
+def find_followable_process(
+    encoders: Encoders, encoder: Array, process: Array, order: int
+) -> Array:
+    """Densities (M,), at least `process`, with which a
+    filter of an order follows all readings of the encoders.
 
     Joints with few readings keep theirs.
     """
@@ -101,13 +120,20 @@ def find_followable_process(encoders: Encoders, encoder: Array, process: Array, 
     for joint, column in enumerate(encoders.values.T):
         known = np.isfinite(column)
         if known.sum() // readings_per_average(encoders.t[known]) > SKIPPED_READINGS:
-            (averages, each), noise = _average_between_breaks(encoders.t[known], column[known]), encoder[joint]
-            process[joint] = noise * _raise_until_followed(averages, process[joint] / noise, noise / each, order)
+            (averages, each), noise = (
+                _average_between_breaks(encoders.t[known], column[known]),
+                encoder[joint],
+            )
+            process[joint] = noise * _raise_until_followed(
+                averages, process[joint] / noise, noise / each, order
+            )
     return process
 
 
 def least_process_density(t: Array, encoder: Array, order: int) -> Array:
-    """Least density (M,), which bounds a filter's memory, (R Δt / q)^(1/2p), by MAX_MEMORY_S; p is the motion's order."""
+    """Least density (M,), which bounds a filter's memory, (R
+    Δt / q)^(1/2p), by MAX_MEMORY_S; p is the motion's order.
+    """
     step = median_step(t) if len(t) > 1 else 0.0
     return np.asarray(encoder * step / MAX_MEMORY_S ** (2 * order))
 
@@ -139,7 +165,8 @@ def _fit_evidence_peak(ratios: Array, score: Array, noise: Array) -> tuple[float
     """Ratio, noise and score at the greatest score (R,), by parabolas through the best three."""
     at = int(np.clip(score.argmax(), 1, len(ratios) - 2))
     before, best, after = np.stack([np.log(ratios), score, np.log(noise)], axis=1)[at - 1 : at + 2]
-    slope, bend = 0.5 * (after - before), before - 2.0 * best + after
+    slope = 0.5 * (after - before)
+    bend = before - 2.0 * best + after
     shift = np.clip(-slope[1] / min(bend[1], -np.finfo(float).tiny), -1.0, 1.0)
     ratio, peak, variance = best + shift * slope + 0.5 * shift**2 * bend
     return float(np.exp(ratio)), float(np.exp(variance)), float(peak)
@@ -152,7 +179,8 @@ def readings_per_average(t: Array) -> int:
 
 def average_close_readings(found: Encoders) -> Encoders:
     """Means of close readings, among rows of the same encoders: these are read together."""
-    known, which = np.isfinite(found.values), np.zeros(len(found.t), int)
+    known = np.isfinite(found.values)
+    which = np.zeros(len(found.t), int)
     for column in known.T[~known.all(axis=0)]:
         which = np.unique(2 * which + column, return_inverse=True)[1]
     parts = np.split(np.argsort(which, kind="stable"), np.cumsum(np.bincount(which))[:-1])
@@ -161,20 +189,33 @@ def average_close_readings(found: Encoders) -> Encoders:
 
 def _row_means(found: Encoders, part: Array) -> Encoders:
     """Means of close rows among `part` (P,), which are of the same encoders."""
-    each, joints = readings_per_average(found.t[part]), found.values.shape[1]
+    each = readings_per_average(found.t[part])
+    joints = found.values.shape[1]
     part = part[: len(part) // each * each]
     weights = np.ones((len(part), joints)) if found.relative is None else 1.0 / found.relative[part]
     weights, values = (a.reshape(-1, each, joints) for a in (weights, found.values[part]))
-    total, t = weights.sum(axis=1), found.t[part].reshape(-1, each).mean(axis=1)
-    return Encoders(t, (weights * values).sum(axis=1) / total, found.source_ns[part[each - 1 :: each]], 1.0 / total)
+    total = weights.sum(axis=1)
+    t = found.t[part].reshape(-1, each).mean(axis=1)
+    return Encoders(
+        t,
+        (weights * values).sum(axis=1) / total,
+        found.source_ns[part[each - 1 :: each]],
+        1.0 / total,
+    )
 
 
 def _merge_encoders(parts: list[Encoders]) -> Encoders:
-    """One record of readings of different encoders, in time order; a row holds all readings of one time."""
-    t, joints = np.unique(np.concatenate([part.t for part in parts])), parts[0].values.shape[1]
-    values, relative, source = np.full((len(t), joints), np.nan), np.ones((len(t), joints)), np.zeros(len(t), np.int64)
+    """One record of readings of different encoders, in
+    time order; a row holds all readings of one time.
+    """
+    t = np.unique(np.concatenate([part.t for part in parts]))
+    joints = parts[0].values.shape[1]
+    values = np.full((len(t), joints), np.nan)
+    relative = np.ones((len(t), joints))
+    source = np.zeros(len(t), np.int64)
     for part in parts:
-        at, read = np.searchsorted(t, part.t), np.isfinite(part.values[0])
+        at = np.searchsorted(t, part.t)
+        read = np.isfinite(part.values[0])
         values[np.ix_(at, read)], source[at] = part.values[:, read], part.source_ns
         if part.relative is not None:
             relative[np.ix_(at, read)] = part.relative[:, read]
@@ -182,7 +223,8 @@ def _merge_encoders(parts: list[Encoders]) -> Encoders:
 
 
 def _average_between_breaks(t: Array, y: Array) -> tuple[Averages, int]:
-    """Means (N,) of times and of readings, where the filter restarts, at and after a mean with a break; how many each.
+    """Means (N,) of times and of readings, where the filter
+    restarts, at and after a mean with a break; how many each.
 
     Readings are averaged as far as a short stretch shows no acceleration.
     """
@@ -199,7 +241,8 @@ def _average_between_breaks(t: Array, y: Array) -> tuple[Averages, int]:
 
 def _find_breaks(t: Array, y: Array) -> Array:
     """Readings (N,) that cannot follow from their neighbours, where the filter restarts."""
-    steps, fresh = np.diff(y), np.zeros(len(y), bool)
+    steps = np.diff(y)
+    fresh = np.zeros(len(y), bool)
     at = np.flatnonzero(_find_far_bends(np.abs(np.diff(steps))))
     at = at[~_find_lasting_motion(steps, at)]
     fresh[at + 1] = fresh[at + 2] = True
@@ -210,25 +253,39 @@ def _find_breaks(t: Array, y: Array) -> Array:
 def _find_far_bends(bend: Array) -> Array:
     """Which second differences (N,) are beyond the gate, in robust standard deviations of all.
 
-    With 10 in place of 5, and only those that stand out of their neighbours, errors where 2 % of the readings are false
-    are a third larger, and error bars too large; on sound logs nothing changes.
+    With 10 in place of 5, and only those that stand out of their
+    neighbours, errors where 2 % of the readings are false are a third
+    larger, and error bars too large; on sound logs nothing changes.
     """
     moved = bend[bend > 0.0]
     # where most readings repeat, the others are typical
-    typical = median_by_pivot(bend) if 2 * len(moved) > len(bend) else median_by_pivot(moved) if len(moved) else np.inf
+    typical = (
+        median_by_pivot(bend)
+        if 2 * len(moved) > len(bend)
+        else median_by_pivot(moved)
+        if len(moved)
+        else np.inf
+    )
     return np.asarray(bend > GATE_SIGMA * 1.4826 * typical)
 
 
 def _find_lasting_motion(steps: Array, at: Array) -> Array:
-    """Whether motion (K,) starts or stops at second differences `at` (K,) of `steps` (N,): its steps last.
+    """Whether motion (K,) starts or stops at second
+    differences `at` (K,) of `steps` (N,): its steps last.
 
-    The larger step beside it has a neighbour in its direction of at least a quarter, as innovations that lag have.
-    After a false reading the next step leads back; a shift is one step.
+    The larger step beside it has a neighbour in its direction of at least a quarter, as innovations
+    that lag have. After a false reading the next step leads back; a shift is one step.
     """
-    around = np.pad(steps, LEVEL_READINGS, constant_values=np.nan)[at[:, None] + np.arange(1, 2 * LEVEL_READINGS + 1)]
+    around = np.pad(steps, LEVEL_READINGS, constant_values=np.nan)[
+        at[:, None] + np.arange(1, 2 * LEVEL_READINGS + 1)
+    ]
     # as many steps before as after: where one speed follows another, the median is between them
-    off = (around - np.nanmedian(around, axis=1, keepdims=True))[:, LEVEL_READINGS - 2 : LEVEL_READINGS + 2]
+    off = (around - np.nanmedian(around, axis=1, keepdims=True))[
+        :, LEVEL_READINGS - 2 : LEVEL_READINGS + 2
+    ]
     second = np.abs(off[:, 2]) > np.abs(off[:, 1])
     large = np.where(second, off[:, 2], off[:, 1])
     beside = np.where(second[:, None], off[:, [1, 3]], off[:, [0, 2]])
-    return np.asarray((4.0 * np.sign(large)[:, None] * beside >= np.abs(large)[:, None]).any(axis=1))
+    return np.asarray(
+        (4.0 * np.sign(large)[:, None] * beside >= np.abs(large)[:, None]).any(axis=1)
+    )

@@ -1,4 +1,6 @@
-"""Noise models by evidence: the order of motion by encoders, and variances by the whole filter, images included."""
+"""Noise models by evidence: the order of motion by encoders,
+and variances by the whole filter, images included.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -10,16 +12,22 @@ from ...types import Array, Hypothesis
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.convergence import MAX_SWEEPS
 from ..inference.problem import FilterProblem
-from ..inference.reacquisition import joints_left_open, find_silent_joints
+from ..inference.reacquisition import find_silent_joints, joints_left_open
 from ..inference.scan import filter_stretches
 from ..inference.solution import Solution
 from ..inference.walk import filter_roughly
-from ..measurements.long_arrays import median_step, find_finite_rows
+from ..measurements.long_arrays import find_finite_rows, median_step
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import build_timeline
 from .correlated_noise import steady_variance
 from .encoder_evidence import SKIPPED_READINGS
-from .encoder_noise import MAX_INSTANTS, average_close_readings, least_process_density, find_followable_process, readings_per_average
+from .encoder_noise import (
+    MAX_INSTANTS,
+    average_close_readings,
+    find_followable_process,
+    least_process_density,
+    readings_per_average,
+)
 from .noise_model import NoiseModel
 from .smoother_process import least_error_process, stack_candidates
 from .visibility import View, list_track_sets, select_visual_sightings
@@ -28,15 +36,23 @@ Measured = TypeVar("Measured", Encoders, Sighting)
 
 
 def with_preferred_order(problem: FilterProblem) -> FilterProblem:
-    """The problem with white jerk where the encoders' evidence prefers it, if its noise is learned from the log.
+    """The problem with white jerk where the encoders'
+    evidence prefers it, if its noise is learned from the log.
 
-    Also where images leave silent joints open, unless the evidence is surely against it: over seconds accelerations
-    last, which a log's readings, hundredths of a second apart, may not show. Where images determine all silent joints
-    these keep white acceleration.
+    Also where images leave silent joints open, unless the evidence is surely against it: over
+    seconds accelerations last, which a log's readings, hundredths of a second apart, may not show.
+    Where images determine all silent joints these keep white acceleration.
     """
-    encoders, precision, learned = problem.evidence.encoders, problem.precision, problem.precision.learned
+    encoders = problem.evidence.encoders
+    precision = problem.precision
+    learned = problem.precision.learned
     unread = problem.posture_prior is not None
-    if encoders is None or learned is None or unread or (np.isfinite(encoders.values).sum(axis=0) <= SKIPPED_READINGS).any():
+    if (
+        encoders is None
+        or learned is None
+        or unread
+        or (np.isfinite(encoders.values).sum(axis=0) <= SKIPPED_READINGS).any()
+    ):
         return problem
     lasting = bool(joints_left_open(problem.timeline.t, problem.evidence).any())
     if not lasting and find_silent_joints(problem.timeline.t, encoders).any():
@@ -53,14 +69,22 @@ def with_preferred_order(problem: FilterProblem) -> FilterProblem:
 
 
 def tune_by_evidence(problem: FilterProblem, whole: bool) -> tuple[NoiseModel, Solution | None]:
-    """Process variances and pixel factors from (the middle of) the log, for a smoother (`whole`) or a filter.
+    """Process variances and pixel factors from (the middle
+    of) the log, for a smoother (`whole`) or a filter.
 
-    Rounds of steps to the greatest evidence end when all are within a standard deviation of it; a parabola is as wide
-    as before until its minimum is near. Also the last solution as a warm start, if it covers the whole log.
+    Rounds of steps to the greatest evidence end when all are within a standard deviation of it; a
+    parabola is as wide as before until its minimum is near. Also the last solution as a warm start,
+    if it covers the whole log.
     """
-    log = cut_to_middle(drop_undetermined_images(replace(problem, precision=replace(problem.precision, fewer={}))))
+    log = cut_to_middle(
+        drop_undetermined_images(replace(problem, precision=replace(problem.precision, fewer={})))
+    )
     part = thin_encoder_readings(log)
-    names = [s.name for s in part.evidence.sightings if s.name != "touch" and find_finite_rows(s.values).sum() > SKIPPED_READINGS]
+    names = [
+        s.name
+        for s in part.evidence.sightings
+        if s.name != "touch" and find_finite_rows(s.values).sum() > SKIPPED_READINGS
+    ]
     if not names and not whole:
         return problem.precision, None
     solved = filter_roughly(part)
@@ -77,8 +101,13 @@ def tune_by_evidence(problem: FilterProblem, whole: bool) -> tuple[NoiseModel, S
     warm = solved if part.timeline is problem.timeline else None
     if whole:
         likeliest = _tune_filter_noise(problem, part, solved).process
-        return replace(_tune_smoother_noise(part, solved, log.evidence.encoders), likeliest=likeliest), warm
-    fewer = {view: _tune_filter_noise(problem, *_with_view(part, view)).process for view in _list_partial_views(problem)}
+        return replace(
+            _tune_smoother_noise(part, solved, log.evidence.encoders), likeliest=likeliest
+        ), warm
+    fewer = {
+        view: _tune_filter_noise(problem, *_with_view(part, view)).process
+        for view in _list_partial_views(problem)
+    }
     return replace(_tune_filter_noise(problem, part, solved), fewer=fewer), warm
 
 
@@ -87,19 +116,31 @@ def _list_partial_views(problem: FilterProblem) -> list[View]:
     usual = tuple(s.name for s in select_visual_sightings(problem.evidence.sightings))
     if problem.path or problem.precision.order > 2:
         return []
-    return [v for v in list_track_sets(problem.evidence.sightings, problem.timeline.t)[0] if v != usual]
+    return [
+        v for v in list_track_sets(problem.evidence.sightings, problem.timeline.t)[0] if v != usual
+    ]
 
 
 def _with_view(part: FilterProblem, view: View) -> tuple[FilterProblem, Solution]:
     """The part with only these of its tracks, and its solution."""
-    less = _with_measurements(part, part.evidence.encoders, [s for s in part.evidence.sightings if s.name in view])
+    less = _with_measurements(
+        part, part.evidence.encoders, [s for s in part.evidence.sightings if s.name in view]
+    )
     return less, filter_roughly(less)
 
 
-def _tune_smoother_noise(part: FilterProblem, solved: Solution, encoders: Encoders | None) -> NoiseModel:
-    """A smoother's noise model, whose forward pass stays within the gate, with the share of its covariance to state."""
+def _tune_smoother_noise(
+    part: FilterProblem, solved: Solution, encoders: Encoders | None
+) -> NoiseModel:
+    """A smoother's noise model, whose forward pass stays
+    within the gate, with the share of its covariance to state.
+    """
     precision = part.precision
-    low = 0.0 if encoders is None else least_process_density(encoders.t, precision.encoder, precision.order)
+    low = (
+        0.0
+        if encoders is None
+        else least_process_density(encoders.t, precision.encoder, precision.order)
+    )
     held = replace(precision, process=np.maximum(precision.process, low))
     process, stated = least_error_process(replace(part, precision=held), solved)
     process = np.maximum(process, low)
@@ -109,13 +150,17 @@ def _tune_smoother_noise(part: FilterProblem, solved: Solution, encoders: Encode
 
 
 def _tune_filter_noise(problem: FilterProblem, part: FilterProblem, solved: Solution) -> NoiseModel:
-    """A filter's noise model, which fits no motion at all time scales, with the share of its covariance to state.
+    """A filter's noise model, which fits no motion at all
+    time scales, with the share of its covariance to state.
 
-    A joint has its encoder's process variance to the extent that the encoder determines it: the variance by all senses
-    over the one by encoders alone is what images leave undetermined. With one camera this is a direction in which
-    joints err together. Independent errors add up to it only with as many times their variance as joints take part.
+    A joint has its encoder's process variance to the extent that the encoder determines it: the
+    variance by all senses over the one by encoders alone is what images leave undetermined. With
+    one camera this is a direction in which joints err together. Independent errors add up to it
+    only with as many times their variance as joints take part.
     """
-    encoders, precision, m = problem.evidence.encoders, problem.precision, len(problem.start)
+    encoders = problem.evidence.encoders
+    precision = problem.precision
+    m = len(problem.start)
     alone = precision.process if precision.evident is None else precision.evident
     if encoders is None or len(encoders.t) < 2:
         return replace(part.precision, process=0.5 * (alone + part.precision.process))
@@ -136,7 +181,9 @@ def _tune_filter_noise(problem: FilterProblem, part: FilterProblem, solved: Solu
 
 def _log_parameters(part: FilterProblem, names: list[str]) -> Array:
     """Natural logarithms (M + tracks) of process variances, then of pixel factors."""
-    return np.asarray(np.log([*part.precision.process, *(part.precision.scale[name] for name in names)]))
+    return np.asarray(
+        np.log([*part.precision.process, *(part.precision.scale[name] for name in names)])
+    )
 
 
 def _noise_with_values(part: FilterProblem, values: Array, names: list[str]) -> NoiseModel:
@@ -147,38 +194,49 @@ def _noise_with_values(part: FilterProblem, values: Array, names: list[str]) -> 
 
 
 def _parabola_step(nats: Array, half: Array) -> tuple[Array, Array]:
-    """Step to the minimum of the parabola through (−half, 0, half) along each axis, at most 2 half; its std.
+    """Step to the minimum of the parabola through (−half,
+    0, half) along each axis, at most 2 half; its std.
 
-    Where the parabola has no minimum the step is downhill, and its std is half. A candidate without a finite cost is no
-    better than any other: no step goes towards it.
+    Where the parabola has no minimum the step is downhill, and its std is half. A candidate without
+    a finite cost is no better than any other: no step goes towards it.
     """
     finite = np.isfinite(nats)
     if not finite[0]:
         return np.zeros(len(half)), half
     nats = np.where(finite, nats, nats[finite].max())
-    up, down = nats[1 : 1 + len(half)], nats[1 + len(half) :]
+    up = nats[1 : 1 + len(half)]
+    down = nats[1 + len(half) :]
     bend = up - 2.0 * nats[0] + down
     curved = np.where(bend > 0.0, bend, 1.0)
     step = np.where(bend > 0.0, 0.5 * half * (down - up) / curved, 2.0 * half * np.sign(down - up))
     return np.clip(step, -2.0 * half, 2.0 * half), half / np.sqrt(curved)
 
 
-def compute_candidate_costs(part: FilterProblem, solved: Solution, candidates: Array, names: list[str]) -> tuple[Array, Solution]:
-    """Free energy (G,) nats of the log for candidates (G, M + tracks): process variances, then pixel factors.
+def compute_candidate_costs(
+    part: FilterProblem, solved: Solution, candidates: Array, names: list[str]
+) -> tuple[Array, Solution]:
+    """Free energy (G,) nats of the log for candidates (G,
+    M + tracks): process variances, then pixel factors.
 
     Stretches start where those of `solved` ended. Also the first candidate's solution.
     """
-    readings, fold, g, m = solved.readings, solved.fold, len(candidates), len(part.start)
+    readings = solved.readings
+    fold = solved.fold
+    g = len(candidates)
+    m = len(part.start)
     solved.tangents.draw(part, fold, readings)
     var = np.repeat(readings.var[..., None], g, axis=-1)
-    for index, (sighting, events) in enumerate(zip(part.evidence.sightings, part.timeline.sightings, strict=True)):
+    for index, (sighting, events) in enumerate(
+        zip(part.evidence.sightings, part.timeline.sightings, strict=True)
+    ):
         if sighting.name in names:
             pixels = np.zeros_like(readings.var[:, index])
             fold.put(pixels[:, : sighting.var.shape[1]], events, sighting.independent.var)
             scale = part.precision.scale[sighting.name]
             more = candidates[:, m + names.index(sighting.name)] - scale
-            # a lasting error counts less than its variance in a filter's extrapolation, so that a reading's variance
-            # may be less than its pixels': no more can be taken from it than it has
+            # a lasting error counts less than its variance in a filter's
+            # extrapolation, so that a reading's variance may be less
+            # than its pixels': no more can be taken from it than it has
             shares = np.minimum(pixels, readings.var[:, index] / scale)
             var[:, index] += shares[..., None] * more
     trace = filter_stretches(*stack_candidates(part, solved, candidates[:, :m].T, var), every=g)
@@ -187,8 +245,11 @@ def compute_candidate_costs(part: FilterProblem, solved: Solution, candidates: A
 
 
 def cut_to_middle(problem: FilterProblem) -> FilterProblem:
-    """The problem with only the images and encoder readings nearest to the middle of the images, if there are many."""
-    evidence, found = problem.evidence, problem.evidence.encoders
+    """The problem with only the images and encoder readings
+    nearest to the middle of the images, if there are many.
+    """
+    evidence = problem.evidence
+    found = problem.evidence.encoders
     seen_at = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
     low, high = span = _find_middle_span(seen_at, np.empty(0) if found is None else found.t)
     if span == (-np.inf, np.inf):
@@ -196,12 +257,17 @@ def cut_to_middle(problem: FilterProblem) -> FilterProblem:
     sightings = [_select_record_rows(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings]
     if found is None:
         return _with_measurements(problem, None, sightings)
-    part, start = _select_record_rows(found, (found.t >= low) & (found.t <= high)), found.at(np.array([low]))[0]
-    return replace(_with_measurements(problem, part, sightings), start=np.where(np.isfinite(start), start, problem.start))
+    part = _select_record_rows(found, (found.t >= low) & (found.t <= high))
+    start = found.at(np.array([low]))[0]
+    return replace(
+        _with_measurements(problem, part, sightings),
+        start=np.where(np.isfinite(start), start, problem.start),
+    )
 
 
 def _find_middle_span(seen_at: Array, read_at: Array) -> tuple[float, float]:
-    """First and last time (s) of the MAX_INSTANTS images and averages nearest to the middle of the images among readings.
+    """First and last time (s) of the MAX_INSTANTS images and
+    averages nearest to the middle of the images among readings.
 
     Nearest to the middle of the readings if none are among these; infinite if the log has no more.
     """
@@ -224,17 +290,24 @@ def thin_encoder_readings(problem: FilterProblem) -> FilterProblem:
 
 
 def drop_undetermined_images(problem: FilterProblem) -> FilterProblem:
-    """The problem without images at times when no more numbers than encoders are silent must determine these joints."""
+    """The problem without images at times when no more numbers
+    than encoders are silent must determine these joints.
+    """
     held = problem.held
     if held is None:
         return problem
-    sure, line = np.asarray(~held.any(axis=1)), problem.timeline
+    sure = np.asarray(~held.any(axis=1))
+    line = problem.timeline
     pairs = zip(problem.evidence.sightings, line.sightings, strict=True)
     sightings = [_select_record_rows(sighting, sure[at]) for sighting, at in pairs]
-    return problem if sure.all() else _with_measurements(problem, problem.evidence.encoders, sightings)
+    return (
+        problem if sure.all() else _with_measurements(problem, problem.evidence.encoders, sightings)
+    )
 
 
-def _with_measurements(problem: FilterProblem, encoders: Encoders | None, sightings: Sequence[Sighting]) -> FilterProblem:
+def _with_measurements(
+    problem: FilterProblem, encoders: Encoders | None, sightings: Sequence[Sighting]
+) -> FilterProblem:
     """The problem with only these measurements."""
     evidence = replace(problem.evidence, encoders=encoders, sightings=tuple(sightings))
     return replace(problem, evidence=evidence, timeline=build_timeline(evidence, None))
@@ -243,5 +316,7 @@ def _with_measurements(problem: FilterProblem, encoders: Encoders | None, sighti
 def _select_record_rows(record: Measured, rows: Array) -> Measured:
     """A record of measurements with only some of its rows (N,) bool."""
     parts: Mapping[str, Any] = {one.name: getattr(record, one.name) for one in fields(record)}
-    kept: Mapping[str, Any] = {name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)}
+    kept: Mapping[str, Any] = {
+        name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)
+    }
     return replace(record, **kept)

@@ -1,15 +1,16 @@
 """Errors of encoders that last: found by what images say against readings, without truth.
 
-Encoders and images that have white errors alone disagree afresh in every image. Play, load and electronics make errors
-that last for several images. With J the slope of a track, its residual from the readings is then
+Encoders and images that have white errors alone disagree afresh in every
+image. Play, load and electronics make errors that last for several images.
+With J the slope of a track, its residual from the readings is then
 
     r(t) = −J e(t) + n(t),   e of each joint an Ornstein–Uhlenbeck process of variance σ² and time constant τ.
 
-n has what a sound log may have: the noise of image and reading, alike or not where places or counts are, times factors;
-the stated error of the learned body, a function of the posture; and a delay, by rows of the picture. The evidence of
-σ and τ over that of noise alone decides. An error that the log shows adds σ² to the variances: the belief
-follows the readings, so it has their error. A body whose error is larger than stated shows as the same: images cannot
-tell it from an error of the joints.
+n has what a sound log may have: the noise of image and reading, alike or not where places or counts
+are, times factors; the stated error of the learned body, a function of the posture; and a delay, by
+rows of the picture. The evidence of σ and τ over that of noise alone decides. An error that the log
+shows adds σ² to the variances: the belief follows the readings, so it has their error. A body whose
+error is larger than stated shows as the same: images cannot tell it from an error of the joints.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -35,15 +36,21 @@ SHORTEST_S = 0.1
 LONGEST_S = 60.0
 """s: what lasts longer than a log is constant in it."""
 EVIDENCE_NATS = 8.0
-"""Evidence that a lasting error must win: of 120 drawn sound logs, in four kinds of motion, the most had 7.1."""
+"""Evidence that a lasting error must win: of 120 drawn
+sound logs, in four kinds of motion, the most had 7.1.
+"""
 OUTLIER_MEDIANS = 6.0
 """Median sizes of a residual beyond which an image shows something else."""
 MOST_COUNTS = 2.0
-"""Variances of whole counts up to which an error that lasts is that of the counts, which noise has already."""
+"""Variances of whole counts up to which an error that
+lasts is that of the counts, which noise has already.
+"""
 MOST_STEPS = 2.5
 """Usual steps of the encoders' clock that readings beside an image may be apart."""
 DELAY_S = 1e-2
-"""s: standard deviation of the rest of a camera's delay, and of the difference of its first row from its last."""
+"""s: standard deviation of the rest of a camera's delay,
+and of the difference of its first row from its last.
+"""
 _JITTER = 1e-6
 _STATED = np.array([1.0, 1.0, 0.01])
 """Factors on the noise of images, of readings, and alike, with which the search begins."""
@@ -53,7 +60,9 @@ _LIMITS = np.log([[1e-6, 1e6], [1e-6, 1e6], [1e-6, 1e6], [1e-7, 1.0], [SHORTEST_
 
 @dataclass(frozen=True)
 class LastingError:
-    """Standard deviation (rad) and time constant (s) of encoders' errors, and the nats of evidence for them."""
+    """Standard deviation (rad) and time constant (s) of
+    encoders' errors, and the nats of evidence for them.
+    """
 
     std: float
     seconds: float
@@ -64,9 +73,9 @@ class LastingError:
 class Residuals:
     """Images against readings in one stretch of a log, as R rows.
 
-    residual (R,) · image, reading (R,R): covariance by their noise, independent · alike (R,R): by both, if places and
-    counts that are alike have the same error · model (R,R): by the body's error · delayed (R,R): by a
-    delay of DELAY_S · slopes (R,M), 0 for joints without readings · t (R,) s.
+    residual (R,) · image, reading (R,R): covariance by their noise, independent · alike (R,R): by
+    both, if places and counts that are alike have the same error · model (R,R): by the body's error
+    · delayed (R,R): by a delay of DELAY_S · slopes (R,M), 0 for joints without readings · t (R,) s.
     """
 
     residual: Array
@@ -86,7 +95,9 @@ class Residuals:
 
 @dataclass(frozen=True, eq=False)
 class FrameBelief:
-    """What is believed at a sighting's frames: angles and rates (F,M), and encoder offsets (F,M), 0 without any."""
+    """What is believed at a sighting's frames: angles and
+    rates (F,M), and encoder offsets (F,M), 0 without any.
+    """
 
     angles: Array
     rates: Array
@@ -94,7 +105,10 @@ class FrameBelief:
 
 
 def find_lasting_error(
-    encoders: Encoders | None, sightings: Sequence[Sighting], beliefs: Sequence[FrameBelief], variance: Array
+    encoders: Encoders | None,
+    sightings: Sequence[Sighting],
+    beliefs: Sequence[FrameBelief],
+    variance: Array,
 ) -> LastingError | None:
     """The lasting error that a log shows; None where it shows none, or tells nothing.
 
@@ -114,42 +128,66 @@ def find_lasting_error(
     return lasting
 
 
-def _stretch_residuals(encoders: Encoders, sighting: Sighting, belief: FrameBelief, variance: Array) -> Iterator[Residuals]:
+def _stretch_residuals(
+    encoders: Encoders, sighting: Sighting, belief: FrameBelief, variance: Array
+) -> Iterator[Residuals]:
     """Yield the residuals of a track's images from the readings, stretch by stretch."""
     read = _interpolate_readings(encoders, sighting.t)
-    # images follow an encoder with an offset, and one that never changes may stand anywhere within its count
-    tells = (belief.offsets == 0.0).all(axis=0) & (np.diff(encoders.values, axis=0) != 0.0).any(axis=0)
+    # images follow an encoder with an offset, and one that
+    # never changes may stand anywhere within its count
+    tells = (belief.offsets == 0.0).all(axis=0) & (np.diff(encoders.values, axis=0) != 0.0).any(
+        axis=0
+    )
     has_reading = np.isfinite(read) & tells
     angles = np.where(has_reading, read, belief.angles)
     values, var, mix = sighting.independent
     usable = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(angles).all(axis=1))
     if len(usable) < LEAST_IMAGES or not has_reading.any():
         return
-    mean, jac, model_var = mix_rows(None if mix is None else mix[usable], sighting.model.predict(angles[usable]))
+    mean, jac, model_var = mix_rows(
+        None if mix is None else mix[usable], sighting.model.predict(angles[usable])
+    )
     residual = values[usable] - mean
     inlying = _find_inliers(residual)
     width = max(ROWS_PER_STRETCH // values.shape[1], 1)
     frames = np.arange(len(usable))[inlying]
     length = correlation_length(sighting.model)
     counts = _count_variances(encoders)
-    for start in np.unique(np.linspace(0, max(len(frames) - width, 0), STRETCHES_PER_LOG).astype(int)):
+    for start in np.unique(
+        np.linspace(0, max(len(frames) - width, 0), STRETCHES_PER_LOG).astype(int)
+    ):
         part = frames[start : start + width]
         rows = usable[part]
         sloped = jac[part] * has_reading[rows][:, None, :]
         late = np.einsum("fdm,fm->fd", jac[part], belief.rates[rows])
         yield _build_piece_residuals(
-            residual[part], mean[part], var[rows], sloped, model_var[part], angles[rows], late, sighting.t[rows],
-            variance, counts, length,
-        )  # fmt: skip
+            residual[part],
+            mean[part],
+            var[rows],
+            sloped,
+            model_var[part],
+            angles[rows],
+            late,
+            sighting.t[rows],
+            variance,
+            counts,
+            length,
+        )
 
 
 def _count_variances(encoders: Encoders) -> Array:
-    """Variance (M,) rad² of each encoder's readings that comes from whole counts; 0 where none are seen."""
-    return np.array([quantisation_variance(column[np.isfinite(column)]) for column in encoders.values.T])
+    """Variance (M,) rad² of each encoder's readings
+    that comes from whole counts; 0 where none are seen.
+    """
+    return np.array(
+        [quantisation_variance(column[np.isfinite(column)]) for column in encoders.values.T]
+    )
 
 
 def _interpolate_readings(encoders: Encoders, t: Array) -> Array:
-    """Readings (F,M) rad at t (F,) s, between the two beside each; NaN where one of them is missing."""
+    """Readings (F,M) rad at t (F,) s, between the two
+    beside each; NaN where one of them is missing.
+    """
     after = np.clip(np.searchsorted(encoders.t, t), 1, len(encoders.t) - 1)
     begin, end = encoders.t[after - 1], encoders.t[after]
     share = ((t - begin) / (end - begin))[:, None]
@@ -165,13 +203,22 @@ def _find_inliers(residual: Array) -> Array:
 
 
 def _build_piece_residuals(
-    residual: Array, places: Array, var: Array, jac: Array, model_var: Array, q: Array, late: Array, t: Array,
-    variance: Array, counts: Array, length: Array,
-) -> Residuals:  # fmt: skip
+    residual: Array,
+    places: Array,
+    var: Array,
+    jac: Array,
+    model_var: Array,
+    q: Array,
+    late: Array,
+    t: Array,
+    variance: Array,
+    counts: Array,
+    length: Array,
+) -> Residuals:
     """The residuals (F,D) of F images, whose D rows are independent, as R = F D rows.
 
-    places (F,D): predicted, as measured ones are near where their errors are alike · late (F,D): by a second · counts
-    (M,) rad²: variance of the readings that comes from whole counts.
+    places (F,D): predicted, as measured ones are near where their errors are alike · late (F,D): by
+    a second · counts (M,) rad²: variance of the readings that comes from whole counts.
     """
     step = q[:, None, :] - q[None, :, :]
     near_posture = np.exp(-0.5 * np.square(step / length).sum(axis=-1))
@@ -183,36 +230,57 @@ def _build_piece_residuals(
     model = _image_error_covariance(near_posture, np.sqrt(model_var), rows)
     image = _image_error_covariance(single, np.sqrt(var), rows)
     reading = _project_joint_errors(jac, variance * single[..., None])
-    image_covariance = _image_error_covariance(np.exp(-apart / PIXEL_CORRELATION_PX), np.sqrt(var), rows) + _project_joint_errors(jac, variance * same_count)
+    image_covariance = _image_error_covariance(
+        np.exp(-apart / PIXEL_CORRELATION_PX), np.sqrt(var), rows
+    ) + _project_joint_errors(jac, variance * same_count)
     # a camera that exposes its rows one by one is later by a linear function of the row
     height = places[:, -1] - places[:, -1].mean()
     by_row = late * (height / max(float(np.abs(height).max()), 1e-12))[:, None]
     delayed = np.square(DELAY_S) * sum(np.outer(one.ravel(), one.ravel()) for one in (late, by_row))
     t_rows = np.repeat(t, residual.shape[1])
-    return Residuals(residual.ravel(), image, reading, image_covariance, model, delayed, jac.reshape(residual.size, -1), t_rows)
+    return Residuals(
+        residual.ravel(),
+        image,
+        reading,
+        image_covariance,
+        model,
+        delayed,
+        jac.reshape(residual.size, -1),
+        t_rows,
+    )
 
 
 def _project_joint_errors(jac: Array, near: Array) -> Array:
-    """Covariance (R,R) of what errors of joints, of covariance near (F,F,M) rad² from image to image, do in images."""
+    """Covariance (R,R) of what errors of joints, of covariance
+    near (F,F,M) rad² from image to image, do in images.
+    """
     rows = jac.shape[0] * jac.shape[1]
     return np.asarray(np.einsum("fdm,gem,fgm->fdge", jac, jac, near).reshape(rows, rows))
 
 
 def _image_error_covariance(near: Array, std: Array, rows: Array) -> Array:
-    """Covariance (R,R) of errors (F,D) whose images correlate by near (F,F), and whose rows are independent."""
-    return np.asarray(np.einsum("fg,fd,ge,de->fdge", near, std, std, rows).reshape(std.size, std.size))
+    """Covariance (R,R) of errors (F,D) whose images
+    correlate by near (F,F), and whose rows are independent.
+    """
+    return np.asarray(
+        np.einsum("fg,fd,ge,de->fdge", near, std, std, rows).reshape(std.size, std.size)
+    )
 
 
 def _sound_covariance(piece: Residuals, factors: Array) -> Array:
-    """Covariance (R,R) without a lasting error, for factors (3,) on the noise of images, of readings, and alike."""
+    """Covariance (R,R) without a lasting error, for factors
+    (3,) on the noise of images, of readings, and alike.
+    """
     noise = factors[0] * piece.image + factors[1] * piece.reading + factors[2] * piece.alike
     return np.asarray(noise + piece.model + piece.delayed)
 
 
 def _score_lasting_error(pieces: Sequence[Residuals], factors: Array) -> tuple[float, float]:
-    """The largest score for a lasting error, in its standard deviations, and the time constant (s) that has it.
+    """The largest score for a lasting error, in its standard
+    deviations, and the time constant (s) that has it.
 
-    The score is the slope of the log likelihood by σ² at σ = 0, for residuals scaled to the noise of factors (3,).
+    The score is the slope of the log likelihood by σ² at σ
+    = 0, for residuals scaled to the noise of factors (3,).
     """
     scores = np.zeros((2, len(TIMES_S)))
     for piece in pieces:
@@ -232,16 +300,24 @@ def _fit_lasting_error(pieces: Sequence[Residuals]) -> LastingError | None:
     score, seconds = _score_lasting_error(pieces, _STATED)
     if score < SCORE_SIGMA:
         return None
-    factors, none = _minimise_cost(lambda p: _residual_nats(pieces, np.exp(p)), np.log(_STATED), _LIMITS[:3])
+    factors, none = _minimise_cost(
+        lambda p: _residual_nats(pieces, np.exp(p)), np.log(_STATED), _LIMITS[:3]
+    )
     start = np.array([*factors, np.log(_encoder_error_size(pieces)), np.log(seconds)])
-    found, nats = _minimise_cost(lambda p: _residual_nats(pieces, *_split_parameters(p)), start, _LIMITS)
+    found, nats = _minimise_cost(
+        lambda p: _residual_nats(pieces, *_split_parameters(p)), start, _LIMITS
+    )
     if none - nats <= EVIDENCE_NATS:
         return None
     # play looks like a delay in part: what decides allows for one, the size of the error does not
     timely = [replace(piece, delayed=np.zeros_like(piece.delayed)) for piece in pieces]
-    (*_, std, tau), _ = _minimise_cost(lambda p: _residual_nats(timely, *_split_parameters(p)), found, _LIMITS)
+    (*_, std, tau), _ = _minimise_cost(
+        lambda p: _residual_nats(timely, *_split_parameters(p)), found, _LIMITS
+    )
     # a process that outlasts the log may be larger than any error in it, which the residuals bound
-    return LastingError(min(float(np.exp(std)), _encoder_error_size(pieces)), float(np.exp(tau)), none - nats)
+    return LastingError(
+        min(float(np.exp(std)), _encoder_error_size(pieces)), float(np.exp(tau)), none - nats
+    )
 
 
 def _split_parameters(p: Array) -> tuple[Array, float, float]:
@@ -249,7 +325,9 @@ def _split_parameters(p: Array) -> tuple[Array, float, float]:
     return np.exp(p[:3]), float(np.exp(p[3])), float(np.exp(p[4]))
 
 
-def _minimise_cost(cost: Callable[[Array], float], start: Array, limits: Array) -> tuple[Array, float]:
+def _minimise_cost(
+    cost: Callable[[Array], float], start: Array, limits: Array
+) -> tuple[Array, float]:
     """Where a cost of logarithms (P,) is least, and the cost there, between the limits (P,2)."""
     from scipy.optimize import minimize
 
@@ -260,7 +338,9 @@ def _minimise_cost(cost: Callable[[Array], float], start: Array, limits: Array) 
     return np.asarray(found.x), float(found.fun)
 
 
-def _residual_nats(pieces: Sequence[Residuals], factors: Array, std: float = 0.0, seconds: float = 1.0) -> float:
+def _residual_nats(
+    pieces: Sequence[Residuals], factors: Array, std: float = 0.0, seconds: float = 1.0
+) -> float:
     """−ln p of all residuals, for factors (3,) on noise, and a lasting error (rad, s)."""
     total = 0.0
     for piece in pieces:

@@ -20,13 +20,16 @@ from .quantisation import relative_variances
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """encoder (M,) rad² · process (M,) · drift (M,) rad²/s or None · scale {sighting: factor on its variance}.
+    """encoder (M,) rad² · process (M,) · drift (M,) rad²/s
+    or None · scale {sighting: factor on its variance}.
 
-    order 2: white acceleration, process in rad²/s³; 3: white jerk, rad²/s⁵ · near {sighting: px} correlation length of
-    its errors; other sightings have white errors · stated: share of the covariance that is stated, () or (M,) · fewer
-    {tracks in view: process (M,)} where these are not all · likeliest: process (M,) of a filter, where a smoother's
-    differs · evident: process (M,) before `held` · learned: from encoders, for white acceleration and white jerk ·
-    moments (O,M): mean squares of the angles, from their explored mean, and of their derivatives, if one is silent.
+    order 2: white acceleration, process in rad²/s³; 3: white jerk, rad²/s⁵ · near
+    {sighting: px} correlation length of its errors; other sightings have white errors ·
+    stated: share of the covariance that is stated, () or (M,) · fewer {tracks in view:
+    process (M,)} where these are not all · likeliest: process (M,) of a filter, where a
+    smoother's differs · evident: process (M,) before `held` · learned: from encoders,
+    for white acceleration and white jerk · moments (O,M): mean squares of the angles,
+    from their explored mean, and of their derivatives, if one is silent.
     """
 
     encoder: Array
@@ -45,60 +48,104 @@ class NoiseModel:
     def plain(self) -> dict[str, Any]:
         """The model as plain numbers, for the estimate's settings."""
         drift = None if self.drift is None else [float(v) for v in self.drift]
-        encoder, process = [float(v) for v in self.encoder], [float(v) for v in self.process]
-        plain: dict[str, Any] = {"order": self.order, "encoder": encoder, "process": process, "drift": drift}
+        encoder = [float(v) for v in self.encoder]
+        process = [float(v) for v in self.process]
+        plain: dict[str, Any] = {
+            "order": self.order,
+            "encoder": encoder,
+            "process": process,
+            "drift": drift,
+        }
         plain["scale"] = dict(self.scale)
-        fewer = {" ".join(view) or "none": [float(v) for v in process] for view, process in self.fewer.items()}
-        plain["near"], plain["stated"] = dict(self.near), np.broadcast_to(self.stated, self.process.shape).tolist()
+        fewer = {
+            " ".join(view) or "none": [float(v) for v in process]
+            for view, process in self.fewer.items()
+        }
+        plain["near"], plain["stated"] = (
+            dict(self.near),
+            np.broadcast_to(self.stated, self.process.shape).tolist(),
+        )
         moments = {} if self.moments is None else {"moments": self.moments.tolist()}
         likeliest = {} if self.likeliest is None else {"likeliest": self.likeliest.tolist()}
         return {**plain, **likeliest, **moments, **({"process_in_view": fewer} if fewer else {})}
 
     def held(self, evident: Array, encoders: Encoders, white: Array | float = 1.0) -> "NoiseModel":
-        """With processes (M,) by evidence, but at least those that bound a filter's memory by MEMORY.
+        """With processes (M,) by evidence, but at least
+        those that bound a filter's memory by MEMORY.
 
-        Under white noise in derivative p, 1/2p of a steady variance is motion, which is stated only as far as there is
-        any. `white`: share of the variance from encoders, whose errors are independent.
+        Under white noise in derivative p, 1/2p of a steady variance is
+        motion, which is stated only as far as there is any. `white`:
+        share of the variance from encoders, whose errors are independent.
         """
-        process = np.maximum(evident, encoder_noise.least_process_density(encoders.t, self.encoder, self.order))
+        process = np.maximum(
+            evident, encoder_noise.least_process_density(encoders.t, self.encoder, self.order)
+        )
         stated = 1.0 - white / (2 * self.order) * (1.0 - np.minimum(evident / process, 1.0))
         return replace(self, process=process, stated=stated, evident=evident)
 
     def of(self, cov: Array, held: Array | None = None) -> Array:
-        """Stated covariance (…,M,M) for the covariance `cov` of the filter or smoother, whole for joints held (…,M)."""
+        """Stated covariance (…,M,M) for the covariance `cov`
+        of the filter or smoother, whole for joints held (…,M).
+        """
         share = np.sqrt(np.where(False if held is None else held, 1.0, self.stated))
         share = np.broadcast_to(share, cov.shape[:-1])
         return np.asarray(share[..., None] * share[..., None, :] * cov)
 
 
 PAPER_VARIANCES = (1.0, 1.0, 5.0)
-"""The paper's variances σ_x of motion and σ_p of encoders (rad²), and σ_v of pixels (px², or of image widths)."""
+"""The paper's variances σ_x of motion and σ_p of encoders
+(rad²), and σ_v of pixels (px², or of image widths).
+"""
 
 
-def resolve_noise_model(evidence: Evidence, body: BodyModel, settings: EstimationSettings) -> NoiseModel:
-    """The noise model of `settings.precision`: `auto` from this log, `model` from the body, `fixed` from the paper."""
-    encoder, process = np.array(body.noise.encoder, float), np.array(body.noise.process, float)
+def resolve_noise_model(
+    evidence: Evidence, body: BodyModel, settings: EstimationSettings
+) -> NoiseModel:
+    """The noise model of `settings.precision`: `auto` from
+    this log, `model` from the body, `fixed` from the paper.
+    """
+    encoder = np.array(body.noise.encoder, float)
+    process = np.array(body.noise.process, float)
     scale = {sighting.name: 1.0 for sighting in evidence.sightings}
     if settings.precision == "fixed":
-        fixed = {s.name: float(PAPER_VARIANCES[2] / np.median(s.var)) for s in evidence.sightings if s.name != "touch"}
+        fixed = {
+            s.name: float(PAPER_VARIANCES[2] / np.median(s.var))
+            for s in evidence.sightings
+            if s.name != "touch"
+        }
         return NoiseModel(np.full(len(encoder), PAPER_VARIANCES[1]), process, None, fixed)
     if settings.precision != "auto":
         return NoiseModel(encoder, process, None, scale)
-    near = {s.name: PIXEL_CORRELATION_PX for s in evidence.sightings if s.name != "touch" and s.cov is None}
+    near = {
+        s.name: PIXEL_CORRELATION_PX
+        for s in evidence.sightings
+        if s.name != "touch" and s.cov is None
+    }
     if evidence.encoders is None:
         return NoiseModel(encoder, process, None, scale, near)
-    # white acceleration may take noise for motion where an arm stands and moves by turns, white jerk does not
+    # white acceleration may take noise for motion where an
+    # arm stands and moves by turns, white jerk does not
     joints = encoder_noise.average_joint_readings(evidence.encoders)
     jerk = encoder_noise.learn_encoder_noise(joints, encoder, process, 3)
     white = encoder_noise.learn_encoder_noise(joints, encoder, process, 2, jerk.dithered)
-    held = NoiseModel(white.encoder, process, None, scale, near).held(white.process, evidence.encoders)
+    held = NoiseModel(white.encoder, process, None, scale, near).held(
+        white.process, evidence.encoders
+    )
     return replace(held, learned=(white, jerk))
 
 
-def weigh_repeated_readings(evidence: Evidence, precision: NoiseModel, settings: EstimationSettings) -> Evidence:
-    """The evidence with larger variances for repeated readings, as of an arm at rest, if noise is learned."""
+def weigh_repeated_readings(
+    evidence: Evidence, precision: NoiseModel, settings: EstimationSettings
+) -> Evidence:
+    """The evidence with larger variances for repeated
+    readings, as of an arm at rest, if noise is learned.
+    """
     encoders = evidence.encoders
-    if settings.precision != "auto" or encoders is None or not (np.diff(encoders.values, axis=0) == 0.0).any():
+    if (
+        settings.precision != "auto"
+        or encoders is None
+        or not (np.diff(encoders.values, axis=0) == 0.0).any()
+    ):
         return evidence
     found = np.ones(encoders.values.shape)
     for own, column, variance in zip(found.T, encoders.values.T, precision.encoder, strict=True):
@@ -113,16 +160,23 @@ def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> Noise
     UsageError if these are not of this body.
     """
     if found is None:
-        return NoiseModel(np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {})
+        return NoiseModel(
+            np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {}
+        )
     order = found.get("order", 2)
     if order not in (2, 3):
         raise UsageError(f"learned: order is {order!r}, possible: 2 or 3")
     if "likeliest" in found:  # a smoother's process variances are not a filter's
         found = {**found, "process": found["likeliest"], "stated": [1.0] * len(body.joints)}
     shape = (len(body.joints),)
-    encoder, process, stated = (_parse_positive_array(found, name, shape) for name in ("encoder", "process", "stated"))
-    moments = _parse_positive_array(found, "moments", (order, *shape)) if "moments" in found else None
-    scale, near = dict(found.get("scale", {})), dict(found.get("near", {}))
+    encoder, process, stated = (
+        _parse_positive_array(found, name, shape) for name in ("encoder", "process", "stated")
+    )
+    moments = (
+        _parse_positive_array(found, "moments", (order, *shape)) if "moments" in found else None
+    )
+    scale = dict(found.get("scale", {}))
+    near = dict(found.get("near", {}))
     return NoiseModel(encoder, process, None, scale, near, stated, order=order, moments=moments)
 
 
@@ -135,20 +189,30 @@ def _parse_positive_array(found: Mapping[str, Any], name: str, shape: tuple[int,
     if values.shape == shape and (values > 0).all() and np.isfinite(values).all():
         return values
     count = " × ".join(map(str, shape))
-    text = f"learned: {name} is {found.get(name)!r}, possible: {count} numbers above 0, as an estimate by this body has"
+    text = (
+        f"learned: {name} is {found.get(name)!r}, possible: {count} numbers above 0, as an "
+        "estimate by this body has"
+    )
     raise UsageError(text)
 
 
-def warn_of_few_readings(evidence: Evidence, body: BodyModel, settings: EstimationSettings) -> Evidence:
+def warn_of_few_readings(
+    evidence: Evidence, body: BodyModel, settings: EstimationSettings
+) -> Evidence:
     """The evidence, with a warning if an encoder has too few readings to learn its noise well."""
     if settings.precision != "auto" or evidence.encoders is None:
         return evidence
     counts = np.isfinite(evidence.encoders.values).sum(axis=0)
-    few = [f"{name} {count}" for name, count in zip(body.joints, counts, strict=True) if 0 < count <= MIN_READINGS]
+    few = [
+        f"{name} {count}"
+        for name, count in zip(body.joints, counts, strict=True)
+        if 0 < count <= MIN_READINGS
+    ]
     if not few:
         return evidence
     text = (
-        f"encoders: {', '.join(few)} readings, too few to learn their noise from reliably (more than {MIN_READINGS} needed); "
+        f"encoders: {', '.join(few)} readings, too few to learn their noise from reliably "
+        f"(more than {MIN_READINGS} needed); "
         "error bars may be too small"
     )
     return replace(evidence, findings=(*evidence.findings, Finding("warning", text)))

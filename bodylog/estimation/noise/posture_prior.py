@@ -1,4 +1,6 @@
-"""A weak posture prior for joints without encoder readings, which images alone may not determine."""
+"""A weak posture prior for joints without encoder
+readings, which images alone may not determine.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,36 +17,52 @@ from .noise_model import NoiseModel
 
 @dataclass(frozen=True, eq=False)
 class PosturePrior:
-    """joints (M,) bool without an encoder · mean (M,) rad · variance density (M,) rad²·s of its pseudo-readings."""
+    """joints (M,) bool without an encoder · mean (M,) rad
+    · variance density (M,) rad²·s of its pseudo-readings.
+    """
 
     joints: Array
     mean: Array
     density: Array
 
     def fill(self, t: Array, encoders: Array, var: Array) -> tuple[Array, Array]:
-        """Encoder rows (E,M) and variances with a pseudo-reading at each instant, weighted by the time step."""
-        encoders, var = encoders.copy(), var.copy()
+        """Encoder rows (E,M) and variances with a pseudo-reading
+        at each instant, weighted by the time step.
+        """
+        encoders = encoders.copy()
+        var = var.copy()
         encoders[1:], var[1:] = self.read(encoders[1:], var[1:], np.diff(t)[:, None])
         return encoders, var
 
     def read(self, encoders: Array, var: Array, dt: Array | float) -> tuple[Array, Array]:
         """Encoder rows (…,M) and variances with a pseudo-reading after dt (…,1) s."""
-        return np.where(self.joints, self.mean, encoders), np.where(self.joints, self.density / dt, var)
+        return np.where(self.joints, self.mean, encoders), np.where(
+            self.joints, self.density / dt, var
+        )
 
 
 def learn_posture_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrior | None:
-    """The prior of joints without encoder readings in a log, from the samples of its tracks' models."""
-    read = np.zeros(len(process)) if evidence.encoders is None else np.isfinite(evidence.encoders.values).any(axis=0)
-    return build_posture_prior(read == 0, {s.name: s.model for s in evidence.sightings}, process, start)
+    """The prior of joints without encoder readings
+    in a log, from the samples of its tracks' models.
+    """
+    read = (
+        np.zeros(len(process))
+        if evidence.encoders is None
+        else np.isfinite(evidence.encoders.values).any(axis=0)
+    )
+    return build_posture_prior(
+        read == 0, {s.name: s.model for s in evidence.sightings}, process, start
+    )
 
 
 def build_posture_prior(
     silent: Array, models: Mapping[str, ForwardModel], process: Array, start: Array, order: int = 2
-) -> PosturePrior | None:  # fmt: skip
+) -> PosturePrior | None:
     """The prior of the `silent` joints (M,) bool; None if there are none or no model has samples.
 
-    The density of pseudo-readings is such that a filter's `steady_variance` equals the variance of the explored angles.
-    The mean is that of the explored angles, or the start if only touch was measured.
+    The density of pseudo-readings is such that a filter's `steady_variance`
+    equals the variance of the explored angles. The mean is that of the
+    explored angles, or the start if only touch was measured.
     """
     known = _sample_statistics(models)
     if not silent.any() or known is None:
@@ -55,19 +73,25 @@ def build_posture_prior(
     return PosturePrior(silent, mean if seen else start, density) if silent.any() else None
 
 
-def build_stationary_motion(models: Mapping[str, ForwardModel], start: Array, precision: NoiseModel) -> Stationary:
+def build_stationary_motion(
+    models: Mapping[str, ForwardModel], start: Array, precision: NoiseModel
+) -> Stationary:
     """The motion of joints while their encoders are silent.
 
-    Derivatives have the log's own mean squares, if known, or a belief's prior ones. Angles have those of the explored
-    angles, or more: the log's own, or those that the derivatives need.
+    Derivatives have the log's own mean squares, if known, or a belief's prior ones. Angles have
+    those of the explored angles, or more: the log's own, or those that the derivatives need.
     """
-    known, order = _sample_statistics(models), precision.order
+    known = _sample_statistics(models)
+    order = precision.order
     mean, std = (start, np.full(len(start), START_STD[0])) if known is None else known
-    var = np.stack([np.square(std), *np.repeat(np.square(START_STD[1:order])[:, None], len(start), axis=1)])
+    var = np.stack(
+        [np.square(std), *np.repeat(np.square(START_STD[1:order])[:, None], len(start), axis=1)]
+    )
     if precision.moments is not None:
         var = np.concatenate([np.maximum(var[:1], precision.moments[:1]), precision.moments[1:]])
     if order == 3:
-        # a flat spectrum up to some frequency has the narrowest angles for its rates and accelerations
+        # a flat spectrum up to some frequency has the
+        # narrowest angles for its rates and accelerations
         var[0] = np.maximum(var[0], 9.0 / 5.0 * var[1] ** 2 / var[2])
     return Stationary(mean, var, precision.process)
 
@@ -75,5 +99,11 @@ def build_stationary_motion(models: Mapping[str, ForwardModel], start: Array, pr
 def _sample_statistics(models: Mapping[str, ForwardModel]) -> tuple[Array, Array] | None:
     """Mean and standard deviation (M,) rad of the models' samples, or None without any."""
     distinct = {id(model): model for model in models.values()}
-    known = [model.samples for model in distinct.values() if hasattr(model, "samples") and len(model.samples) > 1]
-    return (np.concatenate(known).mean(axis=0), np.concatenate(known).std(axis=0)) if known else None
+    known = [
+        model.samples
+        for model in distinct.values()
+        if hasattr(model, "samples") and len(model.samples) > 1
+    ]
+    return (
+        (np.concatenate(known).mean(axis=0), np.concatenate(known).std(axis=0)) if known else None
+    )

@@ -1,1 +1,3 @@
-"""When images were taken: camera delays by regression or under the body's own process, and their correction."""
+"""When images were taken: camera delays by regression
+or under the body's own process, and their correction.
+"""

@@ -1,4 +1,6 @@
-"""Camera delays: image timestamps are corrected to the encoders' clock, by given or measured delays."""
+"""Camera delays: image timestamps are corrected to
+the encoders' clock, by given or measured delays.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -11,7 +13,7 @@ from ...errors import ModelError, UsageError
 from ...settings import EstimationSettings
 from ...types import Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import repair_readings
-from ..faults.threshold import MIN_DELAY_S, EVIDENCE_THRESHOLD_NATS
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S
 from ..measurements.gather import camera_of_track, gather_measurements
 from ..measurements.records import Encoders, Sighting
 from .regression import MAX_DELAY_S, Delay, measure_delay_by_regression
@@ -22,10 +24,11 @@ INSIGNIFICANT_SIGMA = 3.0
 
 @dataclass(frozen=True, eq=False)
 class CorrectedFeatures:
-    """Features with nonzero `delays` (s, by camera) subtracted, standard errors (s) of measured ones, and remarks.
+    """Features with nonzero `delays` (s, by camera) subtracted,
+    standard errors (s) of measured ones, and remarks.
 
-    measured: every delay (s) that the log shows, by camera, and why it is not applied · unsure: the part (s) that is
-    evident but in doubt, by camera.
+    measured: every delay (s) that the log shows, by camera, and why it is not applied · unsure: the
+    part (s) that is evident but in doubt, by camera.
     """
 
     features: Features
@@ -37,18 +40,25 @@ class CorrectedFeatures:
     hypotheses: tuple[Hypothesis, ...] = ()
 
 
-def correct_camera_delays(features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto") -> CorrectedFeatures:
-    """Subtract each camera's delay: as `given` {camera: s}, none if "off", else measured from the log.
+def correct_camera_delays(
+    features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto"
+) -> CorrectedFeatures:
+    """Subtract each camera's delay: as `given` {camera:
+    s}, none if "off", else measured from the log.
 
-    Unless the log contradicts it, a camera keeps the delay of the body's exploration log. UsageError for an unknown
-    camera, ModelError for a body with invalid delays.
+    Unless the log contradicts it, a camera keeps the delay of the body's exploration log.
+    UsageError for an unknown camera, ModelError for a body with invalid delays.
     """
-    names, learned = list_track_cameras([*features.tracks, *body.senses]), learned_delays(body)
+    names = list_track_cameras([*features.tracks, *body.senses])
+    learned = learned_delays(body)
     fixed = fixed_delays(given, names)
-    delays, errors = {name: fixed.get(name, learned.get(name, 0.0)) for name in ("joints", *names)}, dict[str, float]()
+    delays = {name: fixed.get(name, learned.get(name, 0.0)) for name in ("joints", *names)}
+    errors = dict[str, float]()
     residuals = measured_delays(shift_features(features, delays), body)
     shown = {
-        name: Delay(delays[name] + rest.seconds, rest.std_error, _reason_not_applied(rest, name in fixed))
+        name: Delay(
+            delays[name] + rest.seconds, rest.std_error, _reason_not_applied(rest, name in fixed)
+        )
         for name, rest in residuals.items()
     }
     free = {name: rest for name, rest in residuals.items() if name not in fixed}
@@ -61,13 +71,21 @@ def correct_camera_delays(features: Features, body: BodyModel, given: str | Mapp
             keep = not delays[name] or own.nats > EVIDENCE_THRESHOLD_NATS
             delays[name], errors[name] = (own.seconds, own.std_error) if keep else (0.0, 0.0)
     weighed = tuple(
-        Hypothesis("camera late", name, residual.nats, EVIDENCE_THRESHOLD_NATS, name not in fixed and is_significant(residual))
+        Hypothesis(
+            "camera late",
+            name,
+            residual.nats,
+            EVIDENCE_THRESHOLD_NATS,
+            name not in fixed and is_significant(residual),
+        )
         for name, residual in residuals.items()
     )
     errors = {name: error for name, error in errors.items() if error}
     delays = {name: delay for name, delay in delays.items() if delay}
     findings = (*delay_findings(delays, errors, residuals, fixed), *unapplied)
-    return CorrectedFeatures(shift_features(features, delays), delays, errors, shown, unsure, findings, weighed)
+    return CorrectedFeatures(
+        shift_features(features, delays), delays, errors, shown, unsure, findings, weighed
+    )
 
 
 def _reason_not_applied(residual: Delay, is_fixed: bool) -> str:
@@ -83,27 +101,39 @@ def _reason_not_applied(residual: Delay, is_fixed: bool) -> str:
     return "" if is_significant(residual) else f"it is less than {1e3 * MIN_DELAY_S:g} ms"
 
 
-def unapplied_findings(residuals: Mapping[str, Delay], applied: Mapping[str, float]) -> Iterator[Finding]:
-    """Yield a remark on each rest of a delay that is not applied: a warning where its evidence is sufficient."""
+def unapplied_findings(
+    residuals: Mapping[str, Delay], applied: Mapping[str, float]
+) -> Iterator[Finding]:
+    """Yield a remark on each rest of a delay that is not
+    applied: a warning where its evidence is sufficient.
+    """
     for name, rest in residuals.items():
         if doubt := _reason_not_applied(rest, False):
             sure = is_evident(rest)
             before = f"{applied[name]:.4f} s corrected; " if applied[name] else ""
-            text = f"{name}: {before}{describe_delay(rest.seconds, rest.std_error)}, not applied, because {doubt}"
+            text = (
+                f"{name}: {before}{describe_delay(rest.seconds, rest.std_error)}, not applied, "
+                f"because {doubt}"
+            )
             whole = applied[name] + rest.seconds
             advice = f"; error bars include it; type --delay {name}={whole:.4f} to apply it" * sure
             yield Finding("warning" if sure else "info", text + advice)
 
 
 def fixed_delays(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
-    """Delays (s) of joints and cameras that are given, not measured; UsageError for an unknown name."""
+    """Delays (s) of joints and cameras that are given,
+    not measured; UsageError for an unknown name.
+    """
     known = ("joints", *names)
     if isinstance(given, str):
         return {} if given == "auto" else dict.fromkeys(known, 0.0)
     # delays of single topics are applied in recording/
     given = {name: late for name, late in given.items() if not name.startswith("joints/")}
     if unknown := [name for name in given if name not in known]:
-        raise UsageError(f"delay: {unknown[0]!r} found, possible: {', '.join(known)}; type --delay {known[-1]}=0.05")
+        raise UsageError(
+            f"delay: {unknown[0]!r} found, possible: {', '.join(known)}; type --delay "
+            f"{known[-1]}=0.05"
+        )
     return dict(given)
 
 
@@ -118,29 +148,43 @@ def is_significant(delay: Delay, least: float = MIN_DELAY_S) -> bool:
 
 
 def is_evident(delay: Delay, least: float = MIN_DELAY_S) -> bool:
-    """Whether a delay wins more than EVIDENCE_THRESHOLD_NATS and exceeds `least` s, in doubt or not."""
+    """Whether a delay wins more than EVIDENCE_THRESHOLD_NATS
+    and exceeds `least` s, in doubt or not.
+    """
     return bool(delay.nats > EVIDENCE_THRESHOLD_NATS and abs(delay.seconds) > least)
 
 
 def shift_features(features: Features, delays: Mapping[str, float]) -> Features:
     """Subtract delays (s) from the times of each camera's tracks and of the joints."""
-    tracks = {name: _shift_series(track, delays.get(camera_of_track(name), 0.0)) for name, track in features.tracks.items()}
-    joints = None if features.joints is None else _shift_series(features.joints, delays.get("joints", 0.0))
+    tracks = {
+        name: _shift_series(track, delays.get(camera_of_track(name), 0.0))
+        for name, track in features.tracks.items()
+    }
+    joints = (
+        None
+        if features.joints is None
+        else _shift_series(features.joints, delays.get("joints", 0.0))
+    )
     return replace(features, tracks=tracks, joints=joints)
 
 
 def measured_delays(features: Features, body: BodyModel) -> dict[str, Delay]:
     """Measure each camera's delay relative to the encoders, where the log determines it."""
     encoders, seen = sound_measurements(features, body)
-    found = {} if encoders is None else {name: measure_delay_by_regression(encoders, tracks) for name, tracks in seen.items()}
+    found = (
+        {}
+        if encoders is None
+        else {name: measure_delay_by_regression(encoders, tracks) for name, tracks in seen.items()}
+    )
     return {name: delay for name, delay in found.items() if delay is not None}
 
 
 def sound_measurements(
     features: Features, body: BodyModel
-) -> tuple[Encoders | None, Mapping[str, Sequence[Sighting]]]:  # fmt: skip
+) -> tuple[Encoders | None, Mapping[str, Sequence[Sighting]]]:
     """Sound encoder readings and each camera's tracks; None if a joint is missing."""
-    joints, seen = features.joints, dict[str, list[Sighting]]()
+    joints = features.joints
+    seen = dict[str, list[Sighting]]()
     if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
         return None, {}
     found = gather_measurements(features, body, EstimationSettings(without=("touch",)))
@@ -150,57 +194,82 @@ def sound_measurements(
 
 
 def restore_stamps(found: Estimate, features: Features, timely: Features) -> Estimate:
-    """Return an estimate from the `timely` features with the images' original timestamps of `features`."""
+    """Return an estimate from the `timely` features
+    with the images' original timestamps of `features`.
+    """
 
     def stamped(name: str, series: Series) -> Series:
-        track, timed = features.tracks.get(name), timely.tracks.get(name)
+        track = features.tracks.get(name)
+        timed = timely.tracks.get(name)
         if track is None or timed is None or timed is track:
             return series
         order = np.argsort(timed.t, kind="stable")
         return replace(series, t=track.t[order[np.searchsorted(timed.t, series.t, sorter=order)]])
 
     each = (found.errors, found.predicted)
-    errors, predicted = ({name: stamped(name, series) for name, series in one.items()} for one in each)
+    errors, predicted = (
+        {name: stamped(name, series) for name, series in one.items()} for one in each
+    )
     return replace(found, errors=errors, predicted=predicted)
 
 
 def add_delay_uncertainty(found: Estimate, timely: CorrectedFeatures) -> Estimate:
-    """Add the uncertainty of measured delays to the covariance: a delay shifts the estimate along its rate.
+    """Add the uncertainty of measured delays to the
+    covariance: a delay shifts the estimate along its rate.
 
-    All cameras are measured against the same encoders, so their errors are correlated. A delay that has the evidence
-    but is in doubt may be true: it counts as its own error.
+    All cameras are measured against the same encoders, so their errors are correlated. A delay that
+    has the evidence but is in doubt may be true: it counts as its own error.
     """
     errors = {**timely.errors, **timely.unsure}
     if not errors:
         return found
     cameras_measured = {camera_of_track(name) for name in timely.features.tracks}
-    rate, var = found.rate.values, sum(error**2 for error in errors.values()) / len(cameras_measured)
+    rate = found.rate.values
+    var = sum(error**2 for error in errors.values()) / len(cameras_measured)
     return replace(found, cov=found.cov + var * rate[:, :, None] * rate[:, None, :])
 
 
 def delay_findings(
-    delays: Mapping[str, float], errors: Mapping[str, float], residuals: Mapping[str, Delay], fixed: Mapping[str, float]
+    delays: Mapping[str, float],
+    errors: Mapping[str, float],
+    residuals: Mapping[str, Delay],
+    fixed: Mapping[str, float],
 ) -> Iterator[Finding]:
-    """Yield a warning for each measured delay, and for each `fixed` one that the log contradicts (`residuals`)."""
+    """Yield a warning for each measured delay, and for each
+    `fixed` one that the log contradicts (`residuals`).
+    """
     for name in (name for name in {**delays, **residuals} if name != "joints"):
-        delay, residual = delays.get(name, 0.0), residuals.get(name)
+        delay = delays.get(name, 0.0)
+        residual = residuals.get(name)
         if name in fixed and residual is not None and is_significant(residual):
             own = replace(residual, seconds=delay + residual.seconds)
             given = f"--delay {name}={delay:g}" if delay else "not corrected"
             better = f"{own.seconds:.4f}" if own.nats > EVIDENCE_THRESHOLD_NATS else "0"
             advice = f"error bars are too small for that; type --delay {name}={better}"
-            yield Finding("warning", f"{name}: {describe_delay(own.seconds, own.std_error)} ({given}): {advice}")
+            yield Finding(
+                "warning",
+                f"{name}: {describe_delay(own.seconds, own.std_error)} ({given}): {advice}",
+            )
         elif name in errors:
-            advice = f"type --delay {name}={delay:.4f} to confirm it, --delay off to keep the timestamps"
-            yield Finding("warning", f"{name}: {describe_delay(delay, errors[name])}, corrected; {advice}")
+            advice = (
+                f"type --delay {name}={delay:.4f} to confirm it, --delay off to keep the timestamps"
+            )
+            yield Finding(
+                "warning", f"{name}: {describe_delay(delay, errors[name])}, corrected; {advice}"
+            )
         elif name not in fixed and delay:
-            yield Finding("info", f"{name}: {describe_delay(delay)}, as in the exploration log, corrected")
+            yield Finding(
+                "info", f"{name}: {describe_delay(delay)}, as in the exploration log, corrected"
+            )
 
 
 def describe_delay(seconds: float, error: float | None = None) -> str:
     """The delay of image timestamps in words, ± its standard error (s)."""
     about = "" if error is None else f" ± {error:.4f}"
-    return f"image timestamps {'lag' if seconds > 0 else 'lead'} the encoders by {abs(seconds):.4f}{about} s"
+    return (
+        f"image timestamps {'lag' if seconds > 0 else 'lead'} the encoders by "
+        f"{abs(seconds):.4f}{about} s"
+    )
 
 
 def _shift_series(series: Series, delay: float) -> Series:
@@ -208,10 +277,13 @@ def _shift_series(series: Series, delay: float) -> Series:
 
 
 def learned_delays(body: BodyModel) -> dict[str, float]:
-    """Delays (s) by camera that a body was learned with; ModelError for anything else in its provenance."""
+    """Delays (s) by camera that a body was learned with;
+    ModelError for anything else in its provenance.
+    """
     found = body.provenance.get("delay", {})
     if not isinstance(found, Mapping) or not all(
-        isinstance(delay, int | float) and isfinite(delay) and abs(delay) <= MAX_DELAY_S for delay in found.values()
+        isinstance(delay, int | float) and isfinite(delay) and abs(delay) <= MAX_DELAY_S
+        for delay in found.values()
     ):
         raise ModelError(f"provenance.delay: found {found!r}, possible: seconds by camera")
     return {str(name): float(delay) for name, delay in found.items()}

@@ -1,9 +1,11 @@
-"""A camera's delay from the motion of its picture and of the joints, without a marker, a body or a URDF.
+"""A camera's delay from the motion of its picture and
+of the joints, without a marker, a body or a URDF.
 
-Flow y of a grid cell over the interval between two frames is J(q) Δq, with an unknown J that varies smoothly with the
-posture q. With a Gaussian process prior on J, flow has the covariance (Δq_i · Δq_j) k(q_i, q_j): the delay that makes
-the joints' Δq explain the flow has the highest marginal likelihood (Rasmussen & Williams 2006, section 5.4).
-Noise has Student's t distribution, one weight for all cells of an interval: foreign motion and glitches have little.
+Flow y of a grid cell over the interval between two frames is J(q) Δq, with an unknown J that varies
+smoothly with the posture q. With a Gaussian process prior on J, flow has the covariance (Δq_i ·
+Δq_j) k(q_i, q_j): the delay that makes the joints' Δq explain the flow has the highest marginal
+likelihood (Rasmussen & Williams 2006, section 5.4). Noise has Student's t distribution, one weight
+for all cells of an interval: foreign motion and glitches have little.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,15 +16,18 @@ import numpy as np
 from ...types import Array, Series
 from .regression import Delay
 
-EARLIEST_S, LATEST_S = -0.3, 0.5
+EARLIEST_S = -0.3
+LATEST_S = 0.5
 """Delays that are searched."""
 GRID_STEP_S = 0.02
-"""Distance of the delays that are tried first: a joint's motion is correlated over more than that."""
+"""Distance of the delays that are tried first: a
+joint's motion is correlated over more than that.
+"""
 FINE_STEPS_S = (0.01, 0.005)
 """Distances of the delays that are tried around the best one; a parabola gives the rest."""
 MIN_EVIDENCE_NATS = 80.0
-"""Least evidence for a delay over delays that are FAR_S away. Joints of one episode beside images of another, of the
-same task, reach 51 nats; true pairs have 210 and more."""
+"""Least evidence for a delay over delays that are FAR_S away. Joints of one episode beside images
+of another, of the same task, reach 51 nats; true pairs have 210 and more."""
 FAR_S = 0.2
 """Distance of delays that a motion of arms tells apart: half a period of the fastest reaches."""
 LEAST_KNOTS = 4
@@ -30,7 +35,9 @@ LEAST_KNOTS = 4
 LEAST_INTERVALS = 40
 """Fewest intervals between frames from which a delay is estimated."""
 MOST_INTERVALS = 300
-"""Intervals of one part of a log; a longer log has several parts, as the cost grows with the cube."""
+"""Intervals of one part of a log; a longer log has
+several parts, as the cost grows with the cube.
+"""
 MOST_PARTS = 4
 """Parts of a log that are used, evenly spread."""
 COMPONENTS = 6
@@ -42,7 +49,9 @@ CONSTANT_SHARE = 0.5
 DEGREES_OF_FREEDOM = 4.0
 """Degrees of freedom of the noise's t distribution."""
 NOISE_RATIOS = np.exp(np.linspace(-9.0, 6.0, 31))
-"""Ratios of the noise's variance to the mean eigenvalue of the motion's covariance that are tried."""
+"""Ratios of the noise's variance to the mean
+eigenvalue of the motion's covariance that are tried.
+"""
 REWEIGHTINGS = 2
 """Rounds in which intervals are weighted again."""
 JACKKNIFE_BLOCKS = 8
@@ -54,11 +63,11 @@ class FlowDelay:
     """A delay by flow (s) with its σ, and the evidence for it over other delays (nats).
 
     shared_std_s: the part of σ, a rolling shutter's, that another log of the same camera has alike,
-    so that no mean over logs reduces it. mean_row: place of the moving cells, in image heights below the middle row ·
-    row_time: time (s) that a rolling shutter takes over the image, by the delays of upper and of lower cells, where
-    these suffice. `joints`: indices of the joints that explain the flow
-    best. `certain`: whether the evidence suffices; if not, the value must not be used. `edge`:
-    whether it lies at the end of the searched range.
+    so that no mean over logs reduces it. mean_row: place of the moving cells, in image heights
+    below the middle row · row_time: time (s) that a rolling shutter takes over the image, by the
+    delays of upper and of lower cells, where these suffice. `joints`: indices of the joints that
+    explain the flow best. `certain`: whether the evidence suffices; if not, the value must not be
+    used. `edge`: whether it lies at the end of the searched range.
     """
 
     delay: Delay
@@ -88,9 +97,10 @@ def estimate_flow_delay(
 ) -> FlowDelay | None:
     """The delay of a camera's stamps against the joints, positive where images are stamped late.
 
-    `times` (N,2) s and `flow` (N,rows,columns,2) are of perception's GridFlow. Of `groups` of joints the one with the
-    highest evidence explains the flow. `row_time_s`: time that a rolling shutter may take over the image; cells off
-    its middle row are read at another time, which σ contains. None with too few intervals or joints at rest.
+    `times` (N,2) s and `flow` (N,rows,columns,2) are of perception's GridFlow. Of `groups` of
+    joints the one with the highest evidence explains the flow. `row_time_s`: time that a rolling
+    shutter may take over the image; cells off its middle row are read at another time, which σ
+    contains. None with too few intervals or joints at rest.
     """
     parts = _split_into_parts(times, flow, joints)
     if not parts:
@@ -112,10 +122,11 @@ def estimate_flow_delay(
 def _measure_row_time(
     joints: Series, times: Array, flow: Array, scan: "_GroupScan", seconds: float
 ) -> Delay | None:
-    """Time (s) that a rolling shutter takes over the image: cells of rows that are read earlier show joints of an
-    earlier time, so that their delay is longer.
+    """Time (s) that a rolling shutter takes over the image: cells of rows that are read earlier
+    show joints of an earlier time, so that their delay is longer.
 
-    The rows are parted where either side has half of the motion. σ is by the curvature of the evidence alone.
+    The rows are parted where either side has half of the
+    motion. σ is by the curvature of the evidence alone.
     """
     share = _motion_of_rows(flow)
     if share.sum() <= 0.0:
@@ -123,7 +134,9 @@ def _measure_row_time(
     cut = int(np.searchsorted(np.cumsum(share) / share.sum(), 0.5))
     if not 0 < cut < len(share):
         return None
-    delays, variances, places = [], [], []
+    delays = []
+    variances = []
+    places = []
     for half in (slice(0, cut), slice(cut, None)):
         parts = _split_into_parts(times, flow[:, half], joints)
         found, curvature = _refine_evidence_peak(parts, scan.motion, seconds)
@@ -156,7 +169,9 @@ def _split_into_parts(times: Array, flow: Array, joints: Series) -> list[_FlowPa
 
 
 def _principal_components(flow: Array) -> Array:
-    """Flow (N,K) as its leading components (N,C); intervals beyond the 95th percentile choose them no more."""
+    """Flow (N,K) as its leading components (N,C); intervals
+    beyond the 95th percentile choose them no more.
+    """
     centred = flow - np.median(flow, axis=0)
     length = np.linalg.norm(centred, axis=1)
     shrink = np.minimum(1.0, np.quantile(length, 0.95) / np.maximum(length, 1e-9))
@@ -167,7 +182,9 @@ def _principal_components(flow: Array) -> Array:
 
 
 def _motion_of_rows(flow: Array) -> Array:
-    """Share (rows,) of the motion in each row of cells: the median over intervals (N,rows,columns,2)."""
+    """Share (rows,) of the motion in each row of cells:
+    the median over intervals (N,rows,columns,2).
+    """
     energy = (flow**2).sum(axis=(2, 3))
     share = energy / np.maximum(energy.sum(axis=1, keepdims=True), 1e-12)
     return np.asarray(np.median(share, axis=0), float)
@@ -179,7 +196,9 @@ def _row_places(count: int) -> Array:
 
 
 def _mean_row(flow: Array) -> float:
-    """Place of the moving cells, in image heights below the middle row; half an image where nothing moves."""
+    """Place of the moving cells, in image heights below
+    the middle row; half an image where nothing moves.
+    """
     share = _motion_of_rows(flow)
     if share.sum() <= 0.0:
         return 0.5
@@ -250,7 +269,8 @@ class _JointMotion:
         return np.column_stack([spline(t) for spline in self.splines])
 
     def covariance_and_noise(self, times: Array, delay: float) -> tuple[Array, Array]:
-        """Covariance (N,N) of flow by the motion in intervals `times` (N,2), and relative noise variances (N,).
+        """Covariance (N,N) of flow by the motion in intervals
+        `times` (N,2), and relative noise variances (N,).
 
         Flow errs in proportion to motion as well: at silhouettes, at occlusions.
         """
@@ -274,7 +294,9 @@ def _widest_range(values: Array) -> float:
 
 
 def _scan_evidence(part: _FlowPart, motion: _JointMotion, delays: Array) -> Array:
-    """Log marginal likelihood (K,) at ascending delays; each takes its neighbour's weights, which differ little."""
+    """Log marginal likelihood (K,) at ascending delays;
+    each takes its neighbour's weights, which differ little.
+    """
     weights = np.ones(len(part.times))
     found = np.empty(len(delays))
     for number, delay in enumerate(delays.tolist()):
@@ -288,7 +310,9 @@ def _total_evidence(parts: Sequence[_FlowPart], motion: _JointMotion, delay: flo
 
 
 def _part_evidence(part: _FlowPart, motion: _JointMotion, delay: float) -> float:
-    """Log marginal likelihood (nats) of a part's flow at a delay (s), noise and amplitude at their best."""
+    """Log marginal likelihood (nats) of a part's flow
+    at a delay (s), noise and amplitude at their best.
+    """
     covariance, shape = motion.covariance_and_noise(part.times, delay)
     weights = np.ones(len(shape))
     value = 0.0
@@ -302,7 +326,8 @@ def _evidence_and_weights(
 ) -> tuple[float, Array]:
     """Evidence with the given weights (N,), and the weights that leave-one-out residuals ask for.
 
-    A component has the covariance s (K + r D), D = diag(shape / weights); s is eliminated, r is the best of a table.
+    A component has the covariance s (K + r D), D = diag(shape
+    / weights); s is eliminated, r is the best of a table.
     """
     count, width = components.shape
     noise = shape / weights
@@ -323,11 +348,17 @@ def _evidence_and_weights(
     diagonal = vectors**2 @ (1.0 / spread)
     residual = vectors @ (rotated / spread) / diagonal  # R&W (5.12)
     squares = (residual**2 * diagonal / scales[best, np.arange(width)]).sum(axis=1)
-    return total, np.clip((DEGREES_OF_FREEDOM + width) / (DEGREES_OF_FREEDOM + squares / weights), 1e-4, 3.0)
+    return total, np.clip(
+        (DEGREES_OF_FREEDOM + width) / (DEGREES_OF_FREEDOM + squares / weights), 1e-4, 3.0
+    )
 
 
-def _refine_evidence_peak(parts: Sequence[_FlowPart], motion: _JointMotion, delay: float) -> tuple[float, float]:
-    """The delay of highest evidence near `delay`, and the negative curvature of the evidence there (1/s²)."""
+def _refine_evidence_peak(
+    parts: Sequence[_FlowPart], motion: _JointMotion, delay: float
+) -> tuple[float, float]:
+    """The delay of highest evidence near `delay`, and
+    the negative curvature of the evidence there (1/s²).
+    """
     curvature = 0.0
     for step in FINE_STEPS_S:
         around = delay + step * np.array([-1.0, 0.0, 1.0])
@@ -351,7 +382,9 @@ def _jackknife_std(parts: Sequence[_FlowPart], motion: _JointMotion, delay: floa
     share = JACKKNIFE_BLOCKS // len(parts)
     for number, part in enumerate(parts):
         for block in np.array_split(np.arange(len(part.times)), share):
-            rest = _FlowPart(np.delete(part.components, block, axis=0), np.delete(part.times, block, axis=0))
+            rest = _FlowPart(
+                np.delete(part.components, block, axis=0), np.delete(part.times, block, axis=0)
+            )
             reduced = np.array([_part_evidence(rest, motion, float(x)) for x in around])
             left, middle, right = whole.sum(axis=0) - whole[number] + reduced
             curvature = (2.0 * middle - left - right) / step**2

@@ -1,9 +1,10 @@
 """A camera's delay in an exploration log, by the likelihood of the body's own Gaussian process.
 
-A track's curve y at t + τ is a draw of the process at the encoder angles of t: y + τ ẏ has its mean m and, with noise,
-its covariance K. So τ = −ẏᵀK⁻¹(y − m) / ẏᵀK⁻¹ẏ, by Gauss–Newton. Position and speed are interpolated from the same
-images, so their noise e, ė adds tr(K⁻¹ E[e ėᵀ]) and tr(K⁻¹ E[ė ėᵀ]) to the two sums, which are subtracted.
-Residuals of the learned mean are a weaker test: where paths hardly cross, the mean absorbs the delay.
+A track's curve y at t + τ is a draw of the process at the encoder angles of t: y + τ ẏ has its mean
+m and, with noise, its covariance K. So τ = −ẏᵀK⁻¹(y − m) / ẏᵀK⁻¹ẏ, by Gauss–Newton. Position and
+speed are interpolated from the same images, so their noise e, ė adds tr(K⁻¹ E[e ėᵀ]) and tr(K⁻¹ E[ė
+ėᵀ]) to the two sums, which are subtracted. Residuals of the learned mean are a weaker test: where
+paths hardly cross, the mean absorbs the delay.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,22 +12,31 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ...types import Array
-from ..inference.convergence import ROUGHLY_CONVERGED_MOVE, MAX_SWEEPS
+from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS, median_by_pivot
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import BLUNDER_MEDIANS, MAX_CURVE_MEANS, Curve, interpolate_curve, track_curve
+from ..measurements.track_curve import (
+    BLUNDER_MEDIANS,
+    MAX_CURVE_MEANS,
+    Curve,
+    interpolate_curve,
+    track_curve,
+)
 from .regression import MAX_DELAY_S, Delay
 
 Prior = Callable[[Array], tuple[Array, Array]]
 """The prior of a track at angles (B,M) rad: mean (D,) px and covariance (D,B,B) px²."""
 
 
-def measure_delay_by_likelihood(encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prior]) -> Delay | None:
+def measure_delay_by_likelihood(
+    encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prior]
+) -> Delay | None:
     """The delay of one camera's tracks; None where they are too short."""
     curves = [
-        (curve, *prior(curve.x)) for track, prior in zip(seen, priors, strict=True)
+        (curve, *prior(curve.x))
+        for track, prior in zip(seen, priors, strict=True)
         if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None
-    ]  # fmt: skip
+    ]
     late = 0.0
     for _ in range(MAX_SWEEPS):
         parts = [_delay_sums(curve, mean, cov, late) for curve, mean, cov in curves]
@@ -42,7 +52,9 @@ def measure_delay_by_likelihood(encoders: Encoders, seen: Sequence[Sighting], pr
 
 
 def _delay_sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, float]:
-    """ẏᵀK⁻¹(y − m) and ẏᵀK⁻¹ẏ of a curve delayed by `late` s, less their noise; zeros where too little is left."""
+    """ẏᵀK⁻¹(y − m) and ẏᵀK⁻¹ẏ of a curve delayed by `late`
+    s, less their noise; zeros where too little is left.
+    """
     place, speed, value, slope, first, sound = interpolate_curve(curve, late)
     off = np.linalg.norm(place - curve.predicted, axis=1)
     if sound.sum() < MIN_READINGS:
@@ -50,12 +62,17 @@ def _delay_sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[flo
     # positions far from the learned mean are blunders, too
     rows = np.flatnonzero(sound & (off <= BLUNDER_MEDIANS * median_by_pivot(off[sound])))
     noise = curve.noise + np.einsum("bdm,bm->bd", np.square(curve.jac[rows]), curve.encoder[rows])
-    placed, moved = (_scatter_weights(part[rows], first[rows], len(curve.t)) for part in (value, slope))
-    cross, own = moved @ placed.T, moved @ moved.T
-    pull, weight = 0.0, 0.0
+    placed, moved = (
+        _scatter_weights(part[rows], first[rows], len(curve.t)) for part in (value, slope)
+    )
+    cross = moved @ placed.T
+    own = moved @ moved.T
+    pull = 0.0
+    weight = 0.0
     for d, prior in enumerate(cov):
         known = prior[np.ix_(rows, rows)] + np.diag(noise[:, d])
-        inverse, blur = np.linalg.inv(known), curve.blur[d] / curve.images
+        inverse = np.linalg.inv(known)
+        blur = curve.blur[d] / curve.images
         lean = inverse @ speed[rows, d]
         pull += lean @ (place[rows, d] - mean[d]) - blur * float(np.sum(inverse * cross))
         weight += lean @ speed[rows, d] - blur * float(np.sum(inverse * own))

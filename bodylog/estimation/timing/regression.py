@@ -1,8 +1,9 @@
 """A camera's delay by regression on the encoders: both observe one motion.
 
-Encoder readings of one frame interval are averaged to x̄ at t and predict a position g(x̄). The track's curve y is
-there at t + τ: y(t + τ) = g(x̄) + J b(t) + e. Gauss–Newton gives τ and piecewise linear encoder offsets b. Errors that
-last longer show in a jackknife over √N parts of N positions; the larger standard error is taken.
+Encoder readings of one frame interval are averaged to x̄ at t and predict a position g(x̄). The
+track's curve y is there at t + τ: y(t + τ) = g(x̄) + J b(t) + e. Gauss–Newton gives τ and piecewise
+linear encoder offsets b. Errors that last longer show in a jackknife over √N parts of N positions;
+the larger standard error is taken.
 """
 
 from collections.abc import Sequence
@@ -13,7 +14,7 @@ from math import isqrt
 import numpy as np
 
 from ...types import Array
-from ..inference.convergence import ROUGHLY_CONVERGED_MOVE, MAX_SWEEPS
+from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track_curve import MAX_CURVE_MEANS, RegressionRows, regression_rows, track_curve
@@ -23,16 +24,19 @@ MAX_DELAY_S = 1.0
 HALF_WEIGHT_SQUARE = 4.0
 """Squared residuals over their variance that have half weight."""
 LEAST_WEIGHT_SHARE = 0.61
-"""Least share of the information that keeps its weight where one delay fits the log. The share is 0.72 for normal
-errors, 0.61 and more in 197 of 200 logs with a drifting encoder, 0.43 to 0.64 where a clock steps by 0.3 s. A log with
-play, sag and correlated errors has 0.58, too; its halves agree."""
+"""Least share of the information that keeps its weight where one delay fits the log. The share is
+0.72 for normal errors, 0.61 and more in 197 of 200 logs with a drifting encoder, 0.43 to 0.64 where
+a clock steps by 0.3 s. A log with play, sag and correlated errors has 0.58, too; its halves agree.
+"""
 HALVES_APART = 3.0
 """Standard deviations within which the delays of a log's halves are alike."""
 
 
 @dataclass(frozen=True)
 class Delay:
-    """A delay of image timestamps (s) and its standard error (s); doubt: why it is not believed, "" if it is."""
+    """A delay of image timestamps (s) and its standard
+    error (s); doubt: why it is not believed, "" if it is.
+    """
 
     seconds: float
     std_error: float
@@ -47,16 +51,23 @@ class Delay:
 def measure_delay_by_regression(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
     """The delay of one camera's tracks; None where motion is too small or too short.
 
-    Where much of the log has lost its weight, the delay is in doubt unless both halves of the log show it.
+    Where much of the log has lost its weight, the delay
+    is in doubt unless both halves of the log show it.
     """
     whole = _regress_delay(encoders, seen)
     if whole is None or whole[1] >= LEAST_WEIGHT_SHARE:
         return None if whole is None else whole[0]
-    delay, middle = whole[0], float(np.median(np.concatenate([one.t for one in seen])))
-    parts = [_regress_delay(encoders, [one.cut(*span) for one in seen]) for span in ((-np.inf, middle), (middle, np.inf))]
+    delay = whole[0]
+    middle = float(np.median(np.concatenate([one.t for one in seen])))
+    parts = [
+        _regress_delay(encoders, [one.cut(*span) for one in seen])
+        for span in ((-np.inf, middle), (middle, np.inf))
+    ]
     found = [part[0] for part in parts if part is not None]
     if len(found) < len(parts):
-        return replace(delay, doubt="much of the log contradicts it, and half of the log shows no delay")
+        return replace(
+            delay, doubt="much of the log contradicts it, and half of the log shows no delay"
+        )
     apart = abs(found[0].seconds - found[1].seconds)
     if apart < HALVES_APART * np.hypot(found[0].std_error, found[1].std_error):
         return replace(delay, std_error=max(delay.std_error, 0.5 * apart))
@@ -66,7 +77,11 @@ def measure_delay_by_regression(encoders: Encoders, seen: Sequence[Sighting]) ->
 
 def _regress_delay(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay, float] | None:
     """The delay of one camera's tracks, and the share of the information that kept its weight."""
-    curves = [curve for track in seen if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None]
+    curves = [
+        curve
+        for track in seen
+        if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None
+    ]
     late = 0.0
     for _ in range(MAX_SWEEPS):
         each = [regression_rows(curve, late) for curve in curves]
@@ -77,7 +92,8 @@ def _regress_delay(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay,
             return None
         step, weight, spread = _fit_delay_step(rows)
         lean = np.linalg.solve(_normal_sums(rows, weight)[0], np.eye(rows.slopes.shape[-1])[0])
-        # the inverse of the information in the track's speed without noise; below the noise, nothing moved
+        # the inverse of the information in the track's speed
+        # without noise; below the noise, nothing moved
         if not 0.0 < lean[0] * float(weight @ rows.own) < 1.0:
             return None
         own = np.sqrt(spread * _pull_variance(rows, weight[:, None] * (rows.slopes @ lean)))
@@ -95,20 +111,28 @@ def _regress_delay(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay,
 def _jackknife_error(rows: RegressionRows, weight: Array, parts: int) -> float:
     """Standard error (s) of the delay by a jackknife over parts of the log."""
     bounds = np.linspace(0, len(rows.t), parts + 1).astype(int)
-    sums = [_normal_sums(rows.some(slice(*ends)), weight[slice(*ends)]) for ends in pairwise(bounds)]
+    sums = [
+        _normal_sums(rows.some(slice(*ends)), weight[slice(*ends)]) for ends in pairwise(bounds)
+    ]
     normal, pull = (np.stack(each) for each in zip(*sums, strict=True))
-    without = np.linalg.solve(normal.sum(axis=0) - normal, (pull.sum(axis=0) - pull)[..., None])[:, 0, 0]
+    without = np.linalg.solve(normal.sum(axis=0) - normal, (pull.sum(axis=0) - pull)[..., None])[
+        :, 0, 0
+    ]
     return float(np.sqrt((1.0 - 1.0 / len(sums)) * np.square(without - without.mean()).sum()))
 
 
 def _fit_delay_step(rows: RegressionRows) -> tuple[float, Array, float]:
-    """The next step (s), robust weights (R,), and the residual variance: 1 where noise is as stated."""
-    weight, spread = np.ones(len(rows.t)), 1.0
+    """The next step (s), robust weights (R,), and the
+    residual variance: 1 where noise is as stated.
+    """
+    weight = np.ones(len(rows.t))
+    spread = 1.0
     for _ in range(MAX_SWEEPS):
         beta = np.linalg.solve(*_normal_sums(rows, weight))
         squares = np.square(rows.misfit - rows.slopes @ beta).sum(axis=1)
         spread = float(np.median(squares)) / (2.0 * np.log(2.0)) + np.finfo(float).tiny
-        before, weight = weight, 1.0 / (1.0 + squares / (HALF_WEIGHT_SQUARE * spread))
+        before = weight
+        weight = 1.0 / (1.0 + squares / (HALF_WEIGHT_SQUARE * spread))
         if np.abs(weight - before).max() < ROUGHLY_CONVERGED_MOVE:
             break
     return float(beta[0]), weight, spread
@@ -117,24 +141,34 @@ def _fit_delay_step(rows: RegressionRows) -> tuple[float, Array, float]:
 def _pull_variance(rows: RegressionRows, pull: Array) -> float:
     """Variance of the sum of misfits (R,2) times `pull` (R,2), for a residual variance of 1.
 
-    Neighbouring misfits are interpolated from the same images, so their noise is correlated, and less than an image's.
-    Residuals are less than misfits by the unknowns fitted.
+    Neighbouring misfits are interpolated from the same images, so their noise is correlated, and
+    less than an image's. Residuals are less than misfits by the unknowns fitted.
     """
     by_image = np.einsum("rkde,rd->rke", rows.image, pull)
     count = int(rows.frames.max()) + 1
-    each = (np.bincount(rows.frames.ravel(), column.ravel(), count) for column in np.moveaxis(by_image, -1, 0))
+    each = (
+        np.bincount(rows.frames.ravel(), column.ravel(), count)
+        for column in np.moveaxis(by_image, -1, 0)
+    )
     beside = np.square(pull).sum() - np.square(by_image.sum(axis=1)).sum()
     total = beside + sum(np.square(column).sum() for column in each)
-    residual = 2.0 - np.square(rows.image.sum(axis=1)).sum(axis=(1, 2)) + np.square(rows.image).sum(axis=(1, 2, 3))
+    residual = (
+        2.0
+        - np.square(rows.image.sum(axis=1)).sum(axis=(1, 2))
+        + np.square(rows.image).sum(axis=(1, 2, 3))
+    )
     free = 1.0 - rows.slopes.shape[-1] / rows.misfit.size
     return float(total * 2.0 / (residual.mean() * free))
 
 
 def _normal_sums(rows: RegressionRows, weight: Array) -> tuple[Array, Array]:
-    """Normal matrix and right side of the weighted regression, corrected for noise in the track's speed."""
+    """Normal matrix and right side of the weighted
+    regression, corrected for noise in the track's speed.
+    """
     size = rows.slopes.shape[-1]
     heavy = (rows.slopes * weight[:, None, None]).reshape(-1, size).T
-    normal, pull = heavy @ rows.slopes.reshape(-1, size), heavy @ rows.misfit.ravel()
+    normal = heavy @ rows.slopes.reshape(-1, size)
+    pull = heavy @ rows.misfit.ravel()
     normal[np.diag_indices(size)] += 1e-9 * np.trace(normal) / size + np.finfo(float).tiny
     normal[0, 0] -= weight @ rows.own
     pull[0] += weight @ rows.cross
@@ -146,6 +180,14 @@ def _join_regression_rows(parts: Sequence[RegressionRows]) -> RegressionRows:
     if len(parts) == 1:
         return parts[0]
     counts = np.cumsum([0, *(part.frames.max(initial=0) + 1 for part in parts)])
-    parts = [replace(part, frames=part.frames + count) for part, count in zip(parts, counts, strict=False)]
-    rows = RegressionRows(*(np.concatenate([getattr(part, name) for part in parts]) for name in RegressionRows.__annotations__))
+    parts = [
+        replace(part, frames=part.frames + count)
+        for part, count in zip(parts, counts, strict=False)
+    ]
+    rows = RegressionRows(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in RegressionRows.__annotations__
+        )
+    )
     return rows.some(np.argsort(rows.t, kind="stable"))

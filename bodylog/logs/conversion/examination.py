@@ -26,7 +26,9 @@ __all__ = ["examine_log_file", "rewrite_sound_messages"]
 
 @dataclass
 class _Seen:
-    """One topic as read: messages, how many came before their predecessor, and by how much at most (ns)."""
+    """One topic as read: messages, how many came before
+    their predecessor, and by how much at most (ns).
+    """
 
     messages: int = 0
     late: int = 0
@@ -55,10 +57,14 @@ class _GroupedFindings:
 def examine_log_file(
     path: Path, strict: bool = False, limits: Input = LIMITS, progress: Progress | None = None
 ) -> tuple[Finding, ...]:
-    """Read a log to its end and return all its problems; LogError if it is no log, or strict and part is lost."""
+    """Read a log to its end and return all its problems;
+    LogError if it is no log, or strict and part is lost.
+    """
     if several := _list_dataset_episodes(path):
         whole, *found = several
-        rest = (finding for one in found for finding in examine_log_file(one, strict, limits, progress))
+        rest = (
+            finding for one in found for finding in examine_log_file(one, strict, limits, progress)
+        )
         return tuple(dict.fromkeys((*_examine_every_episode(whole), *rest)))
     groups = _GroupedFindings(path)
     with open_log(path, strict, limits) as log:
@@ -77,7 +83,11 @@ def _list_dataset_episodes(path: Path) -> list[Path]:
     """The dataset and its episodes if the path names no single episode; else nothing."""
     from ..datasets import kinds
 
-    if episodes.split_episode_name(path)[1] is not None or not path.is_dir() or not kinds.is_episode_dataset(path):
+    if (
+        episodes.split_episode_name(path)[1] is not None
+        or not path.is_dir()
+        or not kinds.is_episode_dataset(path)
+    ):
         return []
     there = kinds.episode_numbers(path)
     return [path, *(episodes.name_episode(path, number) for number in there)] if there else []
@@ -98,13 +108,19 @@ def _episode_checks(log: Log, limits: Input) -> "Checks | None":
     return Checks(log, limits) if isinstance(log, EpisodeLog) else None
 
 
-def _read_all_messages(log: Log, checks: "Checks | None", progress: Progress | None) -> dict[int, _Seen]:
+def _read_all_messages(
+    log: Log, checks: "Checks | None", progress: Progress | None
+) -> dict[int, _Seen]:
     seen = {topic.id: _Seen() for topic in log.topics}
     for batch in count_progress(log.batches(), progress):
         if checks is not None:
             checks.add(batch)
-        one, times = seen[batch.topic_id], batch.log_ns
-        back = (one.last_ns > times[0], int(one.last_ns - times[0]) if one.last_ns > times[0] else 0)
+        one = seen[batch.topic_id]
+        times = batch.log_ns
+        back = (
+            one.last_ns > times[0],
+            int(one.last_ns - times[0]) if one.last_ns > times[0] else 0,
+        )
         steps = times[1:] - times[:-1]
         one.late += int(back[0]) + int((steps < 0).sum())
         one.worst_ns = max(one.worst_ns, back[1], int(-steps.min()) if len(steps) else 0)
@@ -117,12 +133,21 @@ def _compare_topic_counts(log: Log, seen: dict[int, _Seen], groups: _GroupedFind
     for topic in log.topics:
         one = seen[topic.id]
         if one.messages != topic.messages:
-            groups.say("count", f"{topic.name}: {topic.messages} messages are declared, {one.messages} can be read")
+            groups.say(
+                "count",
+                f"{topic.name}: {topic.messages} messages are declared, {one.messages} can be read",
+            )
         if one.late:
-            text = f"{topic.name}: {one.late} messages have a log time before their predecessor's, by up to"
+            text = (
+                f"{topic.name}: {one.late} messages have a log time before their predecessor's, "
+                "by up to"
+            )
             groups.say("order", f"{text} {one.worst_ns / 1e9:.6f} s")
         if not topic.definition and not topic.type.endswith("/Empty"):
-            groups.say("definition", f"{topic.name}: {topic.type or 'its type'} has no definition in the log")
+            groups.say(
+                "definition",
+                f"{topic.name}: {topic.type or 'its type'} has no definition in the log",
+            )
 
 
 def _compare_metadata(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings) -> None:
@@ -131,7 +156,11 @@ def _compare_metadata(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings
     if not fields:
         return
     messages = sum(one.messages for one in seen.values())
-    held = {"message_count": messages, "duration": log.end_ns - log.start_ns, "starting_time": log.start_ns}
+    held = {
+        "message_count": messages,
+        "duration": log.end_ns - log.start_ns,
+        "starting_time": log.start_ns,
+    }
     for name, value in held.items():
         number = _metadata_number(fields.get(name))
         if number is not None and number != value and (messages or name == "message_count"):
@@ -142,7 +171,11 @@ def _compare_metadata(log: Log, seen: dict[int, _Seen], groups: _GroupedFindings
         if kind is None:
             groups.say("topic", f"{METADATA} does not name topic {topic.name}")
         elif count != seen[topic.id].messages:
-            groups.say("topic", f"{METADATA} says {count} messages on {topic.name}, it has {seen[topic.id].messages}")
+            groups.say(
+                "topic",
+                f"{METADATA} says {count} messages on {topic.name}, it has "
+                f"{seen[topic.id].messages}",
+            )
     for name in listed:
         groups.say("topic", f"{METADATA} names topic {name}, which no file holds")
 
@@ -158,12 +191,22 @@ def _metadata_topic_counts(fields: dict[str, Any]) -> Iterator[tuple[str, str, i
     for entry in fields.get("topics_with_message_count") or ():
         about = entry.get("topic_metadata") if isinstance(entry, dict) else None
         if isinstance(about, dict):
-            yield str(about.get("name")), str(about.get("type")), _metadata_number(entry.get("message_count")) or 0
+            yield (
+                str(about.get("name")),
+                str(about.get("type")),
+                _metadata_number(entry.get("message_count")) or 0,
+            )
 
 
 def _mcap_files_in(path: Path) -> list[Path]:
     try:
-        files = list_member_files(path, Diagnostics(path)) if path.is_dir() else [path] if path.is_file() else []
+        files = (
+            list_member_files(path, Diagnostics(path))
+            if path.is_dir()
+            else [path]
+            if path.is_file()
+            else []
+        )
     except LogError:
         return []
     return [file for file in files if ".mcap" in file.suffixes]

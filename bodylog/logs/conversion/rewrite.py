@@ -20,12 +20,21 @@ _PROFILES = {"cdr": "ros2", "ros1": "ros1"}
 
 
 def rewrite_sound_messages(path: Path, out: Path, limits: Input = LIMITS) -> tuple[Finding, ...]:
-    """Write the sound messages of `path` to the MCAP `out` and return what is wrong; LogError when none is sound."""
+    """Write the sound messages of `path` to the MCAP `out`
+    and return what is wrong; LogError when none is sound.
+    """
     guard_outputs([path], [Output(out, "--repair")])
     with open_log(path, limits=limits) as log, replace_atomically(out) as beside:
-        written = _rewrite_mcap(log, beside) if isinstance(log, McapLog) else _rewrite_other_log(log, beside)
+        written = (
+            _rewrite_mcap(log, beside)
+            if isinstance(log, McapLog)
+            else _rewrite_other_log(log, beside)
+        )
         if not written and any(finding.severity == "lost" for finding in log.findings):
-            raise LogError(f"{path}: nothing in it can be saved; {log.findings[-1].text.removeprefix(f'{path}: ')}")
+            raise LogError(
+                f"{path}: nothing in it can be saved; "
+                f"{log.findings[-1].text.removeprefix(f'{path}: ')}"
+            )
         _confirm_message_count(beside, written)
         return log.findings
 
@@ -39,10 +48,16 @@ def _open_mcap_writer(beside: Path, profile: str) -> Any:
 
 
 def _rewrite_mcap(log: McapLog, beside: Path) -> int:
-    """Copy channels, sequence numbers, publish times, attachments and metadata unchanged; returns messages written."""
+    """Copy channels, sequence numbers, publish times,
+    attachments and metadata unchanged; returns messages written.
+    """
     header = next(log.records(op.HEADER), None)
-    writer, survey, count = _open_mcap_writer(beside, header.fields["profile"] if header else ""), log.survey, 0
-    schemas = {number: _register_schema(writer, record) for number, record in survey.schemas.items()}
+    writer = _open_mcap_writer(beside, header.fields["profile"] if header else "")
+    survey = log.survey
+    count = 0
+    schemas = {
+        number: _register_schema(writer, record) for number, record in survey.schemas.items()
+    }
     channels = {}
     for number, record in survey.channels.items():
         fields = record.fields
@@ -55,12 +70,18 @@ def _rewrite_mcap(log: McapLog, beside: Path) -> int:
             _, size, channel, sequence, log_ns, publish_ns = head
             if channel in channels:
                 payload = content[start + MESSAGE_HEAD.itemsize : start + HEAD.size + size]
-                writer.add_message(channels[channel], log_ns % _U64, bytes(payload), publish_ns % _U64, sequence)
+                writer.add_message(
+                    channels[channel], log_ns % _U64, bytes(payload), publish_ns % _U64, sequence
+                )
                 count += 1
     for record in log.records(op.ATTACHMENT):
         fields = record.fields
         writer.add_attachment(
-            fields["create_time"], fields["log_time"], fields["name"], fields["media_type"], bytes(fields["data"])
+            fields["create_time"],
+            fields["log_time"],
+            fields["name"],
+            fields["media_type"],
+            bytes(fields["data"]),
         )
     for record in log.records(op.METADATA):
         writer.add_metadata(record.fields["name"], record.fields["metadata"])
@@ -76,7 +97,8 @@ def _register_schema(writer: Any, record: Record) -> int:
 def _rewrite_other_log(log: Log, beside: Path) -> int:
     """Write one channel per topic; returns messages written."""
     profiles = {_PROFILES.get(topic.encoding, "") for topic in log.topics}
-    writer, count = _open_mcap_writer(beside, profiles.pop() if len(profiles) == 1 else ""), 0
+    writer = _open_mcap_writer(beside, profiles.pop() if len(profiles) == 1 else "")
+    count = 0
     channels = {topic.id: _register_topic_channel(writer, topic) for topic in log.topics}
     for batch in log.batches():
         for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
@@ -98,4 +120,7 @@ def _confirm_message_count(beside: Path, written: int) -> None:
     with open_log(beside, strict=True) as log:
         found = sum(len(batch.log_ns) for batch in log.batches())
     if found != written:
-        raise LogError(f"{beside}: {written} messages were written, {found} can be read back; is the disk full?")
+        raise LogError(
+            f"{beside}: {written} messages were written, {found} can be read back; is the "
+            "disk full?"
+        )

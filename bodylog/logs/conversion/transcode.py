@@ -10,13 +10,19 @@ import numpy as np
 
 from ...errors import FormatError
 from ...io import episodes
-from ..decode.ros1_to_cdr import Converter, make_cdr_converter, known_definition
+from ..decode.ros1_to_cdr import Converter, known_definition, make_cdr_converter
 from ..encode.cdr import Payloads, merge_payloads
 from ..formats import open_log
 from ..limits import LIMITS, Input
 from ..mcap import opcodes as op
 from ..mcap.chunks import heads_at
-from ..mcap.encode import MESSAGE_HEAD, MessageTable, encode_attachment, gather_pieces, encode_metadata
+from ..mcap.encode import (
+    MESSAGE_HEAD,
+    MessageTable,
+    encode_attachment,
+    encode_metadata,
+    gather_pieces,
+)
 from ..mcap.prefix import NAME, no_utf8
 from ..mcap.record_file import sound_heads
 from ..mcap.records import Record, is_mcap
@@ -29,12 +35,15 @@ from ..topic_names import PREFIX
 PROFILE = "ros2"
 LIBRARY = "bodylog"
 _PENDING = 4 * CHUNK_BYTES
-_FEW, _SHORT = 16, 4096
+_FEW = 16
+_SHORT = 4096
 
 
 @dataclass
 class _Carrier:
-    """One topic in transit: its channel, its converter to CDR, and the channel of payloads that cannot be converted."""
+    """One topic in transit: its channel, its converter to
+    CDR, and the channel of payloads that cannot be converted.
+    """
 
     topic: Topic
     channel: int
@@ -61,42 +70,71 @@ def write_log_messages(
 
     Topics under `PREFIX` are included only with `ours`.
 
-    Returns the writer, the number of messages, and what could not be carried over whole. ROS 1 payloads of bags become
-    CDR where possible. Payloads, attachments and metadata of an MCAP stay unchanged.
+    Returns the writer, the number of messages, and what could not be
+    carried over whole. ROS 1 payloads of bags become CDR where possible.
+    Payloads, attachments and metadata of an MCAP stay unchanged.
     """
     with open_log(source, limits=limits) as log:
         writer = McapRecordWriter(stream, Contents())
         findings: list[Finding] = []
         writer.begin(_mcap_profile(source) if is_mcap(source) else PROFILE, LIBRARY)
-        wanted = [t for t in log.topics if (ours or not t.name.startswith(PREFIX)) and (only is None or t.name in only)]
-        carriers = {topic.id: _plan_topic_carrier(writer, topic, log.format, findings) for topic in wanted}
-        for table in _message_tables(count_progress(log.batches(list(carriers)), progress), carriers, writer, span):
+        wanted = [
+            t
+            for t in log.topics
+            if (ours or not t.name.startswith(PREFIX)) and (only is None or t.name in only)
+        ]
+        carriers = {
+            topic.id: _plan_topic_carrier(writer, topic, log.format, findings) for topic in wanted
+        }
+        for table in _message_tables(
+            count_progress(log.batches(list(carriers)), progress), carriers, writer, span
+        ):
             writer.write(table)
         if only is None:
-            findings += _copy_attachments_and_metadata(episodes.dataset_path(source), writer, ours, limits)
-        findings += [_explain_unconverted_topic(source, c) for c in carriers.values() if c.unconverted]
+            findings += _copy_attachments_and_metadata(
+                episodes.dataset_path(source), writer, ours, limits
+            )
+        findings += [
+            _explain_unconverted_topic(source, c) for c in carriers.values() if c.unconverted
+        ]
         return writer, sum(c.carried for c in carriers.values()), (*log.findings, *findings)
 
 
-def _plan_topic_carrier(writer: McapRecordWriter, topic: Topic, container: str, findings: list[Finding]) -> _Carrier:
-    kind, encoding, definition, form = topic.type, topic.encoding, topic.definition, topic.definition_encoding
+def _plan_topic_carrier(
+    writer: McapRecordWriter, topic: Topic, container: str, findings: list[Finding]
+) -> _Carrier:
+    kind = topic.type
+    encoding = topic.encoding
+    definition = topic.definition
+    form = topic.definition_encoding
     convert = None
     if container != "mcap" and topic.encoding == "ros1":
         try:
             convert, definition = make_cdr_converter(topic)
-            encoding, form = "cdr", "ros2msg"
+            encoding = "cdr"
+            form = "ros2msg"
         except FormatError as problem:
-            findings.append(Finding("warning", f"{problem}; its messages stay ROS 1, which ROS 2 tools do not read"))
+            findings.append(
+                Finding(
+                    "warning", f"{problem}; its messages stay ROS 1, which ROS 2 tools do not read"
+                )
+            )
             return _Carrier(topic, _keep_payloads(writer, topic))
     if container != "mcap" and not definition and convert is None:
-        known, form = known_definition(kind), "ros2msg"
+        known = known_definition(kind)
+        form = "ros2msg"
         definition = known or b""
         if known is None:
-            text = f"topic {topic.name}: the log has no definition of {kind}; its messages stay without one"
+            text = (
+                f"topic {topic.name}: the log has no definition of {kind}; its messages stay "
+                "without one"
+            )
             findings.append(Finding("warning", text))
     if topic.encoding == "ros1" and convert is None:
         return _Carrier(topic, _keep_payloads(writer, topic))
-    return _Carrier(topic, writer.topic(topic.name, kind, encoding, definition, form, topic.metadata), convert)
+    return _Carrier(
+        topic, writer.topic(topic.name, kind, encoding, definition, form, topic.metadata), convert
+    )
 
 
 def _keep_payloads(writer: McapRecordWriter, topic: Topic) -> int:
@@ -107,17 +145,23 @@ def _keep_payloads(writer: McapRecordWriter, topic: Topic) -> int:
 
 
 def _message_tables(
-    batches: Iterable[Batch], carriers: Mapping[int, _Carrier], writer: McapRecordWriter, span: Span | None
+    batches: Iterable[Batch],
+    carriers: Mapping[int, _Carrier],
+    writer: McapRecordWriter,
+    span: Span | None,
 ) -> Iterator[MessageTable]:
     """Batches in groups of a few MiB, each in order of log time."""
     pending: list[MessageTable] = []
     size = 0
-    for batch in _split_large_batches(batches if span is None else _batches_within_span(batches, span)):
+    for batch in _split_large_batches(
+        batches if span is None else _batches_within_span(batches, span)
+    ):
         pending.append(_copy_batch_messages(batch, carriers[batch.topic_id], writer))
         size += pending[-1].data[0].size
         if size >= _PENDING:
             yield _merge_by_log_time(pending)
-            pending, size = [], 0
+            pending = []
+            size = 0
     if pending:
         yield _merge_by_log_time(pending)
 
@@ -127,7 +171,13 @@ def _batches_within_span(batches: Iterable[Batch], span: Span) -> Iterator[Batch
     for batch in batches:
         rows = np.flatnonzero((batch.log_ns >= span[0]) & (batch.log_ns <= span[1]))
         if len(rows):
-            yield Batch(batch.topic_id, batch.log_ns[rows], batch.data, batch.offset[rows], batch.length[rows])
+            yield Batch(
+                batch.topic_id,
+                batch.log_ns[rows],
+                batch.data,
+                batch.offset[rows],
+                batch.length[rows],
+            )
 
 
 def _split_large_batches(batches: Iterable[Batch]) -> Iterator[Batch]:
@@ -136,7 +186,13 @@ def _split_large_batches(batches: Iterable[Batch]) -> Iterator[Batch]:
         full = np.cumsum(batch.length) // _PENDING
         cuts = [0, *(np.flatnonzero(np.diff(full)) + 1).tolist(), len(full)]
         for rows in map(slice, cuts, cuts[1:]):
-            yield Batch(batch.topic_id, batch.log_ns[rows], batch.data, batch.offset[rows], batch.length[rows])
+            yield Batch(
+                batch.topic_id,
+                batch.log_ns[rows],
+                batch.data,
+                batch.offset[rows],
+                batch.length[rows],
+            )
 
 
 def _copy_batch_messages(batch: Batch, carrier: _Carrier, writer: McapRecordWriter) -> MessageTable:
@@ -153,7 +209,9 @@ def _copy_batch_messages(batch: Batch, carrier: _Carrier, writer: McapRecordWrit
 
 
 def _sequence_and_publish_times(batch: Batch, carrier: _Carrier) -> tuple[Array, Array]:
-    """Sequence numbers and publish times: from the record heads of an MCAP's batch; others have none."""
+    """Sequence numbers and publish times: from the
+    record heads of an MCAP's batch; others have none.
+    """
     start = batch.offset - MESSAGE_HEAD
     if len(start) and start.min() >= 0:
         heads = heads_at(batch.data, start)
@@ -162,8 +220,12 @@ def _sequence_and_publish_times(batch: Batch, carrier: _Carrier) -> tuple[Array,
     return carrier.carried + np.arange(len(batch.log_ns)), batch.log_ns
 
 
-def _convert_payloads(batch: Batch, carrier: _Carrier, channel: Array, writer: McapRecordWriter) -> tuple[Array, Array, Array]:
-    """The payloads as CDR; one that contradicts its definition stays ROS 1, on a channel of its own."""
+def _convert_payloads(
+    batch: Batch, carrier: _Carrier, channel: Array, writer: McapRecordWriter
+) -> tuple[Array, Array, Array]:
+    """The payloads as CDR; one that contradicts its
+    definition stays ROS 1, on a channel of its own.
+    """
     assert carrier.convert is not None
     left, parts = _convert_same_layout(batch, carrier.convert)
     single: list[bytes | memoryview] = []
@@ -177,24 +239,36 @@ def _convert_payloads(batch: Batch, carrier: _Carrier, channel: Array, writer: M
             channel[i] = carrier.spare
             single.append(bytes(payload))
     length = np.array([len(part) for part in single], np.int64)
-    parts.append((left, Payloads(np.frombuffer(b"".join(single), np.uint8), np.cumsum(length) - length, length)))
+    parts.append(
+        (
+            left,
+            Payloads(np.frombuffer(b"".join(single), np.uint8), np.cumsum(length) - length, length),
+        )
+    )
     merged = merge_payloads(parts, len(batch.log_ns))
     return merged.data, merged.offset, merged.length
 
 
-def _convert_same_layout(batch: Batch, convert: Converter) -> tuple[Array, list[tuple[Array, Payloads]]]:
+def _convert_same_layout(
+    batch: Batch, convert: Converter
+) -> tuple[Array, list[tuple[Array, Payloads]]]:
     """Short messages of equal length and layout as CDR, group by group, and the remaining rows."""
-    left, parts = np.ones(len(batch.log_ns), bool), []
+    left = np.ones(len(batch.log_ns), bool)
+    parts = []
     sizes, counts = np.unique(batch.length, return_counts=True)
     for size in sizes[(counts >= _FEW) & (sizes <= _SHORT)].tolist():
         rows = np.flatnonzero(batch.length == size)
         while len(rows) >= _FEW:
             try:
-                same, out = convert.convert_same_layout(batch.data[batch.offset[rows, None] + np.arange(size)])
+                same, out = convert.convert_same_layout(
+                    batch.data[batch.offset[rows, None] + np.arange(size)]
+                )
             except FormatError:
                 break
             width = np.full(len(out), out.shape[1])
-            parts.append((rows[same], Payloads(out.reshape(-1), np.arange(len(out)) * out.shape[1], width)))
+            parts.append(
+                (rows[same], Payloads(out.reshape(-1), np.arange(len(out)) * out.shape[1], width))
+            )
             left[rows[same]] = False
             rows = rows[~same] if same.sum() >= _FEW else rows[:0]
     return np.flatnonzero(left), parts
@@ -202,7 +276,10 @@ def _convert_same_layout(batch: Batch, convert: Converter) -> tuple[Array, list[
 
 def _explain_unconverted_topic(source: Path, carrier: _Carrier) -> Finding:
     name = carrier.topic.name
-    text = f"{source}: topic {name}: {carrier.unconverted} of {carrier.carried} messages contradict their definition"
+    text = (
+        f"{source}: topic {name}: {carrier.unconverted} of {carrier.carried} messages contradict "
+        "their definition"
+    )
     return Finding("warning", f"{text}; they stay ROS 1, which ROS 2 tools do not read")
 
 
@@ -216,7 +293,9 @@ def _merge_by_log_time(parts: list[MessageTable]) -> MessageTable:
         log_ns[order],
         np.concatenate([part.publish_ns for part in parts])[order],
         tuple(part.data[0] for part in parts),
-        np.concatenate([part.offset + start for part, start in zip(parts, shift, strict=False)])[order],
+        np.concatenate([part.offset + start for part, start in zip(parts, shift, strict=False)])[
+            order
+        ],
         np.concatenate([part.length for part in parts])[order],
     )
 
@@ -230,29 +309,52 @@ def _mcap_profile(source: Path) -> str:
     return ""
 
 
-def _copy_attachments_and_metadata(source: Path, writer: McapRecordWriter, ours: bool, limits: Input) -> list[Finding]:
-    """Copy attachments and metadata of an MCAP, compressed or in a folder, up to its first damage; returns losses."""
+def _copy_attachments_and_metadata(
+    source: Path, writer: McapRecordWriter, ours: bool, limits: Input
+) -> list[Finding]:
+    """Copy attachments and metadata of an MCAP, compressed
+    or in a folder, up to its first damage; returns losses.
+    """
     if source.is_dir():
-        members = sorted(path for path in source.iterdir() if ".mcap" in path.suffixes and path.is_file())
-        return [finding for member in members for finding in _copy_attachments_and_metadata(member, writer, ours, limits)]
+        members = sorted(
+            path for path in source.iterdir() if ".mcap" in path.suffixes and path.is_file()
+        )
+        return [
+            finding
+            for member in members
+            for finding in _copy_attachments_and_metadata(member, writer, ours, limits)
+        ]
     with source.open("rb") as stream:
         packed = is_packed(stream.read(4))
     if packed:
-        return unpack_file(source, lambda inner: _copy_attachments_and_metadata(inner, writer, ours, limits), limits)
+        return unpack_file(
+            source,
+            lambda inner: _copy_attachments_and_metadata(inner, writer, ours, limits),
+            limits,
+        )
     lost = []
     for file, head in sound_heads(source):
         if head.opcode in (op.ATTACHMENT, op.METADATA):
             try:
                 _keep_extra(file.fields(head), file.record(head), writer, ours)
             except FormatError as problem:
-                lost.append(Finding("lost", f"{source}: the record at byte {head.start} is left out: {problem}"))
+                lost.append(
+                    Finding(
+                        "lost", f"{source}: the record at byte {head.start} is left out: {problem}"
+                    )
+                )
     return lost
 
 
 def _keep_extra(record: Record, raw: bytes, writer: McapRecordWriter, ours: bool) -> None:
-    """Copy an attachment or metadata record; text that is not UTF-8 is written as far as it can be decoded."""
+    """Copy an attachment or metadata record; text that
+    is not UTF-8 is written as far as it can be decoded.
+    """
     if record.opcode == op.ATTACHMENT:
-        writer.keep_attachment(encode_attachment(record.fields) if no_utf8(record) else raw, record.fields)
+        writer.keep_attachment(
+            encode_attachment(record.fields) if no_utf8(record) else raw, record.fields
+        )
     elif ours or record.fields["name"] != NAME:
-        name, pairs = record.fields["name"], record.fields["metadata"]
+        name = record.fields["name"]
+        pairs = record.fields["metadata"]
         writer.keep_metadata(name, encode_metadata(name, pairs) if no_utf8(record) else raw)

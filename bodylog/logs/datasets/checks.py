@@ -1,4 +1,6 @@
-"""Check an episode: black and frozen cameras, joints that wrap or never move, lengths, gaps in time."""
+"""Check an episode: black and frozen cameras, joints
+that wrap or never move, lengths, gaps in time.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -20,10 +22,11 @@ BLACK_GREY = 20
 _BLOCK = 8
 """px: block size of a video codec."""
 SAME_GREY = 4.0
-"""Grey levels: no block's mean differs by more when the same image is encoded again. Measured on an image repeated 60
-times: AV1 (crf 30) 0, H.264 (crf 23) 1; on a real MPEG-4 recording whose camera repeats images 2.5. A new image of
-that recording differs by at least 112."""
-_LONG_S, _MANY = 0.5, 5
+"""Grey levels: no block's mean differs by more when the same image is encoded again. Measured on an
+image repeated 60 times: AV1 (crf 30) 0, H.264 (crf 23) 1; on a real MPEG-4 recording whose camera
+repeats images 2.5. A new image of that recording differs by at least 112."""
+_LONG_S = 0.5
+_MANY = 5
 """Shortest time, and fewest images, for a camera to count as frozen or black."""
 _MOVED = 0.02
 """Share of its range that a joint must cross while a camera's image stays the same."""
@@ -33,7 +36,9 @@ _GAP = 5.0
 
 @dataclass
 class _ImageRecord:
-    """Record of a camera's images: brightness (grey levels), change from the previous one, time (ns) of each."""
+    """Record of a camera's images: brightness (grey levels),
+    change from the previous one, time (ns) of each.
+    """
 
     bright: list[float] = field(default_factory=list)
     change: list[float] = field(default_factory=list)
@@ -47,7 +52,9 @@ class _ImageRecord:
         grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_BGR2GRAY)
         small = block_means(grey)
         same = self.last is not None and self.last.shape == small.shape
-        self.change.append(float(np.abs(small - self.last).max()) if same and self.last is not None else np.inf)
+        self.change.append(
+            float(np.abs(small - self.last).max()) if same and self.last is not None else np.inf
+        )
         self.bright.append(float(np.percentile(grey, 99)))
         self.ns.append(ns)
         self.last = small
@@ -60,7 +67,10 @@ class Checks:
         """For an episode that will be read from end to end."""
         self._log = log
         topics = {topic.id: topic for topic in log.topics if topic.id in log.cameras}
-        self._decoders = {number: messages.make_image_decoder(topic, limits.max_image_mpx) for number, topic in topics.items()}
+        self._decoders = {
+            number: messages.make_image_decoder(topic, limits.max_image_mpx)
+            for number, topic in topics.items()
+        }
         self._records = {number: _ImageRecord() for number in topics}
 
     def add(self, batch: Batch) -> None:
@@ -90,7 +100,9 @@ def block_means(grey: Array) -> Array:
     return np.asarray(cv2.resize(grey.astype(np.float32), size, interpolation=cv2.INTER_AREA))
 
 
-def _check_camera_images(camera: EpisodeCamera, record: _ImageRecord, joints: EpisodeSignal | None) -> Iterator[str]:
+def _check_camera_images(
+    camera: EpisodeCamera, record: _ImageRecord, joints: EpisodeSignal | None
+) -> Iterator[str]:
     name = camera.topic
     if not record.ns:
         return
@@ -101,10 +113,14 @@ def _check_camera_images(camera: EpisodeCamera, record: _ImageRecord, joints: Ep
     for first, end in long_runs(black, record.ns):
         yield f"{name}: the camera is black {_describe_time_range(record.ns, first, end)}"
     same = np.append((np.array(record.change) < SAME_GREY)[1:], False)
-    yield from _find_frozen_images(name, record.ns, list(long_runs(same & ~black, record.ns)), joints)
+    yield from _find_frozen_images(
+        name, record.ns, list(long_runs(same & ~black, record.ns)), joints
+    )
 
 
-def _find_frozen_images(name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: EpisodeSignal | None) -> Iterator[str]:
+def _find_frozen_images(
+    name: str, ns: Sequence[int], runs: list[tuple[int, int]], joints: EpisodeSignal | None
+) -> Iterator[str]:
     """Runs of identical images while joints move."""
     if joints is not None:
         moves = partial(moves_between, joints.values, joints.ns)
@@ -124,7 +140,9 @@ def _find_frozen_images(name: str, ns: Sequence[int], runs: list[tuple[int, int]
 
 def long_runs(which: Array, ns: Sequence[int]) -> Iterator[tuple[int, int]]:
     """Runs (first, beyond the last) of images at ns (N,) that are long enough to report."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
+    edges = np.flatnonzero(
+        np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))
+    ).reshape(-1, 2)
     for first, end in edges.tolist():
         if end - first >= _MANY and ns[end - 1] - ns[first] >= _LONG_S * 1e9:
             yield first, end
@@ -141,14 +159,16 @@ def moves_between(values: Array, times: Array, first: float, last: float) -> boo
     during = values[(times >= first) & (times <= last)]
     if not len(during):
         return False
-    whole, part = value_ranges(values), value_ranges(during)
+    whole = value_ranges(values)
+    part = value_ranges(during)
     return bool((part > _MOVED * whole)[whole > 0].any())
 
 
 def value_ranges(values: Array) -> Array:
     """Range of each column (K,), 0 if it holds no number."""
     known = np.isfinite(values)
-    low, high = np.where(known, values, np.inf).min(axis=0), np.where(known, values, -np.inf).max(axis=0)
+    low = np.where(known, values, np.inf).min(axis=0)
+    high = np.where(known, values, -np.inf).max(axis=0)
     return np.where(known.any(axis=0), high - low, 0.0)
 
 
@@ -156,7 +176,10 @@ def _check_joints(joints: EpisodeSignal) -> Iterator[str]:
     ranges = value_ranges(joints.values)
     still = [name for name, one in zip(joints.names, ranges, strict=True) if one == 0]
     if still:
-        yield f"{joints.topic}: {', '.join(still)} {'is' if len(still) == 1 else 'are'} constant throughout"
+        yield (
+            f"{joints.topic}: {', '.join(still)} {'is' if len(still) == 1 else 'are'} constant "
+            "throughout"
+        )
     if missing := int((~np.isfinite(joints.values)).sum()):
         yield f"{joints.topic}: {missing} of {joints.values.size} readings are not finite numbers"
     yield from _find_joint_wraps(joints)
@@ -164,7 +187,10 @@ def _check_joints(joints: EpisodeSignal) -> Iterator[str]:
     usual = float(np.median(steps)) if len(steps) else 0.0
     if usual > 0 and (gaps := np.flatnonzero(steps > _GAP * usual)).size:
         at = (joints.ns[gaps[0]] - joints.ns[0]) / 1e9
-        yield f"{joints.topic}: {len(gaps)} gaps in time, the first of {steps[gaps[0]]:.3g} s at {at:.2f} s"
+        yield (
+            f"{joints.topic}: {len(gaps)} gaps in time, the first of {steps[gaps[0]]:.3g} s at "
+            f"{at:.2f} s"
+        )
 
 
 def _find_joint_wraps(joints: EpisodeSignal) -> Iterator[str]:
@@ -175,7 +201,10 @@ def _find_joint_wraps(joints: EpisodeSignal) -> Iterator[str]:
     for name, column in zip(joints.names, joints.values.T * known.factor, strict=True):
         steps = np.diff(column[np.isfinite(column)])
         if count := int((np.abs(steps) > 0.5 * known.turn).sum()):
-            yield f"{joints.topic}: {name} wraps around {count} times: it leaps by more than half a turn"
+            yield (
+                f"{joints.topic}: {name} wraps around {count} times: it leaps by more than half "
+                "a turn"
+            )
 
 
 def length_texts(log: EpisodeLog) -> Iterator[str]:
@@ -188,7 +217,8 @@ def length_texts(log: EpisodeLog) -> Iterator[str]:
 
 def of_dataset(known: DatasetLayout) -> Iterator[str]:
     """Problems of the dataset as a whole: info.json against the other files."""
-    there, info = known.present(), known.info
+    there = known.present()
+    info = known.info
     listed = len(known.rows)
     if isinstance(total := info.get("total_episodes"), int) and total != listed:
         yield f"info.json says total_episodes {total}, {listed} are listed"

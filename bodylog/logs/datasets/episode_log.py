@@ -1,4 +1,6 @@
-"""One episode of a dataset as a log: signals held as arrays, cameras decoded on reading; see protocol.Log."""
+"""One episode of a dataset as a log: signals held as
+arrays, cameras decoded on reading; see protocol.Log.
+"""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,11 +16,16 @@ from ..encode.cdr import CdrField, Payloads
 from ..encode.schemas import ros2msg_definition
 from ..records import Array, Batch, Finding, Topic
 
-JOINTS, ACTION = "/joint_states", "/action"
-FEATURE, DTYPE = "bodylog.feature", "bodylog.dtype"
+JOINTS = "/joint_states"
+ACTION = "/action"
+FEATURE = "bodylog.feature"
+DTYPE = "bodylog.dtype"
 """Metadata of a topic: the dataset's name and dtype of its values."""
-JOINT_STATE, VECTOR = "sensor_msgs/msg/JointState", "bodylog_msgs/msg/Vector"
-RAW, COMPRESSED, TEXT = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "std_msgs/msg/String"
+JOINT_STATE = "sensor_msgs/msg/JointState"
+VECTOR = "bodylog_msgs/msg/Vector"
+RAW = "sensor_msgs/msg/Image"
+COMPRESSED = "sensor_msgs/msg/CompressedImage"
+TEXT = "std_msgs/msg/String"
 EPOCH_NS = 1_000_000_000
 """Start of times that count from an episode's start: a stamp of 0 would mean no stamp."""
 _BATCH_BYTES = 4 << 20
@@ -51,7 +58,8 @@ class Texts:
 
 @dataclass(frozen=True, eq=False)
 class EpisodeCamera:
-    """Images of one topic: their times ns (n,) int64, and a function that reads one item per time, in order.
+    """Images of one topic: their times ns (n,) int64, and
+    a function that reads one item per time, in order.
 
     `read_grey` reads them as grey images (H,W) uint8, which costs less; None where images are
     encoded one by one. `size` is (width, height) px of raw images; None: encoded in the format
@@ -78,18 +86,25 @@ class Episode:
 
 
 class EpisodeLog:
-    """An episode as a log; unreadable images count as lost, and become messages without an image."""
+    """An episode as a log; unreadable images count
+    as lost, and become messages without an image.
+    """
 
     def __init__(self, path: Path, episode: Episode, strict: bool) -> None:
         """LogError for an empty episode, or when strict and part of it is lost."""
-        self.path, self.episode, self.format, self._strict = path, episode, episode.format, strict
+        self.path = path
+        self.episode = episode
+        self.format = episode.format
+        self._strict = strict
         self._lost: dict[str, str] = {}
         streams = [one for one in episode.streams if len(one.ns)]
         if not streams:
             lost = next((one.text for one in episode.findings if one.severity == "lost"), "")
             raise LogError(f"{path}: the episode is empty: {lost or 'no rows and no images'}")
         self._streams = dict(enumerate(streams))
-        self.topics: tuple[Topic, ...] = tuple(_describe_episode_topic(number, one) for number, one in self._streams.items())
+        self.topics: tuple[Topic, ...] = tuple(
+            _describe_episode_topic(number, one) for number, one in self._streams.items()
+        )
         self.start_ns = min(int(one.ns.min()) for one in streams)
         self.end_ns = max(int(one.ns.max()) for one in streams)
         for finding in episode.findings:
@@ -99,12 +114,17 @@ class EpisodeLog:
     def findings(self) -> tuple[Finding, ...]:
         """Findings of the reader, and the unreadable images so far."""
         lost = (Finding("lost", f"{self.path}: {text}") for text in self._lost.values())
-        return (*(Finding(f.severity, f"{self.path}: {f.text}") for f in self.episode.findings), *lost)
+        return (
+            *(Finding(f.severity, f"{self.path}: {f.text}") for f in self.episode.findings),
+            *lost,
+        )
 
     @property
     def cameras(self) -> dict[int, EpisodeCamera]:
         """The cameras by topic id."""
-        return {number: one for number, one in self._streams.items() if isinstance(one, EpisodeCamera)}
+        return {
+            number: one for number, one in self._streams.items() if isinstance(one, EpisodeCamera)
+        }
 
     @property
     def signals(self) -> tuple[EpisodeSignal, ...]:
@@ -112,10 +132,16 @@ class EpisodeLog:
         return tuple(one for one in self._streams.values() if isinstance(one, EpisodeSignal))
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
-        """Messages of the topics `ids` (None: all), one topic after the other; images a few MiB at a time."""
+        """Messages of the topics `ids` (None: all), one
+        topic after the other; images a few MiB at a time.
+        """
         for number, one in self._streams.items():
             if ids is None or number in ids:
-                yield from self._images(number, one) if isinstance(one, EpisodeCamera) else _iterate_stored_messages(number, one)
+                yield from (
+                    self._images(number, one)
+                    if isinstance(one, EpisodeCamera)
+                    else _iterate_stored_messages(number, one)
+                )
 
     def heads(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """As `batches`, but messages of cameras have no images, so that none is decoded."""
@@ -125,7 +151,9 @@ class EpisodeLog:
 
     def spans(self) -> dict[int, tuple[int, int]]:
         """First and last time (ns) of every topic."""
-        return {number: (int(one.ns.min()), int(one.ns.max())) for number, one in self._streams.items()}
+        return {
+            number: (int(one.ns.min()), int(one.ns.max())) for number, one in self._streams.items()
+        }
 
     def close(self) -> None:
         """Do nothing: no file stays open between batches."""
@@ -140,21 +168,27 @@ class EpisodeLog:
     def _images(self, number: int, camera: EpisodeCamera) -> Iterator[Batch]:
         """Batches of a camera's images, one message per time."""
         pending: list[tuple[int, bytes]] = []
-        size, missing = 0, 0
+        size = 0
+        missing = 0
         for at, image in camera.read():
             missing += image is None
-            pending.append((int(camera.ns[at]), _serialise_image(camera, int(camera.ns[at]), image)))
+            pending.append(
+                (int(camera.ns[at]), _serialise_image(camera, int(camera.ns[at]), image))
+            )
             size += len(pending[-1][1])
             if size >= _BATCH_BYTES:
                 yield _batch_of_images(number, pending)
-                pending, size = [], 0
+                pending = []
+                size = 0
         if pending:
             yield _batch_of_images(number, pending)
         if missing:
             self._count(camera, missing)
 
     def _count(self, camera: EpisodeCamera, missing: int) -> None:
-        self._lost[camera.topic] = f"{camera.topic}: {missing} of {len(camera.ns)} images cannot be read"
+        self._lost[camera.topic] = (
+            f"{camera.topic}: {missing} of {len(camera.ns)} images cannot be read"
+        )
         self._refuse(Finding("lost", self._lost[camera.topic]))
 
     def _refuse(self, finding: Finding) -> None:
@@ -165,7 +199,9 @@ class EpisodeLog:
 
 def _describe_episode_topic(number: int, one: EpisodeSignal | Texts | EpisodeCamera) -> Topic:
     kind = _episode_message_type(one)
-    text = ros2msg_definition(kind) if kind in (JOINT_STATE, VECTOR) else known_definition(kind) or b""
+    text = (
+        ros2msg_definition(kind) if kind in (JOINT_STATE, VECTOR) else known_definition(kind) or b""
+    )
     return Topic(number, one.topic, kind, "cdr", text, "ros2msg", len(one.ns), one.metadata)
 
 
@@ -175,7 +211,9 @@ def _episode_message_type(one: EpisodeSignal | Texts | EpisodeCamera) -> str:
     return TEXT if isinstance(one, Texts) else COMPRESSED if one.size is None else RAW
 
 
-def _iterate_stored_messages(number: int, one: EpisodeSignal | Texts | EpisodeCamera) -> Iterator[Batch]:
+def _iterate_stored_messages(
+    number: int, one: EpisodeSignal | Texts | EpisodeCamera
+) -> Iterator[Batch]:
     """All messages of a topic, some megabytes at a time; those of a camera have no image."""
     if isinstance(one, Texts):
         made = _text_batches(one)
@@ -184,7 +222,9 @@ def _iterate_stored_messages(number: int, one: EpisodeSignal | Texts | EpisodeCa
     step = max(1, _BATCH_BYTES // _message_bytes(one))
     for first in range(0, len(one.ns), step):
         ns = one.ns[first : first + step]
-        made = cdr.serialise_messages(len(ns), _signal_message_fields(one, slice(first, first + step)))
+        made = cdr.serialise_messages(
+            len(ns), _signal_message_fields(one, slice(first, first + step))
+        )
         yield Batch(number, ns, made.data, made.offset, made.length)
 
 
@@ -198,14 +238,22 @@ def _signal_message_fields(one: EpisodeSignal | EpisodeCamera, rows: slice) -> l
     if isinstance(one, EpisodeCamera):
         return _camera_message_fields(one, ns, np.empty((len(ns), 0), np.uint8))
     values = one.values[rows]
-    fields: list[CdrField] = [*cdr.cdr_header_field(ns), ("string[]", one.names), ("float64[]", values)]
-    # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array
+    fields: list[CdrField] = [
+        *cdr.cdr_header_field(ns),
+        ("string[]", one.names),
+        ("float64[]", values),
+    ]
+    # NaN where ROS would leave the array empty: pybag
+    # cannot read a message that ends in an empty array
     unknown = np.broadcast_to(np.nan, values.shape)
     return fields + ([("float64[]", unknown)] * 2 if one.type == JOINT_STATE else [])
 
 
 def _text_batches(one: Texts) -> Payloads:
-    parts = [(np.array([k]), cdr.serialise_messages(1, [("string", text)])) for k, text in enumerate(one.texts)]
+    parts = [
+        (np.array([k]), cdr.serialise_messages(1, [("string", text)]))
+        for k, text in enumerate(one.texts)
+    ]
     return cdr.merge_payloads(parts, len(one.texts))
 
 
@@ -215,9 +263,14 @@ def _camera_message_fields(camera: EpisodeCamera, ns: Array, data: Array) -> lis
         return [*cdr.cdr_header_field(ns), ("string", camera.form), ("uint8[]", data)]
     width, height = camera.size if data.shape[1] else (0, 0)
     return [
-        *cdr.cdr_header_field(ns), ("uint32", height), ("uint32", width), ("string", "bgr8"), ("uint8", 0),
-        ("uint32", 3 * width), ("uint8[]", data),
-    ]  # fmt: skip
+        *cdr.cdr_header_field(ns),
+        ("uint32", height),
+        ("uint32", width),
+        ("string", "bgr8"),
+        ("uint8", 0),
+        ("uint32", 3 * width),
+        ("uint8[]", data),
+    ]
 
 
 def _serialise_image(camera: EpisodeCamera, ns: int, image: Array | bytes | None) -> bytes:
@@ -225,7 +278,9 @@ def _serialise_image(camera: EpisodeCamera, ns: int, image: Array | bytes | None
         flat = np.frombuffer(image or b"", np.uint8)
     else:
         flat = np.ascontiguousarray(image).reshape(-1)
-    return cdr.serialise_messages(1, _camera_message_fields(camera, np.array([ns]), flat.reshape(1, -1))).data.tobytes()
+    return cdr.serialise_messages(
+        1, _camera_message_fields(camera, np.array([ns]), flat.reshape(1, -1))
+    ).data.tobytes()
 
 
 def _batch_of_images(number: int, pending: list[tuple[int, bytes]]) -> Batch:

@@ -24,21 +24,29 @@ from .episode_log import (
     JOINT_STATE,
     JOINTS,
     VECTOR,
-    EpisodeCamera,
     Episode,
+    EpisodeCamera,
     EpisodeLog,
-    Item,
     EpisodeSignal,
+    Item,
     Texts,
-)  # fmt: skip
-from .hdf5_file import Sets, read_attribute, is_bytes_list, open_hdf5_file, sets_of
+)
+from .hdf5_file import Sets, is_bytes_list, open_hdf5_file, read_attribute, sets_of
 from .units import guess_joint_unit
 
 _ROW_BYTES = 32
 """Bytes that the times of a row take while they are made."""
 _ALOHA_HZ = 50.0
 """Rate of ALOHA's recordings (DT = 0.02 s in its constants); its files hold no times."""
-_ALOHA_ARM = ("waist", "shoulder", "elbow", "forearm_roll", "wrist_angle", "wrist_rotate", "gripper")
+_ALOHA_ARM = (
+    "waist",
+    "shoulder",
+    "elbow",
+    "forearm_roll",
+    "wrist_angle",
+    "wrist_rotate",
+    "gripper",
+)
 _TIMES = re.compile(r"(^|/)(timestamps?|times?|stamps?|t)(_(ns|us|ms|s))?$", re.IGNORECASE)
 _SCALE = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 _JOINTS = re.compile(r"(^|/)(qpos|joint_pos(itions?)?|robot\d*_joint_pos)$")
@@ -65,12 +73,21 @@ def _read_hdf5_episode(path: Path, found: Sets, findings: list[Finding], limits:
     size.take(_ROW_BYTES * rows, f"{path}: the times of {rows} rows")
     ns = _find_step_times(found, rows, findings, limits)
     streams: list[EpisodeSignal | Texts | EpisodeCamera] = []
-    joints = next((name for name in found.sets if _JOINTS.search(name) and _is_numeric_dataset(found.sets[name])), None)
+    joints = next(
+        (
+            name
+            for name in found.sets
+            if _JOINTS.search(name) and _is_numeric_dataset(found.sets[name])
+        ),
+        None,
+    )
     lengths = {name: one.shape[0] for name, one in found.sets.items() if _is_row(one)}
     for name in lengths:
         own = ns[: lengths[name]] if lengths[name] <= rows else None
         if lengths[name] != rows:
-            findings.append(Finding("warning", f"{name}: {lengths[name]} rows, {joints or 'the others'} {rows}"))
+            findings.append(
+                Finding("warning", f"{name}: {lengths[name]} rows, {joints or 'the others'} {rows}")
+            )
         if own is None or not len(own) or (_TIMES.search(name) and found.sets[name].ndim == 1):
             continue
         streams += _read_stream(path, found, name, own, joints, findings, limits, size)
@@ -89,18 +106,25 @@ def _is_numeric_dataset(one: Any) -> bool:
 def _count_steps(sets: Mapping[str, Any]) -> int:
     """Steps of the episode: rows of the joints, else of the action, else of most datasets."""
     known = {name: int(one.shape[0]) for name, one in sets.items() if _is_row(one)}
-    wanted = [rows for name, rows in known.items() if _JOINTS.search(name) or re.search(r"(^|/)actions?$", name)]
+    wanted = [
+        rows
+        for name, rows in known.items()
+        if _JOINTS.search(name) or re.search(r"(^|/)actions?$", name)
+    ]
     images = [rows for name, rows in known.items() if _is_image_dataset(name, sets[name])]
     every = wanted or images
     return every[0] if every else 0
 
 
 def _is_image_dataset(name: str, one: Any) -> bool:
-    """(T,H,W,3) or (T,H,W,1) bytes, or JPEG and PNG in (T,L) bytes or variable-length rows, named like images."""
+    """(T,H,W,3) or (T,H,W,1) bytes, or JPEG and PNG in
+    (T,L) bytes or variable-length rows, named like images.
+    """
     if one.dtype == np.uint8 and one.ndim == 4:
         return one.shape[3] in (1, 3)
     return bool(re.search(r"image|rgb|cam", name)) and (
-        (one.dtype == np.uint8 and one.ndim == 2 and one.shape[1] > 64) or (is_bytes_list(one) and one.ndim == 1)
+        (one.dtype == np.uint8 and one.ndim == 2 and one.shape[1] > 64)
+        or (is_bytes_list(one) and one.ndim == 1)
     )
 
 
@@ -117,7 +141,11 @@ def _find_step_times(found: Sets, rows: int, findings: list[Finding], limits: In
                 return ns
             findings.append(Finding("warning", f"{name} does not rise in every row; not used"))
     if found.rate is not None:
-        findings.append(Finding("info", f"no times; rows are dated at the {found.rate:g} Hz that the file states"))
+        findings.append(
+            Finding(
+                "info", f"no times; rows are dated at the {found.rate:g} Hz that the file states"
+            )
+        )
     else:
         text = f"no times and no rate in the file; rows are dated at ALOHA's {_ALOHA_HZ:g} Hz"
         findings.append(Finding("warning", text))
@@ -125,7 +153,9 @@ def _find_step_times(found: Sets, rows: int, findings: list[Finding], limits: In
 
 
 def _read_time_column(name: str, one: Any, limits: Input) -> Array:
-    """All values of a dataset of one column, in its own type; FormatError where they may not be read."""
+    """All values of a dataset of one column, in its
+    own type; FormatError where they may not be read.
+    """
     if reason := hdf5_chunks.explain_refused_dataset(one, limits):
         raise FormatError(f"{name}: {reason}")
     blocks = [rows for _, rows in hdf5_chunks.row_blocks(one, one.shape[0], limits)]
@@ -133,7 +163,9 @@ def _read_time_column(name: str, one: Any, limits: Input) -> Array:
 
 
 def _time_column_ns(values: Array, ending: str | None) -> Array | None:
-    """Times as int64 ns: by the suffix of their name, else by their size; None if they are not times."""
+    """Times as int64 ns: by the suffix of their name,
+    else by their size; None if they are not times.
+    """
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         return None
     largest = float(np.abs(values).max(initial=0))
@@ -141,20 +173,34 @@ def _time_column_ns(values: Array, ending: str | None) -> Array | None:
     if not largest * scale <= 4e9:
         return None
     whole = values.dtype.kind in "iu" and scale == 1e-9
-    ns = values.astype(np.int64) if whole else np.rint(values.astype(float) * scale * 1e9).astype(np.int64)
-    return log_times_ns(ns if len(ns) and ns.min() >= EPOCH_NS else ns - ns.min(initial=0) + EPOCH_NS)
+    ns = (
+        values.astype(np.int64)
+        if whole
+        else np.rint(values.astype(float) * scale * 1e9).astype(np.int64)
+    )
+    return log_times_ns(
+        ns if len(ns) and ns.min() >= EPOCH_NS else ns - ns.min(initial=0) + EPOCH_NS
+    )
 
 
 def _read_stream(
-    path: Path, found: Sets, name: str, ns: Array, joints: str | None, findings: list[Finding], limits: Input,
+    path: Path,
+    found: Sets,
+    name: str,
+    ns: Array,
+    joints: str | None,
+    findings: list[Finding],
+    limits: Input,
     size: TableSize,
-) -> Iterator[EpisodeSignal | EpisodeCamera]:  # fmt: skip
+) -> Iterator[EpisodeSignal | EpisodeCamera]:
     one = found.sets[name]
     if _is_image_dataset(name, one):
         yield from _read_hdf5_camera(path, found, name, ns, findings, limits)
         return
     if one.dtype.kind not in "fiub" or one.ndim > 3:
-        findings.append(Finding("info", f"{name}: {one.dtype} of shape {one.shape}, which is not read"))
+        findings.append(
+            Finding("info", f"{name}: {one.dtype} of shape {one.shape}, which is not read")
+        )
         return
     try:
         size.take(8 * one.size, name)
@@ -165,12 +211,20 @@ def _read_stream(
         findings.append(Finding("lost", str(problem)))
         return
     short = re.sub(r"^(obs|observations)/", "", name)
-    topic, kind = f"/{escape_topic_name(short)}", VECTOR
+    topic = f"/{escape_topic_name(short)}"
+    kind = VECTOR
     metadata = {FEATURE: _lerobot_feature_name(name), DTYPE: str(one.dtype)}
-    names = _joint_or_index_names(values.shape[1], found.format, name == joints or bool(_ACTION.fullmatch(name)))
+    names = _joint_or_index_names(
+        values.shape[1], found.format, name == joints or bool(_ACTION.fullmatch(name))
+    )
     if name == joints or _ACTION.fullmatch(name):
-        topic, kind = (JOINTS if name == joints else ACTION), JOINT_STATE
-        of = guess_joint_unit({key: _decode_hdf5_text(read_attribute(one, key)) for key in ("unit", "units")}, names, values)
+        topic = JOINTS if name == joints else ACTION
+        kind = JOINT_STATE
+        of = guess_joint_unit(
+            {key: _decode_hdf5_text(read_attribute(one, key)) for key in ("unit", "units")},
+            names,
+            values,
+        )
         metadata |= of.metadata
         findings += [Finding(*of.remark)] if name == joints else []
     yield EpisodeSignal(topic, kind, names, values, ns, metadata)
@@ -198,9 +252,14 @@ def _joint_or_index_names(count: int, form: str, of_joints: bool) -> tuple[str, 
     return tuple(map(str, range(count)))
 
 
-def _read_hdf5_camera(path: Path, found: Sets, name: str, ns: Array, findings: list[Finding], limits: Input) -> Iterator[EpisodeCamera]:
-    one, short = found.sets[name], re.sub(r"^.*?(images?)/", "", name)
-    topic = f"/{escape_topic_name(re.sub(r'^(obs|observations)/', '', short).removesuffix('_image'))}"
+def _read_hdf5_camera(
+    path: Path, found: Sets, name: str, ns: Array, findings: list[Finding], limits: Input
+) -> Iterator[EpisodeCamera]:
+    one = found.sets[name]
+    short = re.sub(r"^.*?(images?)/", "", name)
+    topic = (
+        f"/{escape_topic_name(re.sub(r'^(obs|observations)/', '', short).removesuffix('_image'))}"
+    )
     metadata = {FEATURE: f"observation.images.{topic[1:].replace('/', '.')}"}
     place = f"{found.group}/{name}"
     if len(ns) > limits.max_frames:
@@ -210,7 +269,9 @@ def _read_hdf5_camera(path: Path, found: Sets, name: str, ns: Array, findings: l
     height, width = one.shape[1:3] if one.ndim == 4 else (0, 0)
     too_wide = one.ndim == 4 and not 0 < height * width <= limits.max_image_mpx * 1e6
     if too_wide or (one.ndim == 2 and one.shape[1] > limits.max_message_mb * 1e6):
-        findings.append(Finding("lost", f"{name}: images of shape {one.shape[1:]}; too large to be read"))
+        findings.append(
+            Finding("lost", f"{name}: images of shape {one.shape[1:]}; too large to be read")
+        )
     elif reason := hdf5_chunks.explain_refused_dataset(one, limits):
         findings.append(Finding("lost", f"{name}: {reason}"))
     elif one.ndim == 4:
@@ -236,9 +297,15 @@ def _read_compressed_images(path: Path, place: str, count: int, limits: Input) -
         yield number, data or None
 
 
-def _limited_dataset_rows(path: Path, place: str, count: int, limits: Input) -> Iterator[tuple[int, Array | None]]:
-    """The rows of a dataset; None for unreadable ones; LogError where they are more than a file may unpack to."""
-    allowance, packed, unpacked = Allowance(path, limits), path.stat().st_size, 0
+def _limited_dataset_rows(
+    path: Path, place: str, count: int, limits: Input
+) -> Iterator[tuple[int, Array | None]]:
+    """The rows of a dataset; None for unreadable ones;
+    LogError where they are more than a file may unpack to.
+    """
+    allowance = Allowance(path, limits)
+    packed = path.stat().st_size
+    unpacked = 0
     with open_hdf5_file(path) as file:
         one = file[place]
         for first, rows in _read_row_blocks(one, count, limits):
@@ -248,12 +315,17 @@ def _limited_dataset_rows(path: Path, place: str, count: int, limits: Input) -> 
                 yield number, row
 
 
-def _read_row_blocks(one: Any, count: int, limits: Input) -> Iterator[tuple[int, Sequence[Array | None]]]:
-    """Rows by blocks; of a block that cannot be read, row by row; one by one if their size is in each row."""
+def _read_row_blocks(
+    one: Any, count: int, limits: Input
+) -> Iterator[tuple[int, Sequence[Array | None]]]:
+    """Rows by blocks; of a block that cannot be read,
+    row by row; one by one if their size is in each row.
+    """
     if is_bytes_list(one):
         yield from ((number, [_read_dataset_row(one, number)]) for number in range(count))
         return
-    blocks, at = hdf5_chunks.row_blocks(one, count, limits), 0
+    blocks = hdf5_chunks.row_blocks(one, count, limits)
+    at = 0
     while at < count:
         try:
             first, rows = next(blocks)
@@ -262,7 +334,8 @@ def _read_row_blocks(one: Any, count: int, limits: Input) -> Iterator[tuple[int,
         except (OSError, RuntimeError, ValueError):
             end = min(at + hdf5_chunks.rows_at_once(one), count)
             yield from ((number, [_read_dataset_row(one, number)]) for number in range(at, end))
-            at, blocks = end, hdf5_chunks.row_blocks(one, count, limits, end)
+            at = end
+            blocks = hdf5_chunks.row_blocks(one, count, limits, end)
             continue
         yield first, list(rows)
         at = first + len(rows)

@@ -1,4 +1,6 @@
-"""What HDF5 would unpack to read a dataset, from the sizes that stand in the file, before anything is read."""
+"""What HDF5 would unpack to read a dataset, from the
+sizes that stand in the file, before anything is read.
+"""
 
 import math
 import zlib
@@ -14,7 +16,9 @@ from ..records import Array
 _PIECE = 4 << 20
 """Bytes of rows that are read at once, or of one chunk if that is more."""
 _MOST_AT_ONCE = 64 << 20
-"""Bytes of rows that are read at once where a chunk spans more rows: such a chunk is unpacked more than once."""
+"""Bytes of rows that are read at once where a chunk
+spans more rows: such a chunk is unpacked more than once.
+"""
 _MOST_CHUNKS = 1 << 18
 """Chunks of a dataset: HDF5 looks for 10 000 a second, stored or not."""
 _CHUNKS_AT_ONCE = 1024
@@ -29,14 +33,18 @@ _REARRANGING: Mapping[int, str] = {2: "shuffle", 3: "fletcher32"}
 
 
 def explain_refused_dataset(one: Any, limits: Input) -> str | None:
-    """Why a dataset may not be read: its chunks, its filters, or what is stored of them; None if it may."""
+    """Why a dataset may not be read: its chunks, its
+    filters, or what is stored of them; None if it may.
+    """
     if one.chunks is None:
         return None
     size = chunk_bytes(one)
     if size > limits.max_message_mb * 1e6:
         asked = f"type in robot.toml: [input] max_message_mb = {math.ceil(size / 1e6)}"
         return f"chunks of {size} bytes; to read them, {asked}"
-    if (chunks := math.prod(math.ceil(a / b) for a, b in zip(one.shape, one.chunks, strict=True))) > _MOST_CHUNKS:
+    if (
+        chunks := math.prod(math.ceil(a / b) for a, b in zip(one.shape, one.chunks, strict=True))
+    ) > _MOST_CHUNKS:
         return f"{chunks} chunks; at most {_MOST_CHUNKS} are read"
     return _refused_filters(one) or _refused_storage(one, size)
 
@@ -48,15 +56,20 @@ def chunk_bytes(one: Any) -> int:
 
 
 def read_float_rows(one: Any, limits: Input = LIMITS) -> Array:
-    """All rows as float64 (N,K), block by block; FormatError where a chunk unpacks to more than it declares."""
+    """All rows as float64 (N,K), block by block; FormatError
+    where a chunk unpacks to more than it declares.
+    """
     values = np.empty((one.shape[0], math.prod(one.shape[1:])))
     for first, rows in row_blocks(one, one.shape[0], limits):
         values[first : first + len(rows)] = rows.reshape(len(rows), -1)
     return values
 
 
-def row_blocks(one: Any, count: int, limits: Input = LIMITS, start: int = 0) -> Iterator[tuple[int, Array]]:
-    """Rows from `start` to before `count`: (number of the first, rows), some megabytes or a chunk at a time.
+def row_blocks(
+    one: Any, count: int, limits: Input = LIMITS, start: int = 0
+) -> Iterator[tuple[int, Array]]:
+    """Rows from `start` to before `count`: (number of the
+    first, rows), some megabytes or a chunk at a time.
 
     FormatError where a chunk unpacks to more than it declares.
     """
@@ -109,11 +122,17 @@ def _refused_storage(one: Any, size: int) -> str | None:
 
     if set(_dataset_filter_codes(one)) & set(_COMPRESSING):
         one.id.chunk_iter(examine)
-    return f"{longest} bytes are stored of a chunk of {size}" if longest > size + size // 8 + _OVERHEAD else None
+    return (
+        f"{longest} bytes are stored of a chunk of {size}"
+        if longest > size + size // 8 + _OVERHEAD
+        else None
+    )
 
 
 def _large_chunks(one: Any, limits: Input) -> list[tuple[int, ...]]:
-    """The places of chunks that may unpack to more than a message may: HDF5 unpacks a stream to its end."""
+    """The places of chunks that may unpack to more than
+    a message may: HDF5 unpacks a stream to its end.
+    """
     found: list[tuple[int, ...]] = []
 
     def examine(about: Any) -> None:
@@ -126,7 +145,9 @@ def _large_chunks(one: Any, limits: Input) -> list[tuple[int, ...]]:
 
 
 def _check_stream(one: Any, offset: tuple[int, ...]) -> None:
-    """FormatError if a chunk's stream does not end within the chunk; it is unpacked piece by piece."""
+    """FormatError if a chunk's stream does not end
+    within the chunk; it is unpacked piece by piece.
+    """
     size = chunk_bytes(one)
     found = 0
     unpacker = zlib.decompressobj()

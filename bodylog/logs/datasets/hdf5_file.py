@@ -53,39 +53,60 @@ def open_hdf5_file(path: Path) -> Iterator[Any]:
 
 def _demonstration_groups(file: Any) -> tuple[int, ...]:
     data = _unlinked_member(file, "data")
-    names = _limited_member_names(data, _MOST_DEMOS) if data is not None and hasattr(data, "keys") else []
+    names = (
+        _limited_member_names(data, _MOST_DEMOS)
+        if data is not None and hasattr(data, "keys")
+        else []
+    )
     return tuple(sorted(int(match[1]) for name in names if (match := _DEMO.fullmatch(name))))
 
 
-def sets_of(file: Any, path: Path, number: int | None, findings: list[Finding], limits: Input = LIMITS) -> Sets:
-    """The datasets of the episode; LogError if that episode, or any, is missing, or it has too many datasets."""
+def sets_of(
+    file: Any, path: Path, number: int | None, findings: list[Finding], limits: Input = LIMITS
+) -> Sets:
+    """The datasets of the episode; LogError if that episode,
+    or any, is missing, or it has too many datasets.
+    """
     demos = _demonstration_groups(file)
     if not demos:
         if number:
             raise LogError(f"{path}: no episode {number}; the file holds one, number 0")
-        rate = _sampling_rate(read_attribute(file, "fps")) or _sampling_rate(read_attribute(file, "hz"))
+        rate = _sampling_rate(read_attribute(file, "fps")) or _sampling_rate(
+            read_attribute(file, "hz")
+        )
         return Sets("", _walk_datasets(file, limits), rate, "hdf5")
-    asked, number = number, demos[0] if number is None else number
+    asked = number
+    number = demos[0] if number is None else number
     if number not in demos:
         some = ", ".join(map(str, demos[:12]))
-        raise LogError(f"{path}: no episode {number}; possible: {some}{' …' if len(demos) > 12 else ''}")
+        raise LogError(
+            f"{path}: no episode {number}; possible: {some}{' …' if len(demos) > 12 else ''}"
+        )
     if asked is None and len(demos) > 1:
-        some = f"episode {number}, the first of {len(demos)}; for another, type: --episode {demos[1]}"
+        some = (
+            f"episode {number}, the first of {len(demos)}; for another, type: --episode {demos[1]}"
+        )
         findings.append(Finding("info", some))
     group = f"data/demo_{number}"
     demo = _unlinked_member(file["data"], f"demo_{number}")
     if demo is None or not hasattr(demo, "keys"):
-        raise LogError(f"{path}: {group} is a link out of this file, or no group; give the file that holds it")
+        raise LogError(
+            f"{path}: {group} is a link out of this file, or no group; give the file that holds it"
+        )
     return Sets(group, _walk_datasets(demo, limits), _control_rate(file["data"]), "robomimic")
 
 
 def _walk_datasets(top: Any, limits: Input) -> dict[str, Any]:
-    """The datasets below a group that are in the file itself, each once: no links, no external data.
+    """The datasets below a group that are in the file
+    itself, each once: no links, no external data.
 
-    Names of the file's own objects (hard links) may lead in a circle, or to one object in many ways.
+    Names of the file's own objects (hard links) may
+    lead in a circle, or to one object in many ways.
     """
     found: dict[str, Any] = {}
-    seen, left, budget = {_object_identity(top)}, [(top, "", 0)], _LINKS_A_SET * limits.max_datasets
+    seen = {_object_identity(top)}
+    left = [(top, "", 0)]
+    budget = _LINKS_A_SET * limits.max_datasets
     while left:
         group, before, depth = left.pop()
         for name in _limited_member_names(group, budget + 1):
@@ -100,7 +121,10 @@ def _walk_datasets(top: Any, limits: Input) -> dict[str, Any]:
                 found[f"{before}{name}"] = one
         if budget < 0 or len(found) > limits.max_datasets:
             asked = f"type in robot.toml: [input] max_datasets = {10 * limits.max_datasets}"
-            raise LogError(f"{top.file.filename}: more than {limits.max_datasets} datasets in one episode; {asked}")
+            raise LogError(
+                f"{top.file.filename}: more than {limits.max_datasets} datasets in one "
+                f"episode; {asked}"
+            )
     return dict(sorted(found.items(), key=lambda one: one[0].split("/")))
 
 
@@ -125,7 +149,12 @@ def _object_identity(one: Any) -> tuple[int, int]:
 def _is_own(one: Any) -> bool:
     """Whether this is a dataset of a NumPy type with its data in the file."""
     try:
-        return one.dtype is not None and one.shape is not None and not one.is_virtual and not one.external
+        return (
+            one.dtype is not None
+            and one.shape is not None
+            and not one.is_virtual
+            and not one.external
+        )
     except (AttributeError, TypeError):
         return False
 
@@ -139,13 +168,17 @@ def read_attribute(one: Any, name: str) -> Any:
 
 
 def is_bytes_list(one: Any) -> bool:
-    """Whether each row is a list of bytes, of a length of its own: not a text, and no reference to an object."""
+    """Whether each row is a list of bytes, of a length of
+    its own: not a text, and no reference to an object.
+    """
     h5py = require_module("h5py", Path(one.file.filename))
     return bool(one.dtype == object and h5py.check_vlen_dtype(one.dtype) == np.uint8)
 
 
 def _unlinked_member(group: Any, name: str) -> Any:
-    """The object of that name, unless it is missing or a link, which may lead out of the file: none is followed."""
+    """The object of that name, unless it is missing or a
+    link, which may lead out of the file: none is followed.
+    """
     h5py = require_module("h5py", Path(group.file.filename))
     links = group.id.links
     raw = name.encode("utf-8", "surrogateescape")

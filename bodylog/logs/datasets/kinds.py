@@ -1,4 +1,6 @@
-"""Detect datasets: which reader opens a folder or file, the files of an episode, the number of episodes."""
+"""Detect datasets: which reader opens a folder or
+file, the files of an episode, the number of episodes.
+"""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +17,9 @@ _RECORDED = (".db3", ".mcap", ".bag", ".zst", ".zstd", ".lz4", ".active")
 
 
 def of_folder(folder: Path) -> Opener | None:
-    """The reader of a dataset's folder; None for other folders, and those recorded by rosbag2 or ROS."""
+    """The reader of a dataset's folder; None for other
+    folders, and those recorded by rosbag2 or ROS.
+    """
     if is_episode_dataset(folder):
         from . import lerobot
 
@@ -54,7 +58,9 @@ def episode_numbers(path: Path) -> tuple[int, ...]:
     from . import hdf5_file, lerobot_layout
 
     if path.is_dir():
-        return lerobot_layout.read_dataset_layout(path).present() if is_episode_dataset(path) else ()
+        return (
+            lerobot_layout.read_dataset_layout(path).present() if is_episode_dataset(path) else ()
+        )
     if not path.is_file():  # opening a pipe would block
         return ()
     with path.open("rb") as stream:

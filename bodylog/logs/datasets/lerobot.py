@@ -1,4 +1,6 @@
-"""A LeRobot episode as a log: state, action and other features as topics, cameras from videos or tables."""
+"""A LeRobot episode as a log: state, action and other
+features as topics, cameras from videos or tables.
+"""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,22 +25,36 @@ from .episode_log import (
     JOINT_STATE,
     JOINTS,
     VECTOR,
-    EpisodeCamera,
     Episode,
+    EpisodeCamera,
     EpisodeLog,
-    Item,
     EpisodeSignal,
+    Item,
     Texts,
-)  # fmt: skip
+)
 from .lerobot_layout import DatasetLayout, EpisodePart, read_dataset_layout, read_task_texts
 from .units import guess_joint_unit
 
 _STATE = ("observation.state", "observation.qpos", "observation.joint_positions", "state")
 _ACTIONS = ("action", "actions")
 _STAMP = ".stamp_ns"
-"""Suffix of features that hold the times of another feature (int64, ns), as `convert` writes them."""
+"""Suffix of features that hold the times of another
+feature (int64, ns), as `convert` writes them.
+"""
 _BOOKKEEPING = frozenset(("timestamp", "frame_index", "episode_index", "index", "task_index"))
-_NUMBERS = ("float16", "float32", "float64", "int8", "int16", "int32", "int64", "uint8", "uint16", "uint32", "bool")
+_NUMBERS = (
+    "float16",
+    "float32",
+    "float64",
+    "int8",
+    "int16",
+    "int32",
+    "int64",
+    "uint8",
+    "uint16",
+    "uint32",
+    "bool",
+)
 _MOST_WIDE = 100_000
 _SPARSE = 1.5
 """Intervals between a video's frames from which rows are further apart than these."""
@@ -47,19 +63,30 @@ _EXACT_S = 1e-3
 
 
 def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
-    """Open an episode of a LeRobot folder: DATASET#N is number N, DATASET the first existing one."""
+    """Open an episode of a LeRobot folder: DATASET#N
+    is number N, DATASET the first existing one.
+    """
     folder, number = episodes.split_episode_name(path)
-    known, findings = read_dataset_layout(folder), list[Finding]()
+    known = read_dataset_layout(folder)
+    findings = list[Finding]()
     if number is None:
         there = known.present()
         if not there:
-            raise LogError(f"{folder}: none of the {len(known.rows)} episodes it lists has an existing table")
+            raise LogError(
+                f"{folder}: none of the {len(known.rows)} episodes it lists has an existing table"
+            )
         number = there[0]
         if len(there) > 1:
-            some = f"episode {number}, the first of {_format_number_ranges(there)}; for another, type: --episode {there[1]}"
+            some = (
+                f"episode {number}, the first of {_format_number_ranges(there)}; for another, "
+                f"type: --episode {there[1]}"
+            )
             findings.append(Finding("info", some))
     if not known.holds(number):
-        raise LogError(f"{folder}: no episode {number}; possible: {_format_number_ranges(known.present()) or 'none'}")
+        raise LogError(
+            f"{folder}: no episode {number}; possible: "
+            f"{_format_number_ranges(known.present()) or 'none'}"
+        )
     return EpisodeLog(path, _read_lerobot_episode(known, number, findings, limits), strict)
 
 
@@ -78,43 +105,64 @@ def _format_number_ranges(numbers: Sequence[int]) -> str:
     """Format numbers as 0 to 24, or 0, 1, 7."""
     if len(numbers) > 2 and numbers[-1] - numbers[0] == len(numbers) - 1:
         return f"{numbers[0]} to {numbers[-1]}"
-    return ", ".join(map(str, numbers[:12])) + (f" and {len(numbers) - 12} more" if len(numbers) > 12 else "")
+    return ", ".join(map(str, numbers[:12])) + (
+        f" and {len(numbers) - 12} more" if len(numbers) > 12 else ""
+    )
 
 
-def _read_lerobot_episode(known: DatasetLayout, number: int, findings: list[Finding], limits: Input) -> Episode:
+def _read_lerobot_episode(
+    known: DatasetLayout, number: int, findings: list[Finding], limits: Input
+) -> Episode:
     table = known.table(number)
     where = parquet.find_row_runs(table, "episode_index", number, limits)
     if not where:
         raise LogError(f"{table}: no rows of episode {number}")
     numbers = [name for name, about in known.features.items() if about.get("dtype") in _NUMBERS]
     wanted = [name for name in numbers if name not in _BOOKKEEPING and not name.endswith(_STAMP)]
-    found = parquet.read_number_columns(table, list(dict.fromkeys([*wanted, *_BOOKKEEPING])), where, limits)
+    found = parquet.read_number_columns(
+        table, list(dict.fromkeys([*wanted, *_BOOKKEEPING])), where, limits
+    )
     count = sum(end - first for first, end in where)
     named = [f"{name}{_STAMP}" for name in known.features if f"{name}{_STAMP}" in known.features]
     stamps = {name: parquet.read_integer_column(table, name, where, limits) for name in named}
     ns = _find_row_times(stamps, found.get("timestamp"), count, known.fps, findings)
     streams: list[EpisodeSignal | Texts | EpisodeCamera] = []
     for name in wanted:
-        streams += _build_feature_signal(name, known, found.get(name), _feature_times(stamps, name, ns), findings)
+        streams += _build_feature_signal(
+            name, known, found.get(name), _feature_times(stamps, name, ns), findings
+        )
     streams += _task_changes(known, found, ns)
     for name, about in known.features.items():
         if about.get("dtype") in ("video", "image"):
             own = _feature_times(stamps, name, ns)
-            shown, begin_s = _video_times(found.get("timestamp"), ns), _begin(found.get("timestamp"))
-            streams += _read_lerobot_camera(name, known, number, own, shown, begin_s, where, findings, limits)
+            shown = _video_times(found.get("timestamp"), ns)
+            begin_s = _begin(found.get("timestamp"))
+            streams += _read_lerobot_camera(
+                name, known, number, own, shown, begin_s, where, findings, limits
+            )
     length = known.rows[number].get("length")
-    return Episode(f"lerobot {known.version}", streams, findings, length if isinstance(length, int) else None)
+    return Episode(
+        f"lerobot {known.version}", streams, findings, length if isinstance(length, int) else None
+    )
 
 
 def _find_row_times(
-    stamps: Mapping[str, Array | None], t: Array | None, count: int, fps: float, findings: list[Finding]
+    stamps: Mapping[str, Array | None],
+    t: Array | None,
+    count: int,
+    fps: float,
+    findings: list[Finding],
 ) -> Array:
-    """Times of the rows (N,) int64 ns: the first stamps, else `timestamp` (s), else row numbers at the rate."""
+    """Times of the rows (N,) int64 ns: the first stamps,
+    else `timestamp` (s), else row numbers at the rate.
+    """
     own = [ns for ns in stamps.values() if ns is not None]
     if own:
         return log_times_ns(own[0])
     if t is None or t.shape[1] != 1 or not np.isfinite(t).all() or np.abs(t).max(initial=0) > 9e9:
-        findings.append(Finding("warning", f"no timestamp dates every row; rows are dated at {fps:g} Hz"))
+        findings.append(
+            Finding("warning", f"no timestamp dates every row; rows are dated at {fps:g} Hz")
+        )
         t = np.arange(count)[:, None] / fps
     if still := int((np.diff(t[:, 0]) <= 0).sum()):
         findings.append(Finding("warning", f"timestamp does not rise in {still} of {count} rows"))
@@ -128,7 +176,9 @@ def _feature_times(stamps: Mapping[str, Array | None], name: str, ns: Array) -> 
 
 
 def _video_times(t: Array | None, ns: Array) -> Array:
-    """Times (N,) s at which a video shows the rows: `timestamp`, which need not be their stamps; else their times."""
+    """Times (N,) s at which a video shows the rows: `timestamp`,
+    which need not be their stamps; else their times.
+    """
     if t is not None and t.shape == (len(ns), 1) and np.isfinite(t).all():
         return np.asarray(t[:, 0] - t[:1, 0])
     return np.asarray((ns - ns[:1]) / 1e9)
@@ -140,13 +190,21 @@ def _begin(t: Array | None) -> float:
     return float(t[0, 0]) if known and t is not None else 0.0
 
 
-def _build_feature_signal(name: str, known: DatasetLayout, values: Array | None, ns: Array, findings: list[Finding]) -> Iterator[EpisodeSignal]:
+def _build_feature_signal(
+    name: str, known: DatasetLayout, values: Array | None, ns: Array, findings: list[Finding]
+) -> Iterator[EpisodeSignal]:
     about = known.features[name]
     if values is None or not values.shape[1]:
-        findings.append(Finding("lost", f"{name}: info.json declares it, the table holds no such numbers"))
+        findings.append(
+            Finding("lost", f"{name}: info.json declares it, the table holds no such numbers")
+        )
         return
     if values.shape[1] > _MOST_WIDE:
-        findings.append(Finding("lost", f"{name}: {values.shape[1]} numbers in a row; at most {_MOST_WIDE} are read"))
+        findings.append(
+            Finding(
+                "lost", f"{name}: {values.shape[1]} numbers in a row; at most {_MOST_WIDE} are read"
+            )
+        )
         return
     width = _declared_width(about.get("shape"))
     if width != values.shape[1]:
@@ -155,9 +213,11 @@ def _build_feature_signal(name: str, known: DatasetLayout, values: Array | None,
     names = _declared_names(about.get("names"), values.shape[1])
     metadata = {FEATURE: name, DTYPE: str(about["dtype"]), **_robot_metadata(known, name)}
     state = next((one for one in _STATE if known.features.get(one)), None)
-    topic, kind = f"/{escape_topic_name(name.replace('.', '/'))}", VECTOR
+    topic = f"/{escape_topic_name(name.replace('.', '/'))}"
+    kind = VECTOR
     if name in (state, *_ACTIONS):
-        topic, kind = (JOINTS if name == state else ACTION), JOINT_STATE
+        topic = JOINTS if name == state else ACTION
+        kind = JOINT_STATE
         of = guess_joint_unit(about, names, values, str(known.info.get("robot_type")))
         metadata |= of.metadata
         findings += [Finding(*of.remark)] if name == state else []
@@ -165,7 +225,9 @@ def _build_feature_signal(name: str, known: DatasetLayout, values: Array | None,
 
 
 def _declared_width(shape: Any) -> int | str:
-    """The numbers of a row by its declared shape: one without a shape; the shape's text if it is no list of sizes."""
+    """The numbers of a row by its declared shape: one without
+    a shape; the shape's text if it is no list of sizes.
+    """
     if not shape:
         return 1
     if not isinstance(shape, list) or not all(isinstance(side, int) for side in shape):
@@ -178,11 +240,14 @@ def _robot_metadata(known: DatasetLayout, name: str) -> dict[str, str]:
     if name not in _STATE:
         return {}
     robot = known.info.get("robot_type")
-    return {"bodylog.fps": f"{known.fps:g}"} | ({"bodylog.robot": robot} if isinstance(robot, str) else {})
+    return {"bodylog.fps": f"{known.fps:g}"} | (
+        {"bodylog.robot": robot} if isinstance(robot, str) else {}
+    )
 
 
 def _declared_names(declared: Any, count: int) -> tuple[str, ...]:
-    """The names of `count` numbers: a list, or the values of a mapping ({"motors": [...]}); else their indices.
+    """The names of `count` numbers: a list, or the values
+    of a mapping ({"motors": [...]}); else their indices.
 
     Some datasets nest the list in another, [[...]].
     """
@@ -192,15 +257,25 @@ def _declared_names(declared: Any, count: int) -> tuple[str, ...]:
             break
         declared = only
     if isinstance(declared, dict):
-        declared = [text for part in declared.values() for text in (part if isinstance(part, list) else [part])]
-    if isinstance(declared, list) and len(declared) == count and all(isinstance(text, str) for text in declared):
+        declared = [
+            text
+            for part in declared.values()
+            for text in (part if isinstance(part, list) else [part])
+        ]
+    if (
+        isinstance(declared, list)
+        and len(declared) == count
+        and all(isinstance(text, str) for text in declared)
+    ):
         names = tuple(text.encode(errors="replace").decode().replace("\0", "") for text in declared)
         if len(set(names)) == count and all(names):
             return names
     return tuple(map(str, range(count)))
 
 
-def _task_changes(known: DatasetLayout, found: Mapping[str, Array | None], ns: Array) -> Iterator[Texts]:
+def _task_changes(
+    known: DatasetLayout, found: Mapping[str, Array | None], ns: Array
+) -> Iterator[Texts]:
     """The task at its beginning and at each change."""
     index = found.get("task_index")
     texts = read_task_texts(known)
@@ -210,15 +285,25 @@ def _task_changes(known: DatasetLayout, found: Mapping[str, Array | None], ns: A
         index = np.zeros((len(ns), 1))
     begins = np.flatnonzero(np.concatenate([[True], np.diff(index[:, 0]) != 0]))
     rows = [row for row in begins.tolist() if index[row, 0] in texts]
-    yield Texts("/task", tuple(texts[int(index[row, 0])] for row in rows), ns[rows], {FEATURE: "task"})
+    yield Texts(
+        "/task", tuple(texts[int(index[row, 0])] for row in rows), ns[rows], {FEATURE: "task"}
+    )
 
 
 def _read_lerobot_camera(
-    name: str, known: DatasetLayout, number: int, ns: Array, shown: Array, begin_s: float,
-    where: Sequence[tuple[int, int]], findings: list[Finding], limits: Input,
-) -> Iterator[EpisodeCamera]:  # fmt: skip
+    name: str,
+    known: DatasetLayout,
+    number: int,
+    ns: Array,
+    shown: Array,
+    begin_s: float,
+    where: Sequence[tuple[int, int]],
+    findings: list[Finding],
+    limits: Input,
+) -> Iterator[EpisodeCamera]:
     about = known.features[name]
-    topic, metadata = f"/{escape_topic_name(name.removeprefix('observation.images.').replace('.', '/'))}", {FEATURE: name}
+    topic = f"/{escape_topic_name(name.removeprefix('observation.images.').replace('.', '/'))}"
+    metadata = {FEATURE: name}
     if _is_depth(about):
         findings.append(Finding("info", f"{name}: depth, which is not read"))
         return
@@ -230,7 +315,9 @@ def _read_lerobot_camera(
     try:
         part = known.video(number, name)
         if not part.path.is_file():
-            raise LogError(f"{part.path}: there is no such file; is the dataset downloaded completely?")
+            raise LogError(
+                f"{part.path}: there is no such file; is the dataset downloaded completely?"
+            )
         film = video.survey_video(part.path, limits)
     except InputError as problem:
         findings.append(Finding("lost", f"{name}: {problem}"))
@@ -241,7 +328,9 @@ def _read_lerobot_camera(
     findings += more
     reader: Callable[[], Iterator[Item]] = partial(_of_video, film, frames)
     grey: Callable[[], Iterator[Item]] = partial(_of_video, film, frames, grey=True)
-    yield EpisodeCamera(f"{topic}/image", times, reader, (film.width, film.height), "", metadata, grey)
+    yield EpisodeCamera(
+        f"{topic}/image", times, reader, (film.width, film.height), "", metadata, grey
+    )
 
 
 def _is_depth(about: Mapping[str, Any]) -> bool:
@@ -253,11 +342,15 @@ def _mapping_or_empty(value: Any) -> Mapping[str, Any]:
     return value if isinstance(value, dict) else {}
 
 
-def _frames_of_rows(film: video.Video, part: EpisodePart, begin_s: float, shown: Array, fps: float) -> Array:
-    """The numbers (K,) of an episode's frames in a video that may be shared, from its start to before its end.
+def _frames_of_rows(
+    film: video.Video, part: EpisodePart, begin_s: float, shown: Array, fps: float
+) -> Array:
+    """The numbers (K,) of an episode's frames in a video
+    that may be shared, from its start to before its end.
 
-    A table whose `timestamp` begins at `begin_s`, a frame and more after 0 s, has the frames from there to its last
-    row; one with rows at a lower rate than the video's has those frames at the rows' times `shown` (N,) s.
+    A table whose `timestamp` begins at `begin_s`, a frame and more after 0 s, has the frames from
+    there to its last row; one with rows at a lower rate than the video's has those frames at the
+    rows' times `shown` (N,) s.
     """
     margin = 0.5 / fps
     later = begin_s if begin_s > margin and part.start + begin_s < film.t[-1:].sum() else 0.0
@@ -266,7 +359,11 @@ def _frames_of_rows(film: video.Video, part: EpisodePart, begin_s: float, shown:
         end = start + float(shown[-1]) + margin
         end = end if part.end is None else min(end, part.end)
     first = int(np.searchsorted(film.t, start - margin)) if start else 0
-    last = len(film.t) if end is None else int(np.searchsorted(film.t, end - (0.0 if later else margin)))
+    last = (
+        len(film.t)
+        if end is None
+        else int(np.searchsorted(film.t, end - (0.0 if later else margin)))
+    )
     frames = np.arange(first, last)
     if len(frames) < 2 or len(shown) < 2:
         return frames
@@ -280,20 +377,34 @@ def _frames_of_rows(film: video.Video, part: EpisodePart, begin_s: float, shown:
     return nearest if exact and (np.diff(nearest) > 0).all() else frames
 
 
-def _match_frame_times(name: str, t: Array, ns: Array, shown: Array, fps: float) -> tuple[Array, list[Finding]]:
-    """Times (ns) of frames at t (K,) s in a video: frame k has the time of row k, `shown` then, if the counts agree."""
+def _match_frame_times(
+    name: str, t: Array, ns: Array, shown: Array, fps: float
+) -> tuple[Array, list[Finding]]:
+    """Times (ns) of frames at t (K,) s in a video: frame k
+    has the time of row k, `shown` then, if the counts agree.
+    """
     if len(t) != len(ns):
         less = "lost" if len(t) < len(ns) else "warning"
-        text = f"{name}: the video has {len(t)} frames, the table {len(ns)} rows; frames are dated by the video"
-        return (ns[0] if len(ns) else EPOCH_NS) + np.rint(t * 1e9).astype(np.int64), [Finding(less, text)]
+        text = (
+            f"{name}: the video has {len(t)} frames, the table {len(ns)} rows; frames are dated "
+            "by the video"
+        )
+        return (ns[0] if len(ns) else EPOCH_NS) + np.rint(t * 1e9).astype(np.int64), [
+            Finding(less, text)
+        ]
     worst = float(np.abs(t - shown).max(initial=0.0))
     if worst <= 0.5 / fps:
         return ns, []
-    text = f"{name}: the video's times and the table's drift apart, by up to {worst:.3g} s; frame k is dated by row k"
+    text = (
+        f"{name}: the video's times and the table's drift apart, by up to {worst:.3g} s; frame k "
+        "is dated by row k"
+    )
     return ns, [Finding("warning", text)]
 
 
-def _of_table(table: Path, name: str, where: Sequence[tuple[int, int]], limits: Input) -> Iterator[Item]:
+def _of_table(
+    table: Path, name: str, where: Sequence[tuple[int, int]], limits: Input
+) -> Iterator[Item]:
     yield from enumerate(parquet.read_encoded_images(table, name, where, limits))
 
 
@@ -301,6 +412,8 @@ def _of_video(film: video.Video, frames: Array, grey: bool = False) -> Iterator[
     if not len(frames):
         return
     places = {number: place for place, number in enumerate(frames.tolist())}
-    for number, image in video.iterate_video_images(film, int(frames[0]), int(frames[-1]) + 1, grey):
+    for number, image in video.iterate_video_images(
+        film, int(frames[0]), int(frames[-1]) + 1, grey
+    ):
         if number in places:
             yield places[number], image

@@ -1,4 +1,6 @@
-"""The layout of a LeRobot dataset (v2.0, v2.1, v3.0): meta/info.json, list of episodes, tables and videos."""
+"""The layout of a LeRobot dataset (v2.0, v2.1, v3.0):
+meta/info.json, list of episodes, tables and videos.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -12,9 +14,13 @@ from ...io.contained import is_inside
 from ...io.values import number_in_64_bits, read_json
 from . import parquet
 
-INFO, EPISODES, TASKS = "meta/info.json", "meta/episodes.jsonl", "meta/tasks.jsonl"
-EPISODE_STATISTICS, STATISTICS = "meta/episodes_stats.jsonl", "meta/stats.json"
-EPISODE_TABLES, TASK_TABLE = "meta/episodes", "meta/tasks.parquet"
+INFO = "meta/info.json"
+EPISODES = "meta/episodes.jsonl"
+TASKS = "meta/tasks.jsonl"
+EPISODE_STATISTICS = "meta/episodes_stats.jsonl"
+STATISTICS = "meta/stats.json"
+EPISODE_TABLES = "meta/episodes"
+TASK_TABLE = "meta/tasks.parquet"
 _MOST_BYTES = 64 << 20
 _MOST_FEATURES = 1000
 _PLACE = re.compile(r"\{(\w+)(?::0?(\d{1,2})d)?\}")
@@ -31,7 +37,8 @@ class EpisodePart:
 
 @dataclass(frozen=True, eq=False)
 class DatasetLayout:
-    """A dataset: its folder, info.json, features {name: declaration}, frames per second, and the episodes' rows.
+    """A dataset: its folder, info.json, features {name:
+    declaration}, frames per second, and the episodes' rows.
 
     `rows` {episode: its entry in the dataset's list}.
     """
@@ -62,8 +69,11 @@ class DatasetLayout:
         path = self._path("video_path", keys)
         if self.one_file_each:
             return EpisodePart(path)
-        row, name = self.rows[episode], f"videos/{feature}"
-        start, end = (_finite_number_or_none(row.get(f"{name}/{side}_timestamp")) for side in ("from", "to"))
+        row = self.rows[episode]
+        name = f"videos/{feature}"
+        start, end = (
+            _finite_number_or_none(row.get(f"{name}/{side}_timestamp")) for side in ("from", "to")
+        )
         return EpisodePart(path, start or 0.0, end)
 
     def present(self) -> tuple[int, ...]:
@@ -85,24 +95,38 @@ class DatasetLayout:
         row = self.rows[episode]
         found = {name: row.get(f"{what}/{name}") for name in ("chunk_index", "file_index")}
         if not all(isinstance(value, int) for value in found.values()):
-            raise FormatError(f"{self.folder}: episode {episode}: {EPISODE_TABLES} does not list the file of {what}")
-        return {"episode_index": episode, **{name: int(value or 0) for name, value in found.items()}}
+            raise FormatError(
+                f"{self.folder}: episode {episode}: {EPISODE_TABLES} does not list the file "
+                f"of {what}"
+            )
+        return {
+            "episode_index": episode,
+            **{name: int(value or 0) for name, value in found.items()},
+        }
 
     def _path(self, key: str, values: Mapping[str, int | str]) -> Path:
-        """A path of info.json with its placeholders filled in; FormatError if it leads out of the folder."""
+        """A path of info.json with its placeholders filled
+        in; FormatError if it leads out of the folder.
+        """
         template = self.info.get(key)
         if not isinstance(template, str):
-            raise FormatError(f"{self.folder}/{INFO}: {key} is {template!r:.60}; a path is expected")
+            raise FormatError(
+                f"{self.folder}/{INFO}: {key} is {template!r:.60}; a path is expected"
+            )
 
         def filled(place: "re.Match[str]") -> str:
             if (value := values.get(place[1])) is None:
-                raise FormatError(f"{self.folder}/{INFO}: {key}: {place[0]}; possible: {', '.join(values)}")
+                raise FormatError(
+                    f"{self.folder}/{INFO}: {key}: {place[0]}; possible: {', '.join(values)}"
+                )
             return f"{value:0{place[2]}d}" if place[2] and isinstance(value, int) else str(value)
 
         text = _PLACE.sub(filled, template)
         path = Path(text)
         if path.is_absolute() or ".." in path.parts or "{" in text or "\0" in text:
-            raise FormatError(f"{self.folder}/{INFO}: {key} = {template!r:.80} is not a path within the dataset")
+            raise FormatError(
+                f"{self.folder}/{INFO}: {key} = {template!r:.80} is not a path within the dataset"
+            )
         return _require_inside_dataset(self.folder / path, self.folder)
 
 
@@ -115,7 +139,10 @@ def read_dataset_layout(folder: Path) -> DatasetLayout:
 
 
 def _episode_tables(folder: Path) -> list[Path]:
-    return [_require_inside_dataset(path, folder) for path in sorted((folder / EPISODE_TABLES).rglob("*.parquet"))]
+    return [
+        _require_inside_dataset(path, folder)
+        for path in sorted((folder / EPISODE_TABLES).rglob("*.parquet"))
+    ]
 
 
 def _require_inside_dataset(path: Path, folder: Path) -> Path:
@@ -139,7 +166,9 @@ def _read_cached_layout(folder: Path, *_: tuple[int, int]) -> DatasetLayout:
     fps = _finite_number_or_none(info.get("fps"))
     if fps is None or not 0 < fps <= 1e5:
         raise FormatError(f"{path}: fps is {info.get('fps')!r:.40}; frames per second are expected")
-    known = {str(name): declared for name, declared in features.items() if isinstance(declared, dict)}
+    known = {
+        str(name): declared for name, declared in features.items() if isinstance(declared, dict)
+    }
     listed = _list_v3_episodes(folder) if version.startswith("v3") else _listed_v2(folder)
     return DatasetLayout(folder, info, known, fps, listed)
 
@@ -148,7 +177,8 @@ def stored_statistics(layout: DatasetLayout) -> tuple[dict[int, Any], Any]:
     """Statistics as the dataset's files have them: {episode: {feature: …}}, and of the whole; empty
     without a file."""
     folder = layout.folder
-    each, whole = folder / EPISODE_STATISTICS, folder / STATISTICS
+    each = folder / EPISODE_STATISTICS
+    whole = folder / STATISTICS
     rows = _read_meta_json_lines(each) if each.is_file() else []
     numbered = [row for row in rows if _is_index(row.get("episode_index"))]
     by_episode = {row["episode_index"]: row.get("stats") for row in numbered}
@@ -162,19 +192,30 @@ def read_task_texts(layout: DatasetLayout) -> dict[int, str]:
         found = _read_meta_json_lines(folder / TASKS) if (folder / TASKS).is_file() else []
         pairs = [(row.get("task_index"), row.get("task")) for row in found]
     elif (folder / TASK_TABLE).is_file():
-        table = parquet.read_object_columns(_require_inside_dataset(folder / TASK_TABLE, folder), ("task_index", "task", "__index_level_0__"))
+        table = parquet.read_object_columns(
+            _require_inside_dataset(folder / TASK_TABLE, folder),
+            ("task_index", "task", "__index_level_0__"),
+        )
         names = table.get("task") or table.get("__index_level_0__") or []
         pairs = list(zip(table.get("task_index", []), names, strict=False))
     else:
         pairs = []
-    return {index: str(text) for index, text in pairs if isinstance(index, int) and isinstance(text, str)}
+    return {
+        index: str(text)
+        for index, text in pairs
+        if isinstance(index, int) and isinstance(text, str)
+    }
 
 
 def _listed_v2(folder: Path) -> dict[int, Mapping[str, Any]]:
     path = folder / EPISODES
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; is the dataset downloaded completely?")
-    return {row["episode_index"]: row for row in _read_meta_json_lines(path) if _is_index(row.get("episode_index"))}
+    return {
+        row["episode_index"]: row
+        for row in _read_meta_json_lines(path)
+        if _is_index(row.get("episode_index"))
+    }
 
 
 _COLUMNS = ("episode_index", "tasks", "length", "data/chunk_index", "data/file_index")
@@ -184,10 +225,16 @@ def _list_v3_episodes(folder: Path) -> dict[int, Mapping[str, Any]]:
     found: dict[int, Mapping[str, Any]] = {}
     tables = _episode_tables(folder)
     if not tables:
-        raise LogError(f"{folder / EPISODE_TABLES}: there are no tables; is the dataset downloaded completely?")
+        raise LogError(
+            f"{folder / EPISODE_TABLES}: there are no tables; is the dataset downloaded completely?"
+        )
     for path in tables:
         with parquet.open_parquet(path) as file:
-            names = [name for name in file.schema_arrow.names if name in _COLUMNS or name.startswith("videos/")]
+            names = [
+                name
+                for name in file.schema_arrow.names
+                if name in _COLUMNS or name.startswith("videos/")
+            ]
         columns = parquet.read_object_columns(path, names)
         for cells in zip(*columns.values(), strict=True):
             row = dict(zip(columns, cells, strict=True))

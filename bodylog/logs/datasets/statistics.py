@@ -1,4 +1,6 @@
-"""Statistics of features and images, as LeRobot stores them: per episode, and for the whole dataset."""
+"""Statistics of features and images, as LeRobot
+stores them: per episode, and for the whole dataset.
+"""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -14,14 +16,20 @@ _SAMPLE = 8
 
 
 def of_numbers(values: Array) -> dict[str, Any]:
-    """Minimum, maximum, mean and std of each column over its finite numbers, and the number of rows."""
-    table = np.where(np.isfinite(values.astype(float)), values.astype(float), np.nan).reshape(len(values), -1)
+    """Minimum, maximum, mean and std of each column
+    over its finite numbers, and the number of rows.
+    """
+    table = np.where(np.isfinite(values.astype(float)), values.astype(float), np.nan).reshape(
+        len(values), -1
+    )
     known = np.isfinite(table).any(axis=0)
     safe = np.where(known, table, 0.0)
     found = {
-        "min": np.nanmin(safe, axis=0), "max": np.nanmax(safe, axis=0),
-        "mean": np.nanmean(safe, axis=0), "std": np.nanstd(safe, axis=0),
-    }  # fmt: skip
+        "min": np.nanmin(safe, axis=0),
+        "max": np.nanmax(safe, axis=0),
+        "mean": np.nanmean(safe, axis=0),
+        "std": np.nanstd(safe, axis=0),
+    }
     return {name: values.tolist() for name, values in found.items()} | {"count": [len(table)]}
 
 
@@ -52,16 +60,21 @@ class Sampled:
         """Add an image to the statistics and return it."""
         some = image[::_SAMPLE, ::_SAMPLE, ::-1].reshape(-1, 3) / 255.0
         self._merge(some)
-        low, high = np.minimum(self._ends[0], some.min(axis=0)), np.maximum(self._ends[1], some.max(axis=0))
+        low = np.minimum(self._ends[0], some.min(axis=0))
+        high = np.maximum(self._ends[1], some.max(axis=0))
         self._ends = np.array([low, high])
         return image
 
     def _merge(self, some: Array) -> None:
-        """Join the pixels (n,3) to the mean and the squares around it (Chan, Golub & LeVeque 1983)."""
+        """Join the pixels (n,3) to the mean and the
+        squares around it (Chan, Golub & LeVeque 1983).
+        """
         mean = some.mean(axis=0)
         apart = mean - self._mean
         total = self._count + len(some)
-        self._squares += np.square(some - mean).sum(axis=0) + apart**2 * (self._count * len(some) / total)
+        self._squares += np.square(some - mean).sum(axis=0) + apart**2 * (
+            self._count * len(some) / total
+        )
         self._mean = self._mean + apart * (len(some) / total)
         self._count = total
 
@@ -69,12 +82,20 @@ class Sampled:
         """Minimum, maximum, mean and std of each channel (3,1,1), and the number of images."""
         std = np.sqrt(self._squares / self._count)
         found = {"min": self._ends[0], "max": self._ends[1], "mean": self._mean, "std": std}
-        return {name: values.reshape(3, 1, 1).tolist() for name, values in found.items()} | {"count": [count]}
+        return {name: values.reshape(3, 1, 1).tolist() for name, values in found.items()} | {
+            "count": [count]
+        }
 
 
-def combine_statistics(stats: Sequence[Mapping[str, Mapping[str, Any]]]) -> dict[str, dict[str, Any]]:
+def combine_statistics(
+    stats: Sequence[Mapping[str, Mapping[str, Any]]],
+) -> dict[str, dict[str, Any]]:
     """Combine the statistics of all episodes."""
-    return {name: _combine_feature_statistics([one[name] for one in stats]) for name in stats[0]} if stats else {}
+    return (
+        {name: _combine_feature_statistics([one[name] for one in stats]) for name in stats[0]}
+        if stats
+        else {}
+    )
 
 
 def _combine_feature_statistics(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -86,5 +107,7 @@ def _combine_feature_statistics(parts: Sequence[Mapping[str, Any]]) -> dict[str,
     return {
         "min": np.min([one["min"] for one in parts], axis=0).tolist(),
         "max": np.max([one["max"] for one in parts], axis=0).tolist(),
-        "mean": whole.tolist(), "std": spread.tolist(), "count": [int(counts.sum())],
-    }  # fmt: skip
+        "mean": whole.tolist(),
+        "std": spread.tolist(),
+        "count": [int(counts.sum())],
+    }

@@ -1,6 +1,8 @@
-"""A folder of tables, images and videos as a log, or a lone video: tables give images and frames their times.
+"""A folder of tables, images and videos as a log, or a
+lone video: tables give images and frames their times.
 
-A table with a column of image files is a camera; one named like a video gives its frames' times; numbers are joints.
+A table with a column of image files is a camera; one named
+like a video gives its frames' times; numbers are joints.
 """
 
 import re
@@ -21,7 +23,17 @@ from ..tables.pose_columns import IMAGES, is_label_column, time_column
 from ..tables.table_file import SUFFIXES, read_table_file
 from ..topic_names import escape_topic_name
 from . import video
-from .episode_log import EPOCH_NS, JOINT_STATE, JOINTS, EpisodeCamera, Episode, EpisodeLog, Item, EpisodeSignal, Texts
+from .episode_log import (
+    EPOCH_NS,
+    JOINT_STATE,
+    JOINTS,
+    Episode,
+    EpisodeCamera,
+    EpisodeLog,
+    EpisodeSignal,
+    Item,
+    Texts,
+)
 from .units import guess_joint_unit
 
 _LARGEST = 64 << 20
@@ -54,7 +66,11 @@ def open_folder(path: Path, strict: bool = False, limits: Input = LIMITS) -> Epi
     findings: list[Finding] = []
     files = _files_in_folder(_files_with_suffixes(path, tuple(SUFFIXES)), path, findings)
     tables = [one for file in files for one in _read_timed_table(file, path, findings, limits)]
-    films = _survey_videos(list(_files_in_folder(_files_with_suffixes(path, video.SUFFIXES), path, findings)), limits, findings)
+    films = _survey_videos(
+        list(_files_in_folder(_files_with_suffixes(path, video.SUFFIXES), path, findings)),
+        limits,
+        findings,
+    )
     return EpisodeLog(path, _build_table_episode(path, tables, films, findings), strict)
 
 
@@ -62,21 +78,29 @@ def open_video(path: Path, strict: bool = False, limits: Input = LIMITS) -> Epis
     """Open a video as a log, with times from a table beside it, else its own."""
     if episodes.split_episode_name(path)[1] is not None:
         raise LogError(f"{path}: a video holds no episodes; leave out the #")
-    film, findings = video.survey_video(path, limits), list[Finding]()
+    film = video.survey_video(path, limits)
+    findings = list[Finding]()
     table = table_beside(path)
     tables = [] if table is None else list(_read_timed_table(table, path.parent, findings, limits))
     return EpisodeLog(path, _build_table_episode(path, tables, [film], findings, "video"), strict)
 
 
 def table_beside(film: Path) -> Path | None:
-    """The table with a video's frame times, by its name: side.csv, side_timestamps.csv for side.mp4."""
-    names = (film.with_name(f"{film.stem}{ending}{suffix}") for ending in _ENDINGS for suffix in SUFFIXES)
+    """The table with a video's frame times, by its
+    name: side.csv, side_timestamps.csv for side.mp4.
+    """
+    names = (
+        film.with_name(f"{film.stem}{ending}{suffix}") for ending in _ENDINGS for suffix in SUFFIXES
+    )
     return next((path for path in names if path.is_file()), None)
 
 
 def times_beside(film: Path) -> Array | None:
-    """The times (N,) s of the table beside a video; None without one, LogError if it has no times."""
-    table, findings = table_beside(film), list[Finding]()
+    """The times (N,) s of the table beside a video;
+    None without one, LogError if it has no times.
+    """
+    table = table_beside(film)
+    findings = list[Finding]()
     if table is None:
         return None
     found = next(iter(_read_timed_table(table, film.parent, findings)), None)
@@ -85,8 +109,12 @@ def times_beside(film: Path) -> Array | None:
     return found.t
 
 
-def _files_in_folder(files: Iterator[Path], folder: Path, findings: list[Finding]) -> Iterator[Path]:
-    """The files that stand in the folder; one behind a link that leads out of it gives a finding."""
+def _files_in_folder(
+    files: Iterator[Path], folder: Path, findings: list[Finding]
+) -> Iterator[Path]:
+    """The files that stand in the folder; one behind
+    a link that leads out of it gives a finding.
+    """
     for file in files:
         if is_inside(file, folder):
             yield file
@@ -95,7 +123,9 @@ def _files_in_folder(files: Iterator[Path], folder: Path, findings: list[Finding
             findings.append(Finding("lost", f"{file.relative_to(folder)}: {text}"))
 
 
-def _survey_videos(files: Sequence[Path], limits: Input, findings: list[Finding]) -> list[video.Video]:
+def _survey_videos(
+    files: Sequence[Path], limits: Input, findings: list[Finding]
+) -> list[video.Video]:
     found = []
     for file in files:
         try:
@@ -110,11 +140,15 @@ def _files_with_suffixes(folder: Path, suffixes: tuple[str, ...]) -> Iterator[Pa
     names = sorted(path for path in folder.iterdir() if path.name[0] != ".")[:_MOST_FILES]
     yield from (path for path in names if path.suffix.lower() in suffixes and path.is_file())
     for inner in (path for path in names if path.is_dir() and not path.is_symlink()):
-        more = sorted(path for path in inner.iterdir() if path.suffix.lower() in suffixes)[:_MOST_FILES]
+        more = sorted(path for path in inner.iterdir() if path.suffix.lower() in suffixes)[
+            :_MOST_FILES
+        ]
         yield from (path for path in more if path.suffix.lower() in SUFFIXES and path.is_file())
 
 
-def _read_timed_table(file: Path, folder: Path, findings: list[Finding], limits: Input = LIMITS) -> Iterator[_Dated]:
+def _read_timed_table(
+    file: Path, folder: Path, findings: list[Finding], limits: Input = LIMITS
+) -> Iterator[_Dated]:
     """A table whose rows have times; any other table gives a finding."""
     where = file.relative_to(folder)
     try:
@@ -126,18 +160,33 @@ def _read_timed_table(file: Path, folder: Path, findings: list[Finding], limits:
     numbers = {_undecorated_column(name): values for name, values in table.numbers.items()}
     column, t = time_column(numbers)
     if column is None or not np.isfinite(t).all() or np.abs(t).max(initial=0) > 4e9:
-        reason = "no column of times dates every row" if column is None else f"column {column} does not date every row"
-        text = f"{where}: {reason}, so the table is not used; its columns are {', '.join(table.names[:12])}"
+        reason = (
+            "no column of times dates every row"
+            if column is None
+            else f"column {column} does not date every row"
+        )
+        text = (
+            f"{where}: {reason}, so the table is not used; its columns are "
+            f"{', '.join(table.names[:12])}"
+        )
         findings.append(Finding("warning", text))
         return
-    images = {_undecorated_column(name): files for name, files in table.texts.items() if _are_image_files(files)}
+    images = {
+        _undecorated_column(name): files
+        for name, files in table.texts.items()
+        if _are_image_files(files)
+    }
     joints = {name: values for name, values in numbers.items() if _is_joint(name, values)}
     name = file.parent.name if file.stem.lower() == "data" and file.parent != folder else file.stem
     yield _Dated(file, name, t, joints, images)
 
 
 def _is_joint(name: str, values: Array) -> bool:
-    return time_column({name: values})[0] is None and not is_label_column(name) and bool(np.isfinite(values).any())
+    return (
+        time_column({name: values})[0] is None
+        and not is_label_column(name)
+        and bool(np.isfinite(values).any())
+    )
 
 
 def _undecorated_column(name: str) -> str:
@@ -151,7 +200,11 @@ def _are_image_files(files: Array) -> bool:
 
 
 def _build_table_episode(
-    path: Path, tables: Sequence[_Dated], films: Sequence[video.Video], findings: list[Finding], form: str = "tables"
+    path: Path,
+    tables: Sequence[_Dated],
+    films: Sequence[video.Video],
+    findings: list[Finding],
+    form: str = "tables",
 ) -> Episode:
     first = min((float(one.t.min()) for one in tables), default=0.0)
     shift = 0.0 if first >= 1.0 else EPOCH_NS / 1e9 - first
@@ -166,18 +219,26 @@ def _build_table_episode(
         for column, files in one.images.items():
             streams.append(_build_image_camera(one, column, files, shift))
         if one.numbers and one.path not in beside:
-            streams.append(_build_joint_signal(one, free or f"/{escape_topic_name(one.name)}", shift, findings))
+            streams.append(
+                _build_joint_signal(one, free or f"/{escape_topic_name(one.name)}", shift, findings)
+            )
             free = ""
     if not streams:
-        raise LogError(f"{path}: no table with a column of times has images or joints, e.g. t,file or t,elbow")
+        raise LogError(
+            f"{path}: no table with a column of times has images or joints, e.g. t,file or t,elbow"
+        )
     return Episode(form, streams, findings)
 
 
 def _matches_video_frames(table: _Dated, film: video.Video) -> bool:
-    return not table.images and table.path.stem in {f"{film.path.stem}{ending}" for ending in _ENDINGS}
+    return not table.images and table.path.stem in {
+        f"{film.path.stem}{ending}" for ending in _ENDINGS
+    }
 
 
-def _build_video_camera(film: video.Video, table: _Dated | None, shift: float, findings: list[Finding]) -> Iterator[EpisodeCamera]:
+def _build_video_camera(
+    film: video.Video, table: _Dated | None, shift: float, findings: list[Finding]
+) -> Iterator[EpisodeCamera]:
     """A video as a camera: frame k has the time of row k of its table, or its presentation time."""
     t = film.t - film.t[0] + EPOCH_NS / 1e9 if table is None and len(film.t) else film.t
     if table is not None:
@@ -187,7 +248,12 @@ def _build_video_camera(film: video.Video, table: _Dated | None, shift: float, f
         text = f"{film.path.name}: the video has {len(film.t)} frames, its table {len(t)} rows"
         findings.append(Finding("lost", f"{text}; frame k is dated by row k"))
     reader = partial(_video_frame_images, film, count)
-    yield EpisodeCamera(f"/{escape_topic_name(film.path.stem)}/image", _seconds_to_ns(t[:count]), reader, (film.width, film.height))
+    yield EpisodeCamera(
+        f"/{escape_topic_name(film.path.stem)}/image",
+        _seconds_to_ns(t[:count]),
+        reader,
+        (film.width, film.height),
+    )
 
 
 def _build_image_camera(table: _Dated, column: str, files: Array, shift: float) -> EpisodeCamera:
@@ -195,15 +261,25 @@ def _build_image_camera(table: _Dated, column: str, files: Array, shift: float) 
     topic = f"/{escape_topic_name(f'{table.name}/{column}' if several else table.name)}/image/compressed"
     rows = np.array([k for k, name in enumerate(files.tolist()) if name], np.int64)
     names = tuple(str(files[row]) for row in rows.tolist())
-    return EpisodeCamera(topic, _seconds_to_ns(table.t[rows] + shift), partial(_files_of, table.path.parent, names), None, "jpeg")
+    return EpisodeCamera(
+        topic,
+        _seconds_to_ns(table.t[rows] + shift),
+        partial(_files_of, table.path.parent, names),
+        None,
+        "jpeg",
+    )
 
 
-def _build_joint_signal(table: _Dated, topic: str, shift: float, findings: list[Finding]) -> EpisodeSignal:
+def _build_joint_signal(
+    table: _Dated, topic: str, shift: float, findings: list[Finding]
+) -> EpisodeSignal:
     names = tuple(table.numbers)
     values = np.column_stack(list(table.numbers.values()))
     of = guess_joint_unit({}, names, values)
     findings.append(Finding(of.remark[0], f"{table.path.name}: {of.remark[1]}"))
-    return EpisodeSignal(topic, JOINT_STATE, names, values, _seconds_to_ns(table.t + shift), of.metadata)
+    return EpisodeSignal(
+        topic, JOINT_STATE, names, values, _seconds_to_ns(table.t + shift), of.metadata
+    )
 
 
 def _seconds_to_ns(t: Array) -> Array:
@@ -217,7 +293,12 @@ def _video_frame_images(film: video.Video, count: int) -> Iterator[Item]:
 def _files_of(folder: Path, names: Sequence[str]) -> Iterator[Item]:
     """The bytes of image files; None for those missing, too large, or outside the folder."""
     for number, name in enumerate(names):
-        yield number, next((data for place in _PLACES if (data := _read_image_file(folder, place, name))), None)
+        yield (
+            number,
+            next(
+                (data for place in _PLACES if (data := _read_image_file(folder, place, name))), None
+            ),
+        )
 
 
 def _read_image_file(folder: Path, place: str, name: str) -> bytes | None:

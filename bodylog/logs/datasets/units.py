@@ -12,13 +12,25 @@ from ..joint_units import TURN, UNIT, ZERO
 from ..records import Array
 
 _WORDS = {
-    "rad": "rad", "radian": "rad", "radians": "rad",
-    "deg": "deg", "degree": "deg", "degrees": "deg", "°": "deg",
-    "tick": "counts", "ticks": "counts", "count": "counts", "counts": "counts", "raw": "counts", "steps": "counts",
-}  # fmt: skip
+    "rad": "rad",
+    "radian": "rad",
+    "radians": "rad",
+    "deg": "deg",
+    "degree": "deg",
+    "degrees": "deg",
+    "°": "deg",
+    "tick": "counts",
+    "ticks": "counts",
+    "count": "counts",
+    "counts": "counts",
+    "raw": "counts",
+    "steps": "counts",
+}
 _ENDING = re.compile(r"[._ (\[](?P<unit>[a-z]+)[)\]]?", re.IGNORECASE)
 _COUNTS = 4096
-"""Counts per turn of the 12-bit encoders of Feetech STS and Dynamixel X servos: values run from 0 to 4095."""
+"""Counts per turn of the 12-bit encoders of Feetech
+STS and Dynamixel X servos: values run from 0 to 4095.
+"""
 _ROUND = 1.05
 _SO_10X = re.compile(r"so[-_ ]?(arm)?[-_ ]?10[01]", re.IGNORECASE)
 """Robots of LeRobot's SO-ARM100 family by their type: their servos' calibration is public."""
@@ -28,8 +40,8 @@ _MIDDLE = 2048.0
 
 @dataclass(frozen=True)
 class Unit:
-    """rad, deg, counts or unknown · whether the dataset declares it · one turn in that unit, None if unknown · the
-    reading at 0 rad, None where counts have none that is known."""
+    """rad, deg, counts or unknown · whether the dataset declares it · one turn in that unit, None
+    if unknown · the reading at 0 rad, None where counts have none that is known."""
 
     name: str
     declared: bool
@@ -39,7 +51,9 @@ class Unit:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """The topic's metadata. A guess of rad adds none, as joints of any log are assumed to be in rad."""
+        """The topic's metadata. A guess of rad adds none,
+        as joints of any log are assumed to be in rad.
+        """
         turn = {} if self.turn is None else {TURN: repr(self.turn)}
         turn |= {} if self.zero is None else {ZERO: repr(self.zero)}
         return {} if self.name == "rad" and not self.declared else {UNIT: self.name, **turn}
@@ -58,12 +72,18 @@ class Unit:
             advice = "they are kept as they are, so results in rad are in counts"
             return "warning", f"joints: encoder counts, {self.why}; {advice}"
         advice = 'if they are degrees, type: [body] unit = "deg"'
-        return "warning", f"joints: {self.why}; their unit is not declared and they are kept as they are; {advice}"
+        return (
+            "warning",
+            f"joints: {self.why}; their unit is not declared and they are kept as they are; "
+            f"{advice}",
+        )
 
 
-def guess_joint_unit(feature: Mapping[str, Any], names: Sequence[str], values: Array, robot: str = "") -> Unit:
-    """The unit of joints from their feature's declaration, their names, and their values (N,K); of counts of a
-    `robot` whose calibration is public, their zero as well."""
+def guess_joint_unit(
+    feature: Mapping[str, Any], names: Sequence[str], values: Array, robot: str = ""
+) -> Unit:
+    """The unit of joints from their feature's declaration, their names, and their values (N,K); of
+    counts of a `robot` whose calibration is public, their zero as well."""
     found = _declared(feature, names, values)
     if found.name == "counts" and found.turn == _COUNTS and _SO_10X.search(robot):
         return replace(found, zero=_MIDDLE)
@@ -72,11 +92,26 @@ def guess_joint_unit(feature: Mapping[str, Any], names: Sequence[str], values: A
 
 def _declared(feature: Mapping[str, Any], names: Sequence[str], values: Array) -> Unit:
     for key in ("unit", "units"):
-        if isinstance(declared := feature.get(key), str) and (known := _WORDS.get(declared.strip().lower())):
-            return Unit(known, True, _turn_of_unit(known, values), f"as the dataset declares ({key}: {declared})")
-    endings = {_WORDS.get(match["unit"].lower()) if (match := _joint_unit_suffix(name)) else None for name in names}
+        if isinstance(declared := feature.get(key), str) and (
+            known := _WORDS.get(declared.strip().lower())
+        ):
+            return Unit(
+                known,
+                True,
+                _turn_of_unit(known, values),
+                f"as the dataset declares ({key}: {declared})",
+            )
+    endings = {
+        _WORDS.get(match["unit"].lower()) if (match := _joint_unit_suffix(name)) else None
+        for name in names
+    }
     if len(endings) == 1 and (known := endings.pop()) is not None:
-        return Unit(known, True, _turn_of_unit(known, values), f"as the names of the joints declare ({names[0]})")
+        return Unit(
+            known,
+            True,
+            _turn_of_unit(known, values),
+            f"as the names of the joints declare ({names[0]})",
+        )
     return _guess_unit(values)
 
 
@@ -93,8 +128,15 @@ def _guess_unit(values: Array) -> Unit:
     if max(abs(low), abs(high)) <= _ROUND * 2 * math.pi:
         return Unit("rad", False, 2 * math.pi, seen)
     if low >= 0 and high > 360 and (known == np.round(known)).all():
-        return Unit("counts", False, _turn_of_unit("counts", values), f"whole numbers from {low:g} to {high:g}")
-    return Unit("unknown", False, None, f"values from {low:.4g} to {high:.4g} are not angles in rad")
+        return Unit(
+            "counts",
+            False,
+            _turn_of_unit("counts", values),
+            f"whole numbers from {low:g} to {high:g}",
+        )
+    return Unit(
+        "unknown", False, None, f"values from {low:.4g} to {high:.4g} are not angles in rad"
+    )
 
 
 def _turn_of_unit(name: str, values: Array) -> float | None:
@@ -102,4 +144,8 @@ def _turn_of_unit(name: str, values: Array) -> float | None:
     if name != "counts":
         return 2 * math.pi if name == "rad" else 360.0
     known = values[np.isfinite(values)]
-    return float(_COUNTS) if len(known) and known.min() >= 0 and 2 * np.pi < known.max() < _COUNTS else None
+    return (
+        float(_COUNTS)
+        if len(known) and known.min() >= 0 and 2 * np.pi < known.max() < _COUNTS
+        else None
+    )

@@ -1,4 +1,6 @@
-"""Read video files frame by frame: presentation times and images; memory holds one frame at a time."""
+"""Read video files frame by frame: presentation
+times and images; memory holds one frame at a time.
+"""
 
 import re
 from array import array
@@ -23,7 +25,9 @@ SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
 
 @dataclass(frozen=True, eq=False)
 class Video:
-    """One video: presentation times pts (K,) int64, ascending, in units of `base` s · width, height px · codec."""
+    """One video: presentation times pts (K,) int64, ascending,
+    in units of `base` s · width, height px · codec.
+    """
 
     path: Path
     pts: Array
@@ -48,17 +52,27 @@ def survey_video(path: Path, limits: Input) -> Video:
     with _open_video_stream(path) as (container, stream):
         width, height = stream.codec_context.width, stream.codec_context.height
         if not 0 < width * height <= mpx * 1e6:
-            raise LogError(f"{path}: images of {width} x {height}; set [input] max_image_mpx to read larger ones")
+            raise LogError(
+                f"{path}: images of {width} x {height}; set [input] max_image_mpx to read "
+                "larger ones"
+            )
         shown = array("q")
         with suppress(*_ffmpeg_damage_errors(path)):  # a truncated file has fewer packets
             for packet in container.demux(stream):
-                if packet.size and (at := packet.dts if packet.pts is None else packet.pts) is not None:
+                if (
+                    packet.size
+                    and (at := packet.dts if packet.pts is None else packet.pts) is not None
+                ):
                     shown.append(at)
                 if len(shown) > limits.max_frames:
                     asked = f"type in robot.toml: [input] max_frames = {10 * limits.max_frames}"
-                    raise LogError(f"{path}: more than {limits.max_frames} images; to read them, {asked}")
+                    raise LogError(
+                        f"{path}: more than {limits.max_frames} images; to read them, {asked}"
+                    )
         pts = np.sort(np.array(shown, np.int64))
-        return Video(path, pts, float(stream.time_base or 0), width, height, stream.codec_context.name)
+        return Video(
+            path, pts, float(stream.time_base or 0), width, height, stream.codec_context.name
+        )
 
 
 def iterate_video_images(
@@ -69,7 +83,8 @@ def iterate_video_images(
 
     `grey`: images (H,W) uint8 of their luminance.
     """
-    due, last = first, len(video.pts) if last is None else last
+    due = first
+    last = len(video.pts) if last is None else last
     for number, image in _decode_frames(video, first, _frame_luminance if grey else _frame_to_bgr):
         if number >= last:
             break
@@ -114,8 +129,13 @@ def _decode_frames(
     known = {pts: number for number, pts in reversed(list(enumerate(video.pts.tolist())))}
     if not known:
         return
-    with _open_video_stream(video.path) as (container, stream), suppress(*_ffmpeg_damage_errors(video.path)):
-        stream.codec_context.options = {"max_pixels": str(max(video.width * video.height, _LEAST_PIXELS))}
+    with (
+        _open_video_stream(video.path) as (container, stream),
+        suppress(*_ffmpeg_damage_errors(video.path)),
+    ):
+        stream.codec_context.options = {
+            "max_pixels": str(max(video.width * video.height, _LEAST_PIXELS))
+        }
         if first:
             container.seek(int(video.pts[first]), stream=stream, backward=True)
         number = -1
@@ -136,7 +156,8 @@ def _sound_frames(container: Any, stream: Any, path: Path) -> Iterator[Any]:
 def _open_video_stream(path: Path) -> Iterator[tuple[Any, Any]]:
     """The container and its first video stream; LogError without one.
 
-    The file's first bytes select the format, so that FFmpeg reads no text as a list of other files or URLs.
+    The file's first bytes select the format, so that
+    FFmpeg reads no text as a list of other files or URLs.
     """
     av = require_module("av", path)
     with path.open("rb") as file:
@@ -146,7 +167,9 @@ def _open_video_stream(path: Path) -> Iterator[tuple[Any, Any]]:
     try:
         container = av.open(str(path), format=form, options={"protocol_whitelist": "file"})
     except _ffmpeg_damage_errors(path) as problem:
-        raise LogError(f"{path}: the video cannot be opened, it may be cut: {_error_line(problem)}") from None
+        raise LogError(
+            f"{path}: the video cannot be opened, it may be cut: {_error_line(problem)}"
+        ) from None
     with container:
         if not container.streams.video:
             raise LogError(f"{path}: the file holds no video")

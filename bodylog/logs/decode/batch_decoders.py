@@ -25,7 +25,9 @@ _UNLIKE = (FormatError, KeyError, ValueError, TypeError, RecursionError)
 
 
 class JsonBatchDecoder:
-    """Decodes only those members of JSON objects at which message paths begin, for a batch at once."""
+    """Decodes only those members of JSON objects at
+    which message paths begin, for a batch at once.
+    """
 
     def __init__(self, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
         """For message paths; none is read together if one does not begin with a member."""
@@ -34,19 +36,27 @@ class JsonBatchDecoder:
         self._paths = paths
         self._single = single
         self._errors = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
-        members = list(dict.fromkeys(steps[0] for steps in paths if steps and isinstance(steps[0], str)))
+        members = list(
+            dict.fromkeys(steps[0] for steps in paths if steps and isinstance(steps[0], str))
+        )
         self._attributes = {member: f"member_{k}" for k, member in enumerate(members)}
-        fields = [(attribute, Any, msgspec.field(name=member)) for member, attribute in self._attributes.items()]
+        fields = [
+            (attribute, Any, msgspec.field(name=member))
+            for member, attribute in self._attributes.items()
+        ]
         self._decode = msgspec.json.Decoder(msgspec.defstruct("Members", fields, gc=False)).decode
 
     def take(self, batch: Batch) -> Found:
-        """Decode the messages that are strict JSON and have all members, if their values have one shape.
+        """Decode the messages that are strict JSON and
+        have all members, if their values have one shape.
 
-        What strict JSON lacks (NaN, lone surrogates, UTF-16, numbers beyond floats) is left for the standard library.
+        What strict JSON lacks (NaN, lone surrogates, UTF-16,
+        numbers beyond floats) is left for the standard library.
         """
         if not all(steps and isinstance(steps[0], str) for steps in self._paths):
             return
-        index, messages = [], []
+        index = []
+        messages = []
         data = batch.data.data
         ends = batch.offset + batch.length
         for row, (begin, end) in enumerate(zip(batch.offset.tolist(), ends.tolist(), strict=True)):
@@ -60,15 +70,21 @@ class JsonBatchDecoder:
         values: list[Any] = []
         for steps, single in zip(self._paths, self._single, strict=True):
             attribute = self._attributes[str(steps[0])]
-            column = _column_of([getattr(message, attribute) for message in messages], steps[1:], single)
+            column = _column_of(
+                [getattr(message, attribute) for message in messages], steps[1:], single
+            )
             if column is None:
                 return
             values.append(column)
         yield np.array(index), values
 
 
-def _column_of(values: list[Any], steps: Sequence[Step], single: int | None) -> Array | tuple[str, ...] | None:
-    """The numbers (n,) or (n,K) or equal texts at the end of the steps; None where values must be read one by one."""
+def _column_of(
+    values: list[Any], steps: Sequence[Step], single: int | None
+) -> Array | tuple[str, ...] | None:
+    """The numbers (n,) or (n,K) or equal texts at the end
+    of the steps; None where values must be read one by one.
+    """
     from .object_values import follow_steps
 
     try:
@@ -94,12 +110,17 @@ def _column_of(values: list[Any], steps: Sequence[Step], single: int | None) -> 
 
 
 class ProtobufBatchDecoder:
-    """Decodes protobuf messages at once that have the same fields in the same order, and equal length."""
+    """Decodes protobuf messages at once that have the
+    same fields in the same order, and equal length.
+    """
 
-    def __init__(self, topic: Topic, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
+    def __init__(
+        self, topic: Topic, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]
+    ) -> None:
         """Start without a known layout; FormatError when the topic's schema is broken."""
         self._types, self._root = root_of(topic)
-        self._paths, self._single = paths, single
+        self._paths = paths
+        self._single = single
         self._known: dict[int, list[ProtobufLayout]] = {}
         self._count = 0
 

@@ -1,4 +1,6 @@
-"""Decode messages to arrays: those of the same layout all at once, others one by one; failures are counted."""
+"""Decode messages to arrays: those of the same layout
+all at once, others one by one; failures are counted.
+"""
 
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -11,8 +13,8 @@ from ...errors import FormatError
 from ..records import Array, Batch, Topic
 from .cursor import CDR_KINDS, Payload
 from .definitions import Definition, parse_definition
-from .gather import Template, match_template, gather_rows, make_template, read_leaf_values
-from .layout import MessageLayout, leaf_field, locate_fields, count_unread_bytes, fit_wstring_size
+from .gather import Template, gather_rows, make_template, match_template, read_leaf_values
+from .layout import MessageLayout, count_unread_bytes, fit_wstring_size, leaf_field, locate_fields
 from .message_path import Step
 from .message_path import parse_steps as read_steps
 from .parts import TopicColumns, join_parts
@@ -29,11 +31,15 @@ class Source(Protocol):
 
 
 def read_topic_columns(log: Source, topic: Topic, fields: Sequence[str]) -> TopicColumns:
-    """The fields (message paths without the topic) of one topic; ConfigError for a missing field."""
+    """The fields (message paths without the topic)
+    of one topic; ConfigError for a missing field.
+    """
     return columns_of(log, {topic.id: (topic, fields)})[topic.id]
 
 
-def columns_of(log: Source, wants: Mapping[int, tuple[Topic, Sequence[str]]]) -> dict[int, TopicColumns]:
+def columns_of(
+    log: Source, wants: Mapping[int, tuple[Topic, Sequence[str]]]
+) -> dict[int, TopicColumns]:
     """Columns of several topics in one pass over the log, by topic id."""
     decoders = {id_: choose_column_decoder(topic, fields) for id_, (topic, fields) in wants.items()}
     for batch in log.batches(tuple(wants)) if wants else ():
@@ -52,7 +58,9 @@ class Decoder(Protocol):
 
 
 def choose_column_decoder(topic: Topic, fields: Sequence[str]) -> Decoder:
-    """The decoder for a topic's encoding; FormatError or ConfigError when its definition cannot give the fields."""
+    """The decoder for a topic's encoding; FormatError or
+    ConfigError when its definition cannot give the fields.
+    """
     paths = tuple(read_steps(text) for text in fields)
     if topic.encoding in _OBJECTS:
         from .dynamic import ObjectDecoder
@@ -67,12 +75,19 @@ def choose_column_decoder(topic: Topic, fields: Sequence[str]) -> Decoder:
 def definition_of(topic: Topic) -> Definition:
     """The parsed definition of a CDR or ROS 1 topic; FormatError names the topic."""
     if topic.encoding not in ("cdr", "ros1", ""):
-        raise FormatError(f"{topic.name}: the messages are {topic.encoding!r}; known are cdr, ros1, json, protobuf")
+        raise FormatError(
+            f"{topic.name}: the messages are {topic.encoding!r}; known are cdr, ros1, json, "
+            "protobuf"
+        )
     if topic.definition_encoding not in ("ros2msg", "ros1msg", "ros2idl", ""):
         known = "ros2msg, ros1msg, ros2idl, jsonschema, protobuf"
-        raise FormatError(f"{topic.name}: the definition is {topic.definition_encoding!r}; known are {known}")
+        raise FormatError(
+            f"{topic.name}: the definition is {topic.definition_encoding!r}; known are {known}"
+        )
     try:
-        return parse_definition(topic.definition, topic.type, topic.definition_encoding or "ros2msg")
+        return parse_definition(
+            topic.definition, topic.type, topic.definition_encoding or "ros2msg"
+        )
     except FormatError as error:
         raise FormatError(f"{topic.name}: {error}") from None
 
@@ -83,7 +98,9 @@ def is_ros1(topic: Topic) -> bool:
 
 
 def is_ros1_payload(definition: Definition, payload: Payload) -> bool:
-    """Whether a payload declared CDR is ROS 1: not readable as CDR, but readable to its end as ROS 1."""
+    """Whether a payload declared CDR is ROS 1: not
+    readable as CDR, but readable to its end as ROS 1.
+    """
     if tuple(payload[:2]) in CDR_KINDS and _left_over(definition, payload, False) is not None:
         return False
     return _left_over(definition, payload, True) == 0
@@ -100,9 +117,16 @@ class _Decoder:
     """Decodes CDR and ROS 1 topics to columns."""
 
     def __init__(
-        self, definition: Definition, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...], ros1: bool
+        self,
+        definition: Definition,
+        fields: tuple[str, ...],
+        paths: tuple[tuple[Step, ...], ...],
+        ros1: bool,
     ) -> None:
-        self.definition, self.fields, self.paths, self.ros1 = definition, fields, paths, ros1
+        self.definition = definition
+        self.fields = fields
+        self.paths = paths
+        self.ros1 = ros1
         self.declared = ros1
         self.known: list[Template] = []
         self.log_ns: list[Array] = []
@@ -155,7 +179,8 @@ class _Decoder:
         rows = gather_rows(batch.data, batch.offset[long], 8 * known.words)
         same = match_template(rows, known)
         if not same.all():
-            long, rows = long[same], rows[same]
+            long = long[same]
+            rows = rows[same]
         if len(long):
             self._keep(long, rows, known.layout)
             self.fast += len(long)
@@ -170,7 +195,9 @@ class _Decoder:
         """The columns of all batches so far."""
         log_ns = np.concatenate(self.log_ns) if self.log_ns else np.empty(0, np.int64)
         parts = tuple(join_parts(pieces) for pieces in self.pieces.values())
-        return TopicColumns(self.fields, log_ns, parts, self.fast, self.fallback, dict(self.rejected))
+        return TopicColumns(
+            self.fields, log_ns, parts, self.fast, self.fallback, dict(self.rejected)
+        )
 
 
 def _payload_at(batch: Batch, index: int) -> bytes:

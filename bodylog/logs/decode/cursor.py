@@ -22,7 +22,9 @@ Wanted = Sequence[tuple[int, tuple[Step, ...]]]
 
 
 class FieldLeaf(NamedTuple):
-    """One requested field: byte offsets (K,), element dtype · texts, if text · single: neither array nor slice."""
+    """One requested field: byte offsets (K,), element dtype
+    · texts, if text · single: neither array nor slice.
+    """
 
     offsets: Array
     dtype: np.dtype[np.generic]
@@ -35,7 +37,8 @@ class CdrCursor:
 
     def __init__(self, definition: Definition, payload: Payload, wanted: int, ros1: bool) -> None:
         """Start at the payload's first field; FormatError when it is not plain CDR."""
-        self.definition, self.payload = definition, payload
+        self.definition = definition
+        self.payload = payload
         self.origin = self.pos = 0 if ros1 else 4
         self.constants: list[tuple[int, int]] = [] if ros1 else [(0, 2)]
         self.big, self.largest = (False, 1) if ros1 else _cdr_kind(definition.root, payload)
@@ -50,7 +53,11 @@ class CdrCursor:
         fields = self.definition.types[type_]
         wanted = self._matching(type_, wanted)
         inner = [tuple((k, steps[1:]) for k, steps in wanted if steps[0] == f.name) for f in fields]
-        last = max((n for n, some in enumerate(inner) if some), default=-1) if final else len(fields) - 1
+        last = (
+            max((n for n, some in enumerate(inner) if some), default=-1)
+            if final
+            else len(fields) - 1
+        )
         for number in range(last + 1):
             self._field(fields[number], inner[number], final and number == last)
 
@@ -82,7 +89,9 @@ class CdrCursor:
         for k, steps in wanted:
             picked = _slice_range(steps, count)
             missing = not picked and bool(steps) and is_index(steps[0])
-            self.runs[k].append((-1, 1, size) if missing else (self.pos + picked.start * size, len(picked), size))
+            self.runs[k].append(
+                (-1, 1, size) if missing else (self.pos + picked.start * size, len(picked), size)
+            )
         self.pos += count * size
 
     def _time(self, type_: str, wanted: Wanted) -> None:
@@ -96,12 +105,16 @@ class CdrCursor:
     def _text(self, type_: str, wanted: Wanted) -> None:
         wide = self.definition.wide if type_ == "wstring" else 1
         if not wide:
-            raise FormatError(f"{self.definition.root}: a wstring; writers disagree on the size of its characters")
+            raise FormatError(
+                f"{self.definition.root}: a wstring; writers disagree on the size of its characters"
+            )
         length = self._count() * wide
         self._need(length, f"a text of {length} bytes")
         if wanted:
             self.constants.append((self.pos, self.pos + length))
-            text = str(self.payload[self.pos : self.pos + length], self._code(type_), "replace").removesuffix("\0")
+            text = str(
+                self.payload[self.pos : self.pos + length], self._code(type_), "replace"
+            ).removesuffix("\0")
             for k, _ in wanted:
                 self.texts[k].append(text)
         self.pos += length
@@ -120,13 +133,19 @@ class CdrCursor:
             self._skip(type_, count)
             return
         picks = [(k, _slice_range(steps, count), steps[1:]) for k, steps in wanted]
-        last = max((picked[-1] for _, picked, _ in picks if picked), default=-1) if final else count - 1
+        last = (
+            max((picked[-1] for _, picked, _ in picks if picked), default=-1)
+            if final
+            else count - 1
+        )
         for index in range(last + 1):
             inner = tuple((k, steps) for k, picked, steps in picks if index in picked)
             self._value(type_, inner, final and index == last)
 
     def _matching(self, type_: str, wanted: Wanted) -> Wanted:
-        """The requested paths whose filters this struct passes; the values compared must stay constant."""
+        """The requested paths whose filters this struct
+        passes; the values compared must stay constant.
+        """
         passed = []
         for k, steps in wanted:
             if not isinstance(steps[0], Only) or self._equals(type_, steps[0]):
@@ -143,13 +162,17 @@ class CdrCursor:
         field = next(f for f in self.definition.types[type_] if f.name == only.field)
         offset, _, size = probe.runs[0][0]
         self.constants.append((offset, offset + size))
-        return bool(np.frombuffer(self.payload, self._dtype(field.type), 1, offset)[0] == only.value)
+        return bool(
+            np.frombuffer(self.payload, self._dtype(field.type), 1, offset)[0] == only.value
+        )
 
     def _skip(self, type_: str, count: int) -> None:
         """Skip fixed-size structs: their sizes repeat once the alignment does."""
         spans: list[int] = []
         seen: dict[int, int] = {}
-        while len(spans) < count and (residue := (self.pos - self.origin) % self.largest) not in seen:
+        while (
+            len(spans) < count and (residue := (self.pos - self.origin) % self.largest) not in seen
+        ):
             seen[residue] = len(spans)
             before = self.pos
             self._value(type_, (), False)
@@ -164,7 +187,9 @@ class CdrCursor:
         self._align(4)
         self._need(4, "a length")
         self.constants.append((self.pos, self.pos + 4))
-        count = int.from_bytes(self.payload[self.pos : self.pos + 4], "big" if self.big else "little")
+        count = int.from_bytes(
+            self.payload[self.pos : self.pos + 4], "big" if self.big else "little"
+        )
         self.pos += 4
         return count
 
@@ -174,12 +199,17 @@ class CdrCursor:
     def _need(self, size: int, what: str) -> None:
         left = len(self.payload) - self.pos
         if size > left:
-            raise FormatError(f"{self.definition.root}: {what} at byte {self.pos}, but {max(left, 0)} bytes are left")
+            raise FormatError(
+                f"{self.definition.root}: {what} at byte {self.pos}, but {max(left, 0)} "
+                "bytes are left"
+            )
 
     def _is_fixed(self, type_: str) -> bool:
         if type_ not in self._fixed:
             fields = self.definition.types.get(type_, ())
-            self._fixed[type_] = type_ not in TEXTS and all(f.size != -1 and self._is_fixed(f.type) for f in fields)
+            self._fixed[type_] = type_ not in TEXTS and all(
+                f.size != -1 and self._is_fixed(f.type) for f in fields
+            )
         return self._fixed[type_]
 
     def _least_size(self, type_: str) -> int:
@@ -187,8 +217,13 @@ class CdrCursor:
         if type_ in _SIZES or type_ in TIMES or type_ in TEXTS:
             return _SIZES.get(type_, 8 if type_ in TIMES else 4)
         if type_ not in self._least:
-            sizes = ((f, 4 if f.size == -1 else self._least_size(f.type)) for f in self.definition.types[type_])
-            self._least[type_] = sum(size * (f.size if f.size is not None and f.size >= 0 else 1) for f, size in sizes)
+            sizes = (
+                (f, 4 if f.size == -1 else self._least_size(f.type))
+                for f in self.definition.types[type_]
+            )
+            self._least[type_] = sum(
+                size * (f.size if f.size is not None and f.size >= 0 else 1) for f, size in sizes
+            )
         return self._least[type_]
 
     def _dtype(self, type_: str) -> np.dtype[np.generic]:
@@ -205,7 +240,12 @@ class CdrCursor:
         start, count, stride = np.array(self.runs[k], np.int64).reshape(-1, 3).T
         number = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
         offsets = np.repeat(start, count) + np.repeat(stride, count) * number
-        return FieldLeaf(offsets, self._dtype(field.type), tuple(self.texts[k]) if field.type in TEXTS else None, single)
+        return FieldLeaf(
+            offsets,
+            self._dtype(field.type),
+            tuple(self.texts[k]) if field.type in TEXTS else None,
+            single,
+        )
 
     def single(self, k: int, end: tuple[Field, bool]) -> str | int | float | memoryview:
         """The value of the k-th requested path, as one value."""
@@ -214,14 +254,19 @@ class CdrCursor:
             return "".join(self.texts[k][:1])
         offset, count, size = self.runs[k][0]
         raw = memoryview(self.payload)[offset : offset + count * size]
-        value: int | float = np.frombuffer(raw, self._dtype(field.type), 1)[0].item() if single else 0
+        value: int | float = (
+            np.frombuffer(raw, self._dtype(field.type), 1)[0].item() if single else 0
+        )
         return value if single else raw
 
 
 def _cdr_kind(root: str, payload: Payload) -> tuple[bool, int]:
     kind = tuple(payload[:2])
     if len(payload) < 4 or kind not in CDR_KINDS:
-        raise FormatError(f"{root}: the payload begins with {payload[:4].hex() or 'nothing'}, which is not plain CDR")
+        raise FormatError(
+            f"{root}: the payload begins with {payload[:4].hex() or 'nothing'}, which is not "
+            "plain CDR"
+        )
     return CDR_KINDS[kind]
 
 

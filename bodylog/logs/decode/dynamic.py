@@ -1,4 +1,6 @@
-"""Decode JSON and protobuf payloads to columns: protobuf of equal layout at once, the rest through dictionaries."""
+"""Decode JSON and protobuf payloads to columns: protobuf
+of equal layout at once, the rest through dictionaries.
+"""
 
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -12,11 +14,13 @@ from ..records import Array, Batch, Topic
 from .message_path import Step
 from .object_places import number_of, shape_values
 from .object_values import Value, follow_steps
-from .parts import TopicColumns, ColumnPart, join_parts
+from .parts import ColumnPart, TopicColumns, join_parts
 
 
 def make_dynamic_reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
-    """A function from payload to dictionary; FormatError for a broken schema, or later for a broken payload."""
+    """A function from payload to dictionary; FormatError
+    for a broken schema, or later for a broken payload.
+    """
     if topic.encoding == "json":
         return lambda payload: _parse_json_payload(topic.name, payload)
     from .protobuf import message_reader
@@ -30,14 +34,18 @@ def _parse_json_payload(name: str, payload: bytes) -> Mapping[str, Any]:
     except ValueError as error:
         raise FormatError(f"{name}: the payload is not JSON: {str(error)[:60]}") from None
     if not isinstance(value, dict):
-        raise FormatError(f"{name}: the payload is a JSON {type(value).__name__}; expected an object")
+        raise FormatError(
+            f"{name}: the payload is a JSON {type(value).__name__}; expected an object"
+        )
     return value
 
 
 class ObjectDecoder:
     """Decodes JSON and protobuf topics to columns."""
 
-    def __init__(self, topic: Topic, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...]) -> None:
+    def __init__(
+        self, topic: Topic, fields: tuple[str, ...], paths: tuple[tuple[Step, ...], ...]
+    ) -> None:
         """Start without messages; FormatError when the schema is broken."""
         self.fields = fields
         self.paths = paths
@@ -80,7 +88,9 @@ class ObjectDecoder:
         except (KeyError, ValueError, TypeError):
             self.rejected["field missing"] += 1
         else:
-            shape = tuple(v if any(isinstance(x, str | bytes) for x in v) else len(v) for v in values)
+            shape = tuple(
+                v if any(isinstance(x, str | bytes) for x in v) else len(v) for v in values
+            )
             self.rows.setdefault(shape, []).append((row, values))
 
     def columns(self) -> TopicColumns:

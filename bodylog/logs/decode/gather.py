@@ -15,7 +15,8 @@ _BYTES = 1 << 20
 
 
 class Template(NamedTuple):
-    """A layout prepared to compare `block` rows at a time, `words` times eight bytes each, with its constants.
+    """A layout prepared to compare `block` rows at a time,
+    `words` times eight bytes each, with its constants.
 
     mask, reference (block · words,): which bits are constant, and their values.
     """
@@ -27,8 +28,12 @@ class Template(NamedTuple):
     reference: Array
 
 
-def make_template(layout: MessageLayout, payload: bytes, high: Sequence[tuple[int, int]] = ()) -> Template:
-    """The template of the message with this layout; in the byte ranges `high` only the highest bit is fixed."""
+def make_template(
+    layout: MessageLayout, payload: bytes, high: Sequence[tuple[int, int]] = ()
+) -> Template:
+    """The template of the message with this layout; in
+    the byte ranges `high` only the highest bit is fixed.
+    """
     words = -(-layout.width // 8)
     mask, reference = np.zeros((2, 8 * words), np.uint8)
     for start, stop in layout.constants:
@@ -38,18 +43,24 @@ def make_template(layout: MessageLayout, payload: bytes, high: Sequence[tuple[in
         mask[start:stop] |= 0x80
         reference[start:stop] = np.frombuffer(payload, np.uint8, stop - start, start)
     block = max(1, min(_BLOCK, _BYTES // max(1, layout.width)))
-    return Template(layout, words, block, *(np.tile(row.view(np.uint64), block) for row in (mask, reference)))
+    return Template(
+        layout, words, block, *(np.tile(row.view(np.uint64), block) for row in (mask, reference))
+    )
 
 
 def match_template(rows: Array, known: Template) -> Array:
     """True (n,) for the rows whose constant bytes equal the template's."""
-    words, same = rows.view(np.uint64).reshape(-1), np.ones(len(rows), bool)
-    # Block by block: a temporary as large as all rows would cost more in page faults than the comparison.
+    words = rows.view(np.uint64).reshape(-1)
+    same = np.ones(len(rows), bool)
+    # Block by block: a temporary as large as all rows
+    # would cost more in page faults than the comparison.
     for start in range(0, len(rows), known.block):
         block = words[start * known.words : (start + known.block) * known.words]
         differs = (block ^ known.reference[: len(block)]) & known.mask[: len(block)]
         if differs.max(initial=0):
-            same[start : start + known.block] = np.logical_not(differs.reshape(-1, known.words).any(axis=1))
+            same[start : start + known.block] = np.logical_not(
+                differs.reshape(-1, known.words).any(axis=1)
+            )
     return same
 
 
@@ -70,7 +81,9 @@ def gather_rows(data: Array, offset: Array, width: int) -> Array:
 
 
 def read_leaf_values(rows: Array, leaf: FieldLeaf) -> Array | tuple[str, ...]:
-    """A leaf's values (m,) or (m,K) in native byte order, times in ns, missing ones NaN; or its texts."""
+    """A leaf's values (m,) or (m,K) in native byte
+    order, times in ns, missing ones NaN; or its texts.
+    """
     if leaf.texts is not None:
         return leaf.texts
     if leaf.single and not len(leaf.offsets):
@@ -89,7 +102,9 @@ def _strided_elements(rows: Array, offsets: Array, dtype: np.dtype[Any]) -> Arra
     if (offsets >= 0).all() and (not len(steps) or (steps == steps[0]).all()):
         step = int(steps[0]) if len(steps) else 0
         return np.ndarray((count, len(offsets)), dtype, rows, int(offsets[0]), (width, step))
-    single = [np.ndarray((count,), dtype, rows, max(int(offset), 0), (width,)) for offset in offsets]
+    single = [
+        np.ndarray((count,), dtype, rows, max(int(offset), 0), (width,)) for offset in offsets
+    ]
     return np.stack(single, axis=1)
 
 

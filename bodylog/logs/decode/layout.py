@@ -14,7 +14,9 @@ _PADDING = 4
 
 
 class MessageLayout(NamedTuple):
-    """One layout: bytes examined, the (start, stop) byte ranges that define it, the requested leaves."""
+    """One layout: bytes examined, the (start, stop)
+    byte ranges that define it, the requested leaves.
+    """
 
     width: int
     constants: tuple[tuple[int, int], ...]
@@ -22,8 +24,11 @@ class MessageLayout(NamedTuple):
 
 
 def leaf_field(definition: Definition, steps: tuple[Step, ...]) -> tuple[Field, bool]:
-    """The field at the end of `steps`, and whether it is one value; ConfigError suggests existing fields."""
-    field, single = Field("", definition.root, None), True
+    """The field at the end of `steps`, and whether it
+    is one value; ConfigError suggests existing fields.
+    """
+    field = Field("", definition.root, None)
+    single = True
     for step in steps:
         if isinstance(step, str):
             field = _find_member(definition, field, step)
@@ -32,20 +37,26 @@ def leaf_field(definition: Definition, steps: tuple[Step, ...]) -> tuple[Field, 
             single = False
         elif field.size is None:
             raise ConfigError(
-                f"{definition.root}: {field.name or 'the message'} is not an array; leave out the brackets"
+                f"{definition.root}: {field.name or 'the message'} is not an array; leave "
+                "out the brackets"
             )
         else:
             single = single and is_index(step)
             field = Field(field.name, field.type, None)
     if not (field.type in PRIMITIVES or field.type in TEXTS or field.type in TIMES):
         names = ", ".join(f.name for f in definition.types[field.type])
-        raise ConfigError(f"{definition.root}: {field.name or 'the message'} is a {field.type}; name one of {names}")
+        raise ConfigError(
+            f"{definition.root}: {field.name or 'the message'} is a {field.type}; name one "
+            f"of {names}"
+        )
     return field, single and field.size is None
 
 
 def _find_member(definition: Definition, field: Field, name: str) -> Field:
     if field.size is not None:
-        raise ConfigError(f"{definition.root}: {field.name} is an array; write {field.name}[:].{name}")
+        raise ConfigError(
+            f"{definition.root}: {field.name} is an array; write {field.name}[:].{name}"
+        )
     members = {f.name: f for f in _definition_fields(definition, field.type)}
     if name not in members:
         there = ", ".join(members) or "none"
@@ -56,7 +67,10 @@ def _find_member(definition: Definition, field: Field, name: str) -> Field:
 def _parse_element_filter(definition: Definition, field: Field, only: Only) -> None:
     key = _find_member(definition, field, only.field)
     if key.size is not None or not (key.type in PRIMITIVES or key.type in TEXTS):
-        raise ConfigError(f"{definition.root}: a filter compares a number or a text, and {only.field} is a {key.type}")
+        raise ConfigError(
+            f"{definition.root}: a filter compares a number or a text, and {only.field} is a "
+            f"{key.type}"
+        )
 
 
 def _definition_fields(definition: Definition, type_: str) -> tuple[Field, ...]:
@@ -67,8 +81,12 @@ def _definition_fields(definition: Definition, type_: str) -> tuple[Field, ...]:
     return definition.types.get(type_, ())
 
 
-def locate_fields(definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> MessageLayout:
-    """The layout of `payload` up to the last requested field; FormatError when it contradicts itself."""
+def locate_fields(
+    definition: Definition, payload: Payload, wanted: Sequence[tuple[Step, ...]], ros1: bool
+) -> MessageLayout:
+    """The layout of `payload` up to the last requested
+    field; FormatError when it contradicts itself.
+    """
     walker = CdrCursor(definition, payload, len(wanted), ros1)
     walker.struct(definition.root, tuple(enumerate(wanted)), bool(wanted))
     leaves = tuple(walker.leaf(k, leaf_field(definition, steps)) for k, steps in enumerate(wanted))
@@ -83,12 +101,16 @@ def count_unread_bytes(definition: Definition, payload: Payload, ros1: bool) -> 
 
 
 def fit_wstring_size(definition: Definition, payload: Payload, ros1: bool) -> list[Definition]:
-    """The definition with the wstring character sizes, in bytes, for which `payload` has its declared length.
+    """The definition with the wstring character sizes, in
+    bytes, for which `payload` has its declared length.
 
-    Writers count characters of 2 or 4 bytes, or bytes. One definition, or all if no wstring distinguishes them.
+    Writers count characters of 2 or 4 bytes, or bytes. One
+    definition, or all if no wstring distinguishes them.
     """
     fits: dict[int, list[Definition]] = {}
-    unknown = not definition.wide and any(f.type == "wstring" for some in definition.types.values() for f in some)
+    unknown = not definition.wide and any(
+        f.type == "wstring" for some in definition.types.values() for f in some
+    )
     for size in (1, 2, 4) if unknown else ():
         sized = definition._replace(wide=size)
         with suppress(FormatError):
@@ -98,19 +120,27 @@ def fit_wstring_size(definition: Definition, payload: Payload, ros1: bool) -> li
 
 
 class Picker:
-    """Reads single fields of message after message: texts and numbers as values, arrays as their bytes.
+    """Reads single fields of message after message:
+    texts and numbers as values, arrays as their bytes.
 
-    If only the length of the last requested bytes differs from the previous message, its layout is reused.
+    If only the length of the last requested bytes differs
+    from the previous message, its layout is reused.
     """
 
-    def __init__(self, definition: Definition, wanted: Sequence[tuple[Step, ...]], ros1: bool) -> None:
+    def __init__(
+        self, definition: Definition, wanted: Sequence[tuple[Step, ...]], ros1: bool
+    ) -> None:
         """For messages of one definition and dialect; ConfigError suggests existing fields."""
-        self._definition, self._wanted, self._ros1 = definition, wanted, ros1
+        self._definition = definition
+        self._wanted = wanted
+        self._ros1 = ros1
         self._ends = tuple(leaf_field(definition, steps) for steps in wanted)
         self._last: CdrCursor | None = None
 
     def __call__(self, payload: Payload) -> tuple[str | int | float | memoryview, ...]:
-        """The requested fields of one message; FormatError when it contradicts itself. Thread safe."""
+        """The requested fields of one message; FormatError
+        when it contradicts itself. Thread safe.
+        """
         walker = _reuse_cursor(self._last, payload) if self._last else None
         if walker is None:
             walker = CdrCursor(self._definition, payload, len(self._wanted), self._ros1)
@@ -120,7 +150,9 @@ class Picker:
 
 
 def _reuse_cursor(last: CdrCursor, payload: Payload) -> CdrCursor | None:
-    """A cursor for a payload that differs from the last one only in the length of its final bytes, or None."""
+    """A cursor for a payload that differs from the last
+    one only in the length of its final bytes, or None.
+    """
     start, stop = last.constants[-1] if last.constants else (0, 0)
     tail = [[(stop, last.pos - stop, 1)] == runs for runs in last.runs]
     if True not in tail or any(payload[a:b] != last.payload[a:b] for a, b in last.constants[:-1]):
@@ -129,8 +161,11 @@ def _reuse_cursor(last: CdrCursor, payload: Payload) -> CdrCursor | None:
     if len(payload) < stop + count:
         return None
     walker = copy(last)
-    walker.payload, walker.pos = payload, stop + count
-    walker.runs = [[(stop, count, 1)] if ends else runs for ends, runs in zip(tail, last.runs, strict=True)]
+    walker.payload = payload
+    walker.pos = stop + count
+    walker.runs = [
+        [(stop, count, 1)] if ends else runs for ends, runs in zip(tail, last.runs, strict=True)
+    ]
     return walker
 
 

@@ -9,7 +9,15 @@ from ..records import Topic
 from .columns import definition_of, is_ros1, is_ros1_payload
 from .definitions import PRIMITIVES, TEXTS, Definition, Field
 
-_TROUBLE = (struct.error, ValueError, KeyError, IndexError, AssertionError, TypeError, AttributeError)
+_TROUBLE = (
+    struct.error,
+    ValueError,
+    KeyError,
+    IndexError,
+    AssertionError,
+    TypeError,
+    AttributeError,
+)
 """Exceptions of rosbags, besides its own, for a payload that contradicts its definition."""
 _TIMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
 
@@ -22,9 +30,13 @@ def make_object_decoder(topic: Topic) -> Decode:
     known: dict[bool, Decode] = {}
 
     def decode(payload: bytes) -> Any:
-        ros1 = is_ros1(topic) or ((True in known or not known) and is_ros1_payload(definition, payload))
+        ros1 = is_ros1(topic) or (
+            (True in known or not known) and is_ros1_payload(definition, payload)
+        )
         if ros1 not in known:
-            known[ros1] = _make_ros1_decoder(topic) if ros1 else _make_cdr_decoder(topic, definition)
+            known[ros1] = (
+                _make_ros1_decoder(topic) if ros1 else _make_cdr_decoder(topic, definition)
+            )
         return known[ros1](payload)
 
     return decode
@@ -45,7 +57,9 @@ def _make_cdr_decoder(topic: Topic, definition: Definition) -> Decode:
     try:
         store.register(_rosbags_types(definition))
     except (TypesysError, *_TROUBLE) as problem:
-        raise FormatError(f"{topic.name}: the definition of {topic.type} cannot be read: {problem}") from None
+        raise FormatError(
+            f"{topic.name}: the definition of {topic.type} cannot be read: {problem}"
+        ) from None
     return _wrap_read_errors(topic, store)
 
 
@@ -60,11 +74,15 @@ def _rosbags_types(definition: Definition) -> Any:
         one: Any = (Nodetype.BASE, (kind, 0)) if plain else (Nodetype.NAME, kind)
         if field.size is None:
             return one
-        return (Nodetype.SEQUENCE, (one, 0)) if field.size < 0 else (Nodetype.ARRAY, (one, field.size))
+        return (
+            (Nodetype.SEQUENCE, (one, 0)) if field.size < 0 else (Nodetype.ARRAY, (one, field.size))
+        )
 
     standard = get_typestore(Stores.ROS2_HUMBLE).fielddefs
     times = {name: standard[name] for name in _TIMES.values()}
-    return times | {name: ([], [(f.name, node(f)) for f in fields]) for name, fields in definition.types.items()}
+    return times | {
+        name: ([], [(f.name, node(f)) for f in fields]) for name, fields in definition.types.items()
+    }
 
 
 def _wrap_read_errors(topic: Topic, store: Any) -> Decode:

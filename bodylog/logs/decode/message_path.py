@@ -1,4 +1,6 @@
-"""Message paths: `/topic.field[0].x`, `/skin.data[:].prox[0]`, `/tf.transforms[:]{child_frame_id=="hand"}.x`."""
+"""Message paths: `/topic.field[0].x`, `/skin.data[:].prox[0]`,
+`/tf.transforms[:]{child_frame_id=="hand"}.x`.
+"""
 
 import re
 from collections.abc import Iterable
@@ -44,21 +46,31 @@ class Path(NamedTuple):
 
 
 def parse_message_path(text: str, topics: Iterable[str] = ()) -> Path:
-    """Parse the path in `text`; a topic of `topics` at its start takes precedence over the first `.`, `[` or `{`."""
-    known = [topic for topic in topics if text == topic or (text.startswith(topic) and text[len(topic)] in ".[{")]
+    """Parse the path in `text`; a topic of `topics` at its
+    start takes precedence over the first `.`, `[` or `{`.
+    """
+    known = [
+        topic
+        for topic in topics
+        if text == topic or (text.startswith(topic) and text[len(topic)] in ".[{")
+    ]
     topic = max(known, key=len) if known else re.split(r"[.\[{]", text, maxsplit=1)[0]
     return Path(topic, parse_steps(text[len(topic) :], text))
 
 
 def parse_steps(text: str, whole: str | None = None) -> tuple[Step, ...]:
-    """The steps in `text`, e.g. `.data[:].prox[0]` (a leading dot is optional); ConfigError names the invalid part."""
+    """The steps in `text`, e.g. `.data[:].prox[0]` (a leading
+    dot is optional); ConfigError names the invalid part.
+    """
     rest = f".{text}" if text and text[0] not in ".[{" else text
     found: list[Step] = []
     while rest:
         match = _STEP.match(rest)
         if match is None:
             known = ".field, [0], [1:3], [:], {id==2}"
-            raise ConfigError(f"message path {whole or text!r}: cannot read {rest!r}; the steps are {known}")
+            raise ConfigError(
+                f"message path {whole or text!r}: cannot read {rest!r}; the steps are {known}"
+            )
         found.append(_parse_step(match))
         rest = rest[match.end() :]
     return tuple(found)

@@ -1,4 +1,6 @@
-"""Positions of values in JSON and protobuf messages: a message of positions that message paths can follow."""
+"""Positions of values in JSON and protobuf messages:
+a message of positions that message paths can follow.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -14,18 +16,26 @@ SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
 _MOST_REST_NS = 1_000_000_000_000_000
 _LONGEST_S = (LATEST_NS + _MOST_REST_NS) // 1_000_000_000
-"""With more seconds no such rest gives a time in a clock's range; with fewer the sum fits 64 bits."""
+"""With more seconds no such rest gives a time in
+a clock's range; with fewer the sum fits 64 bits.
+"""
 
 
 class Place:
-    """A number of the message and its position; once a filter compares it, other messages must have it too.
+    """A number of the message and its position; once a
+    filter compares it, other messages must have it too.
 
     at, end: a range whose unit depends on the encoding · kind: the protobuf kind, 0 in JSON.
     """
 
-    def __init__(self, value: float, at: int, end: int, kind: int, pinned: list[tuple[int, int]]) -> None:
+    def __init__(
+        self, value: float, at: int, end: int, kind: int, pinned: list[tuple[int, int]]
+    ) -> None:
         """`pinned` gets the range when the value is compared."""
-        self.value, self.at, self.end, self.kind = value, at, end, kind
+        self.value = value
+        self.at = at
+        self.end = end
+        self.kind = kind
         self._pinned = pinned
 
     def __eq__(self, other: object) -> bool:
@@ -37,7 +47,9 @@ class Place:
 
 
 class Text(str):
-    """A text of the message and its position; once compared or requested, other messages must have it too."""
+    """A text of the message and its position; once
+    compared or requested, other messages must have it too.
+    """
 
     at: int
     end: int
@@ -58,7 +70,9 @@ class Text(str):
 def text_at(value: str, at: int, end: int, pinned: list[tuple[int, int]]) -> Text:
     """The text at a position."""
     found = Text(value)
-    found.at, found.end, found.pinned = at, end, pinned
+    found.at = at
+    found.end = end
+    found.pinned = pinned
     return found
 
 
@@ -78,7 +92,9 @@ Item = Place | Text | PlacedTime | float | str | None
 
 
 def list_plain_items(value: Any) -> Iterator[Item]:
-    """The plain values below a value; KeyError for an object, FormatError where positions do not suffice."""
+    """The plain values below a value; KeyError for an
+    object, FormatError where positions do not suffice.
+    """
     if isinstance(value, dict):
         seconds = next((value[key] for key in SECONDS if key in value), None)
         if seconds is None:
@@ -103,14 +119,18 @@ Numbers = Callable[[Sequence[Place]], Array | None]
 
 
 def number_of(steps: Sequence[Step]) -> int | None:
-    """How many values a path gives at most: 1 if it ends at an element; 0 for a field, which may be one; else None."""
+    """How many values a path gives at most: 1 if it ends at
+    an element; 0 for a field, which may be one; else None.
+    """
     if not all(isinstance(step, str) or is_index(step) for step in steps):
         return None
     return int(any(not isinstance(step, str) for step in steps))
 
 
 def shape_values(values: Array, most: int | None) -> Array:
-    """Values (n,K) in the path's shape: (n,) if it gives a single one, NaN for a missing element."""
+    """Values (n,K) in the path's shape: (n,) if it
+    gives a single one, NaN for a missing element.
+    """
     if most is None or values.shape[1] > 1:
         return values
     if values.shape[1] == 0:
@@ -118,8 +138,12 @@ def shape_values(values: Array, most: int | None) -> Array:
     return values[:, 0]
 
 
-def read_placed_column(found: Sequence[Item], single: int | None, count: int, numbers: Numbers) -> Array | tuple[str, ...] | None:
-    """One path's values in `count` messages, (n,) or (n,K), or its texts; None if they must be read one by one."""
+def read_placed_column(
+    found: Sequence[Item], single: int | None, count: int, numbers: Numbers
+) -> Array | tuple[str, ...] | None:
+    """One path's values in `count` messages, (n,) or (n,K),
+    or its texts; None if they must be read one by one.
+    """
     if any(isinstance(item, str) for item in found):
         plain = all(isinstance(item, str) for item in found)
         return tuple(str(item) for item in found) if plain else None
@@ -134,14 +158,22 @@ def read_placed_column(found: Sequence[Item], single: int | None, count: int, nu
             return None
         parts.append(part)
         at = max(run, at + 1)
-    values = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1) if parts else np.empty((count, 0))
+    values = (
+        parts[0]
+        if len(parts) == 1
+        else np.concatenate(parts, axis=1)
+        if parts
+        else np.empty((count, 0))
+    )
     return shape_values(values, single)
 
 
 def _read_other_items(item: Item, count: int, numbers: Numbers) -> Array | None:
     if not isinstance(item, PlacedTime):
         return np.full((count, 1), np.nan if item is None else item)
-    seconds, rest = (_read_whole_numbers(part, count, numbers) for part in (item.seconds, item.nanoseconds))
+    seconds, rest = (
+        _read_whole_numbers(part, count, numbers) for part in (item.seconds, item.nanoseconds)
+    )
     if seconds is None or rest is None or abs(rest).max(initial=0) > _MOST_REST_NS:
         return None
     near = abs(seconds) <= _LONGEST_S

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from ...io.values import stamp_ns, number_in_64_bits, encodable_text
+from ...io.values import encodable_text, number_in_64_bits, stamp_ns
 from .message_path import Only, Step
 
 Value = int | float | str | bytes
@@ -13,7 +13,9 @@ _SECONDS = ("sec", "secs", "seconds")
 _NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
 
 
-def follow_steps(value: Any, steps: tuple[Step, ...], plain: Callable[[Any], Iterator[Any]] | None = None) -> Iterator[Any]:
+def follow_steps(
+    value: Any, steps: tuple[Step, ...], plain: Callable[[Any], Iterator[Any]] | None = None
+) -> Iterator[Any]:
     """The plain values at the end of the steps, times as ns; KeyError when a field is missing.
 
     `plain`: splits the final value into plain ones, in place of the default.
@@ -44,7 +46,11 @@ def _as_array(value: Any) -> list[Any]:
 
 def _plain_values(value: Any) -> Iterator[Value]:
     if isinstance(value, dict):
-        seconds = next(value[key] for key in _SECONDS if key in value) if set(_SECONDS) & value.keys() else None
+        seconds = (
+            next(value[key] for key in _SECONDS if key in value)
+            if set(_SECONDS) & value.keys()
+            else None
+        )
         if seconds is None:
             raise KeyError("an object, not a value")
         yield stamp_ns(seconds, next((value[key] for key in _NANOSECONDS if key in value), 0))

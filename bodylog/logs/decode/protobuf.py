@@ -9,7 +9,11 @@ from ...errors import FormatError
 from ..records import Topic
 
 FIXED = {1: "<d", 2: "<f", 6: "<Q", 7: "<I", 15: "<i", 16: "<q"}
-MESSAGE, STRING, BYTES, _BOOL, _GROUP = 11, 9, 12, 8, 10
+MESSAGE = 11
+STRING = 9
+BYTES = 12
+_BOOL = 8
+_GROUP = 10
 DEEPEST = 64
 
 
@@ -28,7 +32,9 @@ Types = Mapping[str, Mapping[int, ProtobufField]]
 
 
 def message_reader(topic: Topic) -> Callable[[bytes], Mapping[str, Any]]:
-    """A function from payload to dictionary; FormatError when the descriptor set lacks the topic's type."""
+    """A function from payload to dictionary; FormatError
+    when the descriptor set lacks the topic's type.
+    """
     types, root = root_of(topic)
     return lambda payload: _decode_message(memoryview(payload), root, types, topic.name, 0)
 
@@ -40,7 +46,9 @@ def field_types(topic: Topic) -> dict[str, str]:
 
 
 def root_of(topic: Topic) -> tuple[Types, str]:
-    """The message types of a topic's schema and the type of its messages; FormatError for an invalid schema."""
+    """The message types of a topic's schema and the type
+    of its messages; FormatError for an invalid schema.
+    """
     try:
         types = _read_descriptor_types(topic.definition)
     except (FormatError, UnicodeDecodeError, StopIteration):
@@ -48,7 +56,10 @@ def root_of(topic: Topic) -> tuple[Types, str]:
     spelled = (topic.type, topic.type.replace("/msg/", "."), topic.type.replace("/", "."))
     root = next((name for name in spelled if name in types), None)
     if root is None:
-        raise FormatError(f"{topic.name}: the schema defines no {topic.type}; it has {', '.join(sorted(types)[:5])}")
+        raise FormatError(
+            f"{topic.name}: the schema defines no {topic.type}; it has "
+            f"{', '.join(sorted(types)[:5])}"
+        )
     return types, root
 
 
@@ -64,11 +75,15 @@ def _read_descriptor_types(descriptors: bytes) -> Types:
     return found
 
 
-def _describe_message_type(message: Any, above: str, found: dict[str, dict[int, ProtobufField]], depth: int) -> None:
+def _describe_message_type(
+    message: Any, above: str, found: dict[str, dict[int, ProtobufField]], depth: int
+) -> None:
     if depth > DEEPEST:
         raise FormatError("messages nested too deeply")
     parts = list(_iterate_wire_records(message))
-    name = ".".join(filter(None, (above, next(bytes(value).decode() for n, value in parts if n == 1))))
+    name = ".".join(
+        filter(None, (above, next(bytes(value).decode() for n, value in parts if n == 1)))
+    )
     found[name] = dict(_read_field_descriptor(value) for n, value in parts if n == 2)
     for n, value in parts:
         if n == 3:
@@ -77,7 +92,8 @@ def _describe_message_type(message: Any, above: str, found: dict[str, dict[int, 
 
 def _read_field_descriptor(record: Any) -> tuple[int, ProtobufField]:
     parts = dict(_iterate_wire_records(record))
-    name, type_ = bytes(parts.get(1, b"")).decode(), bytes(parts.get(6, b"")).decode().lstrip(".")
+    name = bytes(parts.get(1, b"")).decode()
+    type_ = bytes(parts.get(6, b"")).decode().lstrip(".")
     return int(parts.get(3, 0)), ProtobufField(name, int(parts.get(5, 0)), parts.get(4) == 3, type_)
 
 
@@ -108,15 +124,20 @@ def read_varint(data: memoryview, pos: int) -> tuple[int, int]:
     while pos < len(data) and shift < 64:
         byte = data[pos]
         value |= (byte & 0x7F) << shift
-        pos, shift = pos + 1, shift + 7
+        pos = pos + 1
+        shift = shift + 7
         if byte < 0x80:
             return value, pos
     raise FormatError(f"a broken number at byte {pos}")
 
 
-def _decode_message(data: memoryview, type_: str, types: Types, topic: str, depth: int) -> dict[str, Any]:
+def _decode_message(
+    data: memoryview, type_: str, types: Types, topic: str, depth: int
+) -> dict[str, Any]:
     if depth > DEEPEST or type_ not in types:
-        raise FormatError(f"{topic}: {f'no definition of {type_}' if type_ not in types else 'nested too deeply'}")
+        raise FormatError(
+            f"{topic}: {f'no definition of {type_}' if type_ not in types else 'nested too deeply'}"
+        )
     fields = types[type_]
     out: dict[str, Any] = {f.name: _default_value(f) for f in fields.values()}
     try:
@@ -128,9 +149,15 @@ def _decode_message(data: memoryview, type_: str, types: Types, topic: str, dept
     return out
 
 
-def _store_field_value(out: dict[str, Any], field: ProtobufField, raw: Any, types: Types, topic: str, depth: int) -> None:
+def _store_field_value(
+    out: dict[str, Any], field: ProtobufField, raw: Any, types: Types, topic: str, depth: int
+) -> None:
     if field.kind == MESSAGE:
-        value = _decode_message(raw, field.type, types, topic, depth + 1) if isinstance(raw, memoryview) else None
+        value = (
+            _decode_message(raw, field.type, types, topic, depth + 1)
+            if isinstance(raw, memoryview)
+            else None
+        )
     elif field.repeated and field.kind not in (STRING, BYTES) and isinstance(raw, memoryview):
         out[field.name].extend(_decode_packed_field(field, raw))
         return
@@ -145,8 +172,13 @@ def _store_field_value(out: dict[str, Any], field: ProtobufField, raw: Any, type
 def _decode_packed_field(field: ProtobufField, raw: memoryview) -> list[Any]:
     if field.kind in FIXED:
         size = struct.calcsize(FIXED[field.kind])
-        return list(struct.unpack(f"<{len(raw) // size}{FIXED[field.kind][1]}", raw[: len(raw) // size * size]))
-    values, pos = [], 0
+        return list(
+            struct.unpack(
+                f"<{len(raw) // size}{FIXED[field.kind][1]}", raw[: len(raw) // size * size]
+            )
+        )
+    values = []
+    pos = 0
     while pos < len(raw):
         value, pos = read_varint(raw, pos)
         values.append(_decode_scalar(field.kind, value))

@@ -1,4 +1,6 @@
-"""Decode protobuf messages all at once that have the same fields in the same order, and equal length."""
+"""Decode protobuf messages all at once that have
+the same fields in the same order, and equal length.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any
@@ -7,10 +9,10 @@ import numpy as np
 
 from ...errors import FormatError
 from ..records import Array, Batch
-from .gather import match_template, gather_rows, make_template
+from .gather import gather_rows, make_template, match_template
 from .layout import MessageLayout
 from .message_path import Step
-from .object_places import Item, Opaque, Place, read_placed_column, list_plain_items, text_at
+from .object_places import Item, Opaque, Place, list_plain_items, read_placed_column, text_at
 from .protobuf import BYTES, DEEPEST, FIXED, MESSAGE, STRING, ProtobufField, Types, read_varint
 
 _WIRES = {0: 0, 1: 8, 5: 4}
@@ -23,9 +25,16 @@ class ProtobufLayout:
     """The layout of one message and of all with the same keys, lengths and widths of numbers."""
 
     def __init__(
-        self, payload: bytes, types: Types, root: str, paths: Sequence[tuple[Step, ...]], follow: Follow
+        self,
+        payload: bytes,
+        types: Types,
+        root: str,
+        paths: Sequence[tuple[Step, ...]],
+        follow: Follow,
     ) -> None:
-        """FormatError or KeyError when the message is broken or a path cannot be followed by position."""
+        """FormatError or KeyError when the message is
+        broken or a path cannot be followed by position.
+        """
         walk = _Walk(payload, types)
         value = walk.message(0, len(payload), root, 0)
         self._items = [list(follow(value, steps, list_plain_items)) for steps in paths]
@@ -35,7 +44,9 @@ class ProtobufLayout:
     def values(
         self, batch: Batch, index: Array, single: Sequence[int | None]
     ) -> tuple[Array, list[Array | tuple[str, ...]] | None]:
-        """Which messages `index` (m,), all `width` long, have this layout (m,), and the paths' values."""
+        """Which messages `index` (m,), all `width` long,
+        have this layout (m,), and the paths' values.
+        """
         rows = gather_rows(batch.data, batch.offset[index], 8 * self._template.words)
         same = match_template(rows, self._template)
         rows = rows if same.all() else rows[same]
@@ -54,10 +65,13 @@ class ProtobufLayout:
 
 
 class _Walk:
-    """Reads one message by position: which bytes are constant, and of which only the highest bit is."""
+    """Reads one message by position: which bytes are
+    constant, and of which only the highest bit is.
+    """
 
     def __init__(self, payload: bytes, types: Types) -> None:
-        self.payload, self.types = memoryview(payload), types
+        self.payload = memoryview(payload)
+        self.types = types
         self.constants: list[tuple[int, int]] = []
         self.high: list[tuple[int, int]] = []
         self.pinned: list[tuple[int, int]] = []
@@ -97,7 +111,9 @@ class _Walk:
             yield key >> 3, wire, at, stop
             pos = stop
 
-    def _store(self, out: dict[str, Any], field: ProtobufField, wire: int, at: int, stop: int, depth: int) -> None:
+    def _store(
+        self, out: dict[str, Any], field: ProtobufField, wire: int, at: int, stop: int, depth: int
+    ) -> None:
         if field.repeated and wire == 2 and field.kind not in (MESSAGE, STRING, BYTES):
             out[field.name].extend(self._packed(field, at, stop))
             return
@@ -123,7 +139,10 @@ class _Walk:
     def _packed(self, field: ProtobufField, at: int, stop: int) -> list[Place]:
         if field.kind in FIXED:
             size = np.dtype(FIXED[field.kind]).itemsize
-            return [self._place(field, start, start + size) for start in range(at, stop - size + 1, size)]
+            return [
+                self._place(field, start, start + size)
+                for start in range(at, stop - size + 1, size)
+            ]
         found = []
         while at < stop:
             _, after = read_varint(self.payload[:stop], at)
@@ -156,7 +175,9 @@ def _default_array_value(field: ProtobufField) -> Any:
 
 
 def _read_place_numbers(rows: Array, place: Place) -> Array | None:
-    """The numbers (n,) at a place of rows (n,width): float64 or int64; None if one exceeds 64 bits."""
+    """The numbers (n,) at a place of rows (n,width):
+    float64 or int64; None if one exceeds 64 bits.
+    """
     if place.kind in FIXED:
         kind = np.dtype(FIXED[place.kind])
         found = np.ndarray((len(rows),), kind, rows, place.at, (rows.shape[1],))

@@ -12,9 +12,19 @@ from .bulk_convert import convert_same_layout
 _HEADER = "std_msgs/msg/Header"
 _MD5_OF_NOTHING = "d41d8cd98f00b204e9800998ecf8427e"
 _SMALL_CONSTANT = re.compile(r"^[ \t]*[\w/]+[ \t]+\w*[a-z]\w*[ \t]*=.*\n?", re.MULTILINE)
-"""A constant with lower-case letters: ROS 1 allows it, ROS 2 and rosbags do not; it takes no bytes."""
+"""A constant with lower-case letters: ROS 1 allows
+it, ROS 2 and rosbags do not; it takes no bytes.
+"""
 
-_TROUBLE = (struct.error, ValueError, KeyError, IndexError, AssertionError, TypeError, AttributeError)
+_TROUBLE = (
+    struct.error,
+    ValueError,
+    KeyError,
+    IndexError,
+    AssertionError,
+    TypeError,
+    AttributeError,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +44,16 @@ class Converter:
             raise FormatError(f"topic {self.topic.name}: {problem}") from None
 
     def convert_same_layout(self, rows: Array) -> tuple[Array, Array]:
-        """Which payloads (n,L) uint8 have the layout of the first (n,) bool, and their CDR (m,K)."""
+        """Which payloads (n,L) uint8 have the layout
+        of the first (n,) bool, and their CDR (m,K).
+        """
         return convert_same_layout(self.store, self.topic.type, rows, self)
 
 
 def make_cdr_converter(topic: Topic) -> tuple[Converter, bytes]:
-    """The converter of a topic and its ros2msg definition; FormatError when the definition is missing or invalid."""
+    """The converter of a topic and its ros2msg definition;
+    FormatError when the definition is missing or invalid.
+    """
     store = _ros2_typestore(topic, _ros1_definition(topic))
     return Converter(topic, store), store.generate_msgdef(topic.type, ros_version=2)[0].encode()
 
@@ -49,14 +63,19 @@ def known_definition(kind: str) -> bytes | None:
     from rosbags.typesys import Stores, get_typestore
 
     store = get_typestore(Stores.ROS2_HUMBLE)
-    return store.generate_msgdef(kind, ros_version=2)[0].encode() if kind in store.fielddefs else None
+    return (
+        store.generate_msgdef(kind, ros_version=2)[0].encode() if kind in store.fielddefs else None
+    )
 
 
 def _ros1_definition(topic: Topic) -> str:
-    """The topic's definition; if the bag omits it, that of ROS 1's own type of this name and MD5."""
+    """The topic's definition; if the bag omits it,
+    that of ROS 1's own type of this name and MD5.
+    """
     from rosbags.typesys import Stores, get_typestore
 
-    text, md5 = topic.definition.decode("utf-8", "replace"), topic.metadata.get("md5sum", "")
+    text = topic.definition.decode("utf-8", "replace")
+    md5 = topic.metadata.get("md5sum", "")
     if text.strip() or md5 == _MD5_OF_NOTHING:
         return _SMALL_CONSTANT.sub("", text)
     store = get_typestore(Stores.ROS1_NOETIC)
@@ -78,5 +97,7 @@ def _ros2_typestore(topic: Topic, text: str) -> Any:
         store.register(types)
         store.get_msgdef(topic.type)
     except (TypesysError, *_TROUBLE) as problem:
-        raise FormatError(f"topic {topic.name}: the definition of {topic.type} is invalid ({problem})") from None
+        raise FormatError(
+            f"topic {topic.name}: the definition of {topic.type} is invalid ({problem})"
+        ) from None
     return store

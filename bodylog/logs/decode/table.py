@@ -26,25 +26,34 @@ TIME_KEYS = frozenset(("sec", "secs", "seconds"))
 
 @dataclass(frozen=True, eq=False)
 class _Field:
-    """One decoded field: rows (m,) of the topic's messages in which it decodes, its values (m,) or (m,K), ascending."""
+    """One decoded field: rows (m,) of the topic's messages
+    in which it decodes, its values (m,) or (m,K), ascending.
+    """
 
     rows: Array
     values: Array
 
 
 class Table:
-    """The messages of one topic in order of log time: `table.position`, `table["header.stamp"]`, `table.log_ns`.
+    """The messages of one topic in order of log time:
+    `table.position`, `table["header.stamp"]`, `table.log_ns`.
 
-    A row is a message in which every requested field decodes; `rejected` counts the others by reason. Numbers are
-    arrays (N,), arrays of numbers (N,K) padded with NaN, bytes of several lengths objects (N,), times int64 ns, texts
-    (N,) of str. ConfigError names the existing fields.
+    A row is a message in which every requested field decodes; `rejected` counts the others by
+    reason. Numbers are arrays (N,), arrays of numbers (N,K) padded with NaN, bytes of several
+    lengths objects (N,), times int64 ns, texts (N,) of str. ConfigError names the existing fields.
     """
 
-    def __init__(self, name: str, fields: tuple[str, ...], read: Read, log_ns: Array | None = None) -> None:
-        """The topic's name, its leaf fields, how to read them, and log_ns (n,) of all its messages in file order."""
-        self._name, self.fields = name, fields
+    def __init__(
+        self, name: str, fields: tuple[str, ...], read: Read, log_ns: Array | None = None
+    ) -> None:
+        """The topic's name, its leaf fields, how to read them,
+        and log_ns (n,) of all its messages in file order.
+        """
+        self._name = name
+        self.fields = fields
         self.rejected: dict[str, int] = {}
-        self._read, self._log_ns = read, log_ns
+        self._read = read
+        self._log_ns = log_ns
         self._found: dict[str, _Field] = {}
 
     def __len__(self) -> int:
@@ -52,7 +61,9 @@ class Table:
         return len(self._rows)
 
     def __getitem__(self, field: str) -> Array:
-        """One field by its message path, e.g. "header.stamp", "transforms[:].transform.translation.x"."""
+        """One field by its message path, e.g. "header.stamp",
+        "transforms[:].transform.translation.x".
+        """
         if field not in self._found:
             self._take([field])
         found = self._found[field]
@@ -79,13 +90,17 @@ class Table:
         return self._times[self._rows]
 
     def to_pandas(self, fields: Sequence[str] | None = None) -> Any:
-        """A pandas DataFrame: log_ns, then each field, arrays as one column per element. Needs the extra pandas."""
+        """A pandas DataFrame: log_ns, then each field, arrays
+        as one column per element. Needs the extra pandas.
+        """
         with _require_package("pandas"):
             import pandas as pd
         return pd.DataFrame(dict(self._flat(fields)))
 
     def to_arrow(self, fields: Sequence[str] | None = None) -> Any:
-        """A pyarrow Table: log_ns, then each field, arrays as one column per element; UsageError without pyarrow."""
+        """A pyarrow Table: log_ns, then each field, arrays as
+        one column per element; UsageError without pyarrow.
+        """
         with _require_package("pyarrow"):
             import pyarrow as pa
         return pa.table({name: pa.array(values) for name, values in self._flat(fields)})
@@ -130,7 +145,9 @@ class Table:
 
 @contextmanager
 def _require_package(package: str) -> Iterator[None]:
-    """Turn a failed import in the `with` block into a UsageError that names the package to install."""
+    """Turn a failed import in the `with` block into
+    a UsageError that names the package to install.
+    """
     try:
         yield
     except ImportError:
@@ -142,7 +159,8 @@ class Struct:
 
     def __init__(self, table: Table, path: str) -> None:
         """The fields of `table` that begin with `path`."""
-        self._table, self._path = table, path
+        self._table = table
+        self._path = path
 
     def __getattr__(self, name: str) -> Any:
         """A field, or the fields below it."""
@@ -164,15 +182,21 @@ def _fields_below(table: Table, path: str) -> Any:
         return Struct(table, inner[: len(path) + 3] if inner[len(path)] == "[" else path)
     near = difflib.get_close_matches(path, table.fields, 1, 0.0)
     hint = f"; did you mean {near[0]}?" if near else ""
-    raise AttributeError(f"{table._name}: no field {path!r}{hint} The fields are {', '.join(table.fields)}")
+    raise AttributeError(
+        f"{table._name}: no field {path!r}{hint} The fields are {', '.join(table.fields)}"
+    )
 
 
-def fill_table(table: Table, topics: Sequence[Topic], columns: Sequence[TopicColumns], wanted: Sequence[str]) -> Table:
+def fill_table(
+    table: Table, topics: Sequence[Topic], columns: Sequence[TopicColumns], wanted: Sequence[str]
+) -> Table:
     """The table with the fields `wanted`, from the columns of each of the topic's schemas."""
     starts = np.cumsum([0, *(len(c.log_ns) for c in columns)])
     for field in wanted:
         rows = np.concatenate([c.sound + start for c, start in zip(columns, starts, strict=False)])
-        parts = [_topic_column(t, c, field) for t, c in zip(topics, columns, strict=True) if len(c.sound)]
+        parts = [
+            _topic_column(t, c, field) for t, c in zip(topics, columns, strict=True) if len(c.sound)
+        ]
         table._found[field] = _Field(rows, _concatenate_columns(parts))
     for one in columns:
         for reason, count in one.rejected.items():
@@ -182,17 +206,36 @@ def fill_table(table: Table, topics: Sequence[Topic], columns: Sequence[TopicCol
 
 def _topic_column(topic: Topic, columns: TopicColumns, field: str) -> Array:
     packed = [part.values[columns.fields.index(field)] for part in columns.parts]
-    if len({part.shape[1:] for part in packed if isinstance(part, np.ndarray) and part.dtype == np.uint8}) > 1:
+    if (
+        len(
+            {
+                part.shape[1:]
+                for part in packed
+                if isinstance(part, np.ndarray) and part.dtype == np.uint8
+            }
+        )
+        > 1
+    ):
         return _byte_objects(columns, packed)
     values = columns.column(field)
-    single = values.dtype.kind == "U" and values.ndim == 2 and values.shape[1] == 1 and _is_single(topic, field)
+    single = (
+        values.dtype.kind == "U"
+        and values.ndim == 2
+        and values.shape[1] == 1
+        and _is_single(topic, field)
+    )
     return values[:, 0] if single else values
 
 
 def _byte_objects(columns: TopicColumns, packed: Sequence[Any]) -> Array:
-    """Arrays of bytes of several lengths, as objects: padded, images would take a multiple of the log's size."""
-    found = [(row, one.tobytes()) for part, values in zip(columns.parts, packed, strict=True)
-             for row, one in zip(part.rows.tolist(), values, strict=True)]  # fmt: skip
+    """Arrays of bytes of several lengths, as objects:
+    padded, images would take a multiple of the log's size.
+    """
+    found = [
+        (row, one.tobytes())
+        for part, values in zip(columns.parts, packed, strict=True)
+        for row, one in zip(part.rows.tolist(), values, strict=True)
+    ]
     out = np.empty(len(found), object)
     out[:] = [one for _, one in sorted(found)]
     return out
@@ -233,13 +276,16 @@ def _leaf_paths(definition: Definition, type_: str, prefix: str = "") -> Iterato
         if field.type in PRIMITIVES or field.type in TEXTS or field.type in TIMES:
             yield path
         else:
-            yield from _leaf_paths(definition, field.type, f"{path}." if field.size is None else f"{path}[:].")
+            yield from _leaf_paths(
+                definition, field.type, f"{path}." if field.size is None else f"{path}[:]."
+            )
 
 
 def object_paths(message: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
     """The leaf fields of a JSON or protobuf message by message path."""
     for name, value in message.items():
-        path, first = prefix + name, value[0] if isinstance(value, list) and value else value
+        path = prefix + name
+        first = value[0] if isinstance(value, list) and value else value
         if isinstance(first, dict) and not TIME_KEYS & first.keys():
             yield from object_paths(first, f"{path}[:]." if isinstance(value, list) else f"{path}.")
         else:

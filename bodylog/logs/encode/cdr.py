@@ -1,4 +1,6 @@
-"""Serialise many ROS 2 messages of one layout at once: little-endian CDR through a structured dtype."""
+"""Serialise many ROS 2 messages of one layout at
+once: little-endian CDR through a structured dtype.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,8 +11,8 @@ import numpy as np
 from ..records import Array
 
 CdrField = tuple[str, Any]
-"""(kind, value): a primitive with an array (n,) or a constant · `string`, `string[]` with constants · `<primitive>*` a
-fixed array (n,k) · `<primitive>[]` a sequence (n,k).
+"""(kind, value): a primitive with an array (n,) or a constant · `string`, `string[]` with constants
+· `<primitive>*` a fixed array (n,k) · `<primitive>[]` a sequence (n,k).
 """
 
 PRIMITIVES = {
@@ -64,7 +66,8 @@ def serialise_messages(count: int, fields: Sequence[CdrField]) -> Payloads:
 
 def merge_payloads(parts: Sequence[tuple[Array, Payloads]], count: int) -> Payloads:
     """Groups of payloads in one order: each part lists which of the `count` messages it holds."""
-    offset, length = np.zeros(count, np.int64), np.zeros(count, np.int64)
+    offset = np.zeros(count, np.int64)
+    length = np.zeros(count, np.int64)
     start = 0
     for index, part in parts:
         offset[index], length[index] = part.offset + start, part.length
@@ -74,7 +77,9 @@ def merge_payloads(parts: Sequence[tuple[Array, Payloads]], count: int) -> Paylo
 
 
 class _Layout:
-    """The offset of each field: CDR aligns to a field's own size, counted from the end of the encapsulation header."""
+    """The offset of each field: CDR aligns to a field's own
+    size, counted from the end of the encapsulation header.
+    """
 
     def __init__(self) -> None:
         self.position = 4
@@ -100,7 +105,9 @@ class _Layout:
     def dtype(self) -> "np.dtype[np.void]":
         """The layout so far as a structured dtype."""
         names, formats, offsets = zip(*self.columns, strict=True)
-        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.position})
+        return np.dtype(
+            {"names": names, "formats": formats, "offsets": offsets, "itemsize": self.position}
+        )
 
     def _string(self, text: str) -> None:
         raw = np.frombuffer(text.encode(errors="backslashreplace") + b"\0", np.uint8)

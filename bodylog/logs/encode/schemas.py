@@ -9,13 +9,17 @@ _PARTS = {
     "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
     "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
     "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
-    "geometry_msgs/PoseWithCovarianceStamped": "std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose\n",
+    "geometry_msgs/PoseWithCovarianceStamped": "std_msgs/Header "
+    "header\ngeometry_msgs/PoseWithCovariance "
+    "pose\n",
     "sensor_msgs/JointState": (
-        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] "
+        "velocity\nfloat64[] effort\n"
     ),
     "bodylog_msgs/Touch": (
         "# One touch on the skin: the stamp is its onset; the strongest cell comes first.\n"
-        "std_msgs/Header header\nbuiltin_interfaces/Duration duration\nint32[] cells\nfloat32 peak\n"
+        "std_msgs/Header header\nbuiltin_interfaces/Duration duration\nint32[] "
+        "cells\nfloat32 peak\n"
     ),
     "bodylog_msgs/Stroke": (
         "# One stroke of the hand as seen: the stamp is its start; start, end in px (z unused).\n"
@@ -24,18 +28,22 @@ _PARTS = {
         "geometry_msgs/Point start\ngeometry_msgs/Point end\nfloat64 delay\n"
     ),
     "bodylog_msgs/Synchrony": (
-        "# How well a touch agrees with what was seen: delay = seen - felt in s (NaN: nothing seen), weight 0..1.\n"
+        "# How well a touch agrees with what was seen: delay = seen - felt in s (NaN: "
+        "nothing seen), weight 0..1.\n"
         "std_msgs/Header header\nfloat64 delay\nfloat64 weight\n"
     ),
     "bodylog_msgs/Covariance": (
-        "# Covariance of the named quantities, row by row.\nstd_msgs/Header header\nstring[] names\nfloat64[] data\n"
+        "# Covariance of the named quantities, row by row.\nstd_msgs/Header header\nstring[] "
+        "names\nfloat64[] data\n"
     ),
     "bodylog_msgs/Vector": "std_msgs/Header header\nstring[] names\nfloat64[] data\n",
     "bodylog_msgs/Scalar": "std_msgs/Header header\nfloat64 data\n",
-    "bodylog_msgs/SkinArray": "# Proximity of each cell, 0..1.\nstd_msgs/Header header\nfloat32[] data\n",
+    "bodylog_msgs/SkinArray": "# Proximity of each cell, "
+    "0..1.\nstd_msgs/Header header\nfloat32[] data\n",
     "bodylog_msgs/Fault": (
         "# A sensor that lied since header.stamp: by `size` +- `std` in `unit` (NaN: not known).\n"
-        "std_msgs/Header header\nstring sense\nstring name\nstring kind\nfloat64 size\nstring unit\nfloat64 std\n"
+        "std_msgs/Header header\nstring sense\nstring name\nstring kind\nfloat64 "
+        "size\nstring unit\nfloat64 std\n"
         "# A moved board also turned by `turn` +- `turn_std` rad (NaN: no board, or not known).\n"
         "float64 turn\nfloat64 turn_std\n"
         "# When it ended, s since the log's first joint reading (NaN: it lasted, or is a jump).\n"
@@ -44,17 +52,20 @@ _PARTS = {
     "foxglove_msgs/Color": "float64 r\nfloat64 g\nfloat64 b\nfloat64 a\n",
     "foxglove_msgs/Point2": "float64 x\nfloat64 y\n",
     "foxglove_msgs/CircleAnnotation": (
-        "builtin_interfaces/Time timestamp\nfoxglove_msgs/Point2 position\nfloat64 diameter\nfloat64 thickness\n"
+        "builtin_interfaces/Time timestamp\nfoxglove_msgs/Point2 position\nfloat64 "
+        "diameter\nfloat64 thickness\n"
         "foxglove_msgs/Color fill_color\nfoxglove_msgs/Color outline_color\n"
     ),
     "foxglove_msgs/PointsAnnotation": (
         "builtin_interfaces/Time timestamp\n"
-        "uint8 UNKNOWN=0\nuint8 POINTS=1\nuint8 LINE_LOOP=2\nuint8 LINE_STRIP=3\nuint8 LINE_LIST=4\n"
+        "uint8 UNKNOWN=0\nuint8 POINTS=1\nuint8 LINE_LOOP=2\nuint8 LINE_STRIP=3\nuint8 "
+        "LINE_LIST=4\n"
         "uint8 type\nfoxglove_msgs/Point2[] points\nfoxglove_msgs/Color outline_color\n"
         "foxglove_msgs/Color[] outline_colors\nfoxglove_msgs/Color fill_color\nfloat64 thickness\n"
     ),
     "foxglove_msgs/TextAnnotation": (
-        "builtin_interfaces/Time timestamp\nfoxglove_msgs/Point2 position\nstring text\nfloat64 font_size\n"
+        "builtin_interfaces/Time timestamp\nfoxglove_msgs/Point2 position\nstring "
+        "text\nfloat64 font_size\n"
         "foxglove_msgs/Color text_color\nfoxglove_msgs/Color background_color\n"
     ),
     "foxglove_msgs/ImageAnnotations": (

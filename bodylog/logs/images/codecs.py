@@ -1,4 +1,6 @@
-"""Decode JPEG, PNG and WebP to BGR: check sizes before allocation, suppress the libraries' own messages."""
+"""Decode JPEG, PNG and WebP to BGR: check sizes before
+allocation, suppress the libraries' own messages.
+"""
 
 import math
 import os
@@ -15,8 +17,10 @@ from ...errors import FormatError
 from ..limits import LIMITS
 from ..records import Array
 
-_PNG, _NEEDED = b"\x89PNG\r\n\x1a\n", (b"IHDR", b"PLTE", b"IDAT")
-_EOI, _TAIL = b"\xff\xd9", 64
+_PNG = b"\x89PNG\r\n\x1a\n"
+_NEEDED = (b"IHDR", b"PLTE", b"IDAT")
+_EOI = b"\xff\xd9"
+_TAIL = 64
 _STDERR = Lock()
 _SILENT = 0
 """OpenCV's log level for no output."""
@@ -24,7 +28,9 @@ _SILENT = 0
 
 
 def decode_image(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_image_mpx) -> Array:
-    """Decode an image's bytes to (H/k, W/k, 3) uint8 BGR; FormatError, naming its `form`, if that fails."""
+    """Decode an image's bytes to (H/k, W/k, 3) uint8
+    BGR; FormatError, naming its `form`, if that fails.
+    """
     height, width, jpeg = _read_image_size(data[: 1 << 16], form)
     check_size(height, width, mpx)
     image = _decode_jpeg(data, height, width, k) if jpeg else None
@@ -34,12 +40,16 @@ def decode_image(data: memoryview, form: str, k: int, mpx: float = LIMITS.max_im
 
 
 def check_size(height: int, width: int, mpx: float) -> None:
-    """FormatError, naming the setting, for an image without pixels, or with more than `mpx` million."""
+    """FormatError, naming the setting, for an image
+    without pixels, or with more than `mpx` million.
+    """
     if height * width <= 0:
         raise FormatError(f"an image of {width} x {height} pixels")
     if height * width > mpx * 1e6:
         asked = f"type in robot.toml: [input] max_image_mpx = {math.ceil(height * width / 1e6)}"
-        raise FormatError(f"an image of {width} x {height} pixels, more than {mpx:g} million; {asked}")
+        raise FormatError(
+            f"an image of {width} x {height} pixels, more than {mpx:g} million; {asked}"
+        )
 
 
 def _decode_jpeg(data: memoryview, height: int, width: int, k: int) -> Array | None:
@@ -70,9 +80,13 @@ def _decode_any(data: memoryview, form: str, k: int) -> Array:
     flag = getattr(cv2, f"IMREAD_REDUCED_COLOR_{k}") if k > 1 else cv2.IMREAD_COLOR
     try:
         with _silent_stderr() if bytes(data[:2]) == b"\xff\xd8" else nullcontext():
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION)
+            image = cv2.imdecode(
+                np.frombuffer(data, np.uint8), flag | cv2.IMREAD_IGNORE_ORIENTATION
+            )
     except cv2.error as error:
-        raise FormatError(f"a {form or 'compressed'} image of {len(data)} bytes: {error.err}") from None
+        raise FormatError(
+            f"a {form or 'compressed'} image of {len(data)} bytes: {error.err}"
+        ) from None
     if image is None:
         raise FormatError(f"a {form or 'compressed'} image of {len(data)} bytes cannot be decoded")
     return np.asarray(image)
@@ -96,23 +110,34 @@ def _silent_stderr() -> Iterator[None]:
 
 def _check_png(data: memoryview, form: str) -> None:
     """FormatError where a chunk that decoding needs is truncated or fails its checksum."""
-    at, name = len(_PNG), b""
+    at = len(_PNG)
+    name = b""
     while name != b"IEND":
-        length, name = struct.unpack_from(">I4s", data, at) if at + 8 <= len(data) else (len(data), b"")
+        length, name = (
+            struct.unpack_from(">I4s", data, at) if at + 8 <= len(data) else (len(data), b"")
+        )
         end = at + 12 + length
         if end > len(data):
             raise FormatError(f"a {form or 'compressed'} image of {len(data)} bytes is cut off")
-        if name in _NEEDED and crc32(data[at + 4 : end - 4]) != int.from_bytes(data[end - 4 : end], "big"):
-            raise FormatError(f"a {form or 'compressed'} image whose chunk {name.decode()} fails its checksum")
+        if name in _NEEDED and crc32(data[at + 4 : end - 4]) != int.from_bytes(
+            data[end - 4 : end], "big"
+        ):
+            raise FormatError(
+                f"a {form or 'compressed'} image whose chunk {name.decode()} fails its checksum"
+            )
         at = end
 
 
 def _shrink_image(image: Array, k: int) -> Array:
-    """The means of k by k pixels (H/k, W/k, 3), as JPEG gives them; a remainder at right and bottom is dropped."""
+    """The means of k by k pixels (H/k, W/k, 3), as JPEG
+    gives them; a remainder at right and bottom is dropped.
+    """
     import cv2
 
     height, width = max(1, image.shape[0] // k), max(1, image.shape[1] // k)
-    return np.asarray(cv2.resize(image[: k * height, : k * width], (width, height), interpolation=cv2.INTER_AREA))
+    return np.asarray(
+        cv2.resize(image[: k * height, : k * width], (width, height), interpolation=cv2.INTER_AREA)
+    )
 
 
 def _read_image_size(begins: memoryview, form: str) -> tuple[int, int, bool]:
@@ -128,7 +153,9 @@ def _read_image_size(begins: memoryview, form: str) -> tuple[int, int, bool]:
             return (*_webp_size(head), False)
     except (struct.error, IndexError):
         raise FormatError(f"a {form or 'compressed'} image whose header is cut off") from None
-    raise FormatError(f"format {form!r} beginning with {head[:4].hex() or 'nothing'}; can read jpeg, png and webp")
+    raise FormatError(
+        f"format {form!r} beginning with {head[:4].hex() or 'nothing'}; can read jpeg, png and webp"
+    )
 
 
 def _jpeg_size(head: memoryview) -> tuple[int, int]:

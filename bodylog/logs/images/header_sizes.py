@@ -11,7 +11,8 @@ _PNM_HEADER = 4096
 """Bytes in which the size of a PNM image must stand; comments before it may be long."""
 _BMP_CORE = 12
 """Length of the oldest BMP header, whose sizes have two bytes."""
-_TIFF, _BIG_TIFF = 42, 43
+_TIFF = 42
+_BIG_TIFF = 43
 _WIDTHS = (256, 322)
 _HEIGHTS = (257, 323)
 """TIFF tags: width and height of the image, and of its tiles."""
@@ -20,7 +21,9 @@ _INTEGERS = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
 
 def stated_size(data: memoryview) -> tuple[int, int]:
-    """Height and width of a BMP, TIFF or PNM image, the largest it states; FormatError for others."""
+    """Height and width of a BMP, TIFF or PNM image,
+    the largest it states; FormatError for others.
+    """
     head = bytes(data[:4])
     try:
         if head[:2] == b"BM":
@@ -32,7 +35,8 @@ def stated_size(data: memoryview) -> tuple[int, int]:
     except (struct.error, ValueError):
         raise FormatError("an image whose header is cut off or damaged") from None
     raise FormatError(
-        f"an image beginning with {head.hex() or 'nothing'}; can read jpeg, png, webp, bmp, tiff and pnm"
+        f"an image beginning with {head.hex() or 'nothing'}; can read jpeg, png, webp, bmp, "
+        "tiff and pnm"
     )
 
 
@@ -58,7 +62,8 @@ def _tiff_size(data: memoryview, order: str) -> tuple[int, int]:
         entries = _iterate_directory_entries(data, order, start + 8, count, 20)
     else:
         raise FormatError(f"a tiff image of version {version}; can read {_TIFF} and {_BIG_TIFF}")
-    widths, heights = [0], [0]
+    widths = [0]
+    heights = [0]
     for tag, value in entries:
         if tag in _WIDTHS:
             widths.append(value)

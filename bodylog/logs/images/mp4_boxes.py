@@ -1,7 +1,8 @@
-"""How many samples an MP4 declares, read before FFmpeg makes an entry of some tens of bytes for each.
+"""How many samples an MP4 declares, read before
+FFmpeg makes an entry of some tens of bytes for each.
 
-A box (ISO/IEC 14496-12) is its length, its kind and its content; tables give one size, or one time, to any number of
-samples in a few bytes.
+A box (ISO/IEC 14496-12) is its length, its kind and its content; tables give one size, or one time,
+to any number of samples in a few bytes.
 """
 
 import mmap
@@ -22,7 +23,9 @@ _DEEPEST = 8
 
 
 def check_samples(path: Path, limits: Input) -> None:
-    """LogError where an MP4 declares more samples than a camera may have images; other files pass."""
+    """LogError where an MP4 declares more samples
+    than a camera may have images; other files pass.
+    """
     if path.stat().st_size < 16:
         return
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
@@ -37,13 +40,22 @@ def check_samples(path: Path, limits: Input) -> None:
             elif kind == b"elst" and end - start >= 8:
                 parts = max(parts, struct.unpack_from(">I", data, start + 4)[0])
             whole = samples * max(parts, 1)
-            if whole > _TRACKS * limits.max_frames or boxes > _BOXES_A_FRAME * limits.max_frames + _MOST_BOXES:
+            if (
+                whole > _TRACKS * limits.max_frames
+                or boxes > _BOXES_A_FRAME * limits.max_frames + _MOST_BOXES
+            ):
                 asked = f"to read it, type in robot.toml: [input] max_frames = {max(whole, boxes)}"
-                raise LogError(f"{path}: its tables declare {whole} samples in {boxes} boxes; {asked}")
+                raise LogError(
+                    f"{path}: its tables declare {whole} samples in {boxes} boxes; {asked}"
+                )
 
 
-def _iterate_boxes(data: mmap.mmap, start: int, end: int, depth: int) -> Iterator[tuple[bytes, int, int]]:
-    """Every box between two bytes, and those in it: its kind, and where its content begins and ends."""
+def _iterate_boxes(
+    data: mmap.mmap, start: int, end: int, depth: int
+) -> Iterator[tuple[bytes, int, int]]:
+    """Every box between two bytes, and those in it:
+    its kind, and where its content begins and ends.
+    """
     while start + 8 <= end:
         length, kind = struct.unpack_from(">I4s", data, start)
         head = 8

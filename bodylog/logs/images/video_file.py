@@ -57,7 +57,9 @@ def _read_frame_times(film: video.Video) -> Array | None:
     return t
 
 
-def make_video_decoder(side: Sidecar, first_s: float | None, start_ns: int) -> Callable[[], Iterator[LazyImage]]:
+def make_video_decoder(
+    side: Sidecar, first_s: float | None, start_ns: int
+) -> Callable[[], Iterator[LazyImage]]:
     """A function that decodes the video from its beginning; its first frame is at first_s after
     start_ns.
 
@@ -71,7 +73,9 @@ def make_video_decoder(side: Sidecar, first_s: float | None, start_ns: int) -> C
     def read() -> Iterator[LazyImage]:
         for number, image in video.iterate_video_images(side.video):
             t = times[number]
-            yield LazyImage(t, start_ns + round(t * 1e9), _decode_video_frame(side.video.path, number, image))
+            yield LazyImage(
+                t, start_ns + round(t * 1e9), _decode_video_frame(side.video.path, number, image)
+            )
 
     return read
 

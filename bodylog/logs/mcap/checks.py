@@ -1,4 +1,6 @@
-"""Compare the declarations of an MCAP with its content: statistics, indexes, CRCs, times, offsets."""
+"""Compare the declarations of an MCAP with its
+content: statistics, indexes, CRCs, times, offsets.
+"""
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -14,25 +16,40 @@ from ..records import Array
 from ..storage.compression import Buffer
 from ..storage.mmapped import drop_pages
 from . import opcodes as op
-from .chunks import Chunk, MessageRecords, chunk_head, heads_at, index_of, load_chunk, list_chunk_messages
+from .chunks import (
+    Chunk,
+    MessageRecords,
+    chunk_head,
+    heads_at,
+    index_of,
+    list_chunk_messages,
+    load_chunk,
+)
 from .records import HEAD, MAGIC, Record, iter_records, parse_record
 from .resync import iterate_sound_records
-from .summary import records_of, find_summary_section
+from .summary import find_summary_section, records_of
 
 Say = Callable[[str, str], None]
 """Reports a finding: its kind and its text."""
 
-_INDEXES = {op.ATTACHMENT_INDEX: ("attachment", op.ATTACHMENT), op.METADATA_INDEX: ("metadata", op.METADATA)}
+_INDEXES = {
+    op.ATTACHMENT_INDEX: ("attachment", op.ATTACHMENT),
+    op.METADATA_INDEX: ("metadata", op.METADATA),
+}
 
 
 @dataclass
 class _Tally:
-    """Counts of what was read: messages by channel, log times, records by opcode, declared ids; unreadable bytes."""
+    """Counts of what was read: messages by channel, log
+    times, records by opcode, declared ids; unreadable bytes.
+    """
 
     messages: dict[int, int] = field(default_factory=dict)
     times: list[int] = field(default_factory=list)
     records: dict[int, int] = field(default_factory=dict)
-    declared: dict[int, set[int]] = field(default_factory=lambda: {op.SCHEMA: set(), op.CHANNEL: set()})
+    declared: dict[int, set[int]] = field(
+        default_factory=lambda: {op.SCHEMA: set(), op.CHANNEL: set()}
+    )
     lost: int = 0
 
     def add(self, heads: Array) -> None:
@@ -44,8 +61,11 @@ class _Tally:
 
 
 def check_mcap(data: memoryview, diagnostics: Diagnostics, say: Say) -> None:
-    """Report every disagreement in the MCAP to `say`; the reader's own findings cover unreadable parts."""
-    tally, buffer = _Tally(), Buffer(diagnostics.path, diagnostics.limits)
+    """Report every disagreement in the MCAP to `say`;
+    the reader's own findings cover unreadable parts.
+    """
+    tally = _Tally()
+    buffer = Buffer(diagnostics.path, diagnostics.limits)
     chunk: tuple[Chunk, MessageRecords] | None = None
 
     def lost(_at: int, size: int) -> None:
@@ -75,7 +95,13 @@ def check_mcap(data: memoryview, diagnostics: Diagnostics, say: Say) -> None:
 
 
 def _check_chunk(
-    data: memoryview, at: int, length: int, tally: _Tally, buffer: Buffer, diagnostics: Diagnostics, say: Say
+    data: memoryview,
+    at: int,
+    length: int,
+    tally: _Tally,
+    buffer: Buffer,
+    diagnostics: Diagnostics,
+    say: Say,
 ) -> tuple[Chunk, MessageRecords] | None:
     first, last, *_ = chunk_head(data, at)
     chunk = Chunk(at, HEAD.size + length, first, last)
@@ -88,7 +114,9 @@ def _check_chunk(
     tally.add(found.heads)
     for opcode, start, size in iter_records(content.data, 0, len(content)):
         if opcode in tally.declared:
-            tally.declared[opcode].add(parse_record(opcode, content.data[start : start + size]).fields["id"])
+            tally.declared[opcode].add(
+                parse_record(opcode, content.data[start : start + size]).fields["id"]
+            )
     if len(found.starts):
         held = int(found.heads["log"].min()), int(found.heads["log"].max())
         if held != (first, last):
@@ -97,7 +125,9 @@ def _check_chunk(
     return chunk, found
 
 
-def _check_message_index(data: memoryview, at: int, chunk: tuple[Chunk, MessageRecords], say: Say) -> None:
+def _check_message_index(
+    data: memoryview, at: int, chunk: tuple[Chunk, MessageRecords], say: Say
+) -> None:
     """Compare a MessageIndex with the messages of its channel in the chunk before it."""
     channel = int.from_bytes(data[at + HEAD.size : at + HEAD.size + 2], "little")
     listed = index_of(data, at)
@@ -114,7 +144,10 @@ def _check_attachment(at: int, body: memoryview, say: Say) -> None:
     declared = int.from_bytes(body[-4:], "little")
     found = crc32(body[:-4])
     if declared and declared != found:
-        say("attachment", f"the attachment at byte {at} has CRC {found:08x} where {declared:08x} is declared")
+        say(
+            "attachment",
+            f"the attachment at byte {at} has CRC {found:08x} where {declared:08x} is declared",
+        )
 
 
 def _data_end(data: memoryview, at: int, body: memoryview, say: Say) -> None:
@@ -140,11 +173,16 @@ def _check_summary(data: memoryview, records: Iterable[Record], tally: _Tally, s
             _chunk_index(data, fields, say)
         elif record.opcode in _INDEXES:
             name, opcode = _INDEXES[record.opcode]
-            _check_index_target(data, fields["offset"], fields["length"], opcode, f"the {name} index", say)
+            _check_index_target(
+                data, fields["offset"], fields["length"], opcode, f"the {name} index", say
+            )
         elif record.opcode == op.SUMMARY_OFFSET:
             _check_summary_group(data, fields, say)
     if listed and not tally.lost and listed != tally.records.get(op.CHUNK, 0):
-        say("chunk index", f"the summary lists {listed} chunks, the file holds {tally.records.get(op.CHUNK, 0)}")
+        say(
+            "chunk index",
+            f"the summary lists {listed} chunks, the file holds {tally.records.get(op.CHUNK, 0)}",
+        )
 
 
 def _check_mcap_statistics(fields: dict[str, Any], tally: _Tally, say: Say) -> None:
@@ -160,11 +198,17 @@ def _check_mcap_statistics(fields: dict[str, Any], tally: _Tally, say: Say) -> N
     }
     for name, value in held.items():
         if fields[name] != value:
-            say(f"statistics {name}", f"the statistics say {name} {fields[name]}, the file holds {value}")
-    by_channel = {channel: count for channel, count in fields["channel_message_counts"].items() if count}
+            say(
+                f"statistics {name}",
+                f"the statistics say {name} {fields[name]}, the file holds {value}",
+            )
+    by_channel = {
+        channel: count for channel, count in fields["channel_message_counts"].items() if count
+    }
     for channel in sorted(by_channel.keys() | tally.messages.keys()):
         if by_channel and by_channel.get(channel, 0) != tally.messages.get(channel, 0):
-            declared, count = by_channel.get(channel, 0), tally.messages.get(channel, 0)
+            declared = by_channel.get(channel, 0)
+            count = tally.messages.get(channel, 0)
             text = f"the statistics say {declared} messages on channel {channel}"
             say("statistics channel", f"{text}, the file holds {count}")
 
@@ -177,17 +221,32 @@ def _chunk_index(data: memoryview, fields: dict[str, Any], say: Say) -> None:
         say("chunk index", f"the chunk index points to byte {start}, where there is no chunk")
         return
     held = (first, last, size, compression, len(packed))
-    names = ("message_start_time", "message_end_time", "uncompressed_size", "compression", "compressed_size")
+    names = (
+        "message_start_time",
+        "message_end_time",
+        "uncompressed_size",
+        "compression",
+        "compressed_size",
+    )
     for name, value in zip(names, held, strict=True):
         if fields[name] != value:
             text = f"the chunk index says {name} {fields[name]} of the chunk at byte {start}"
             say(f"chunk index {name}", f"{text}, which has {value}")
     for channel, at in fields["message_index_offsets"].items():
-        if at + HEAD.size > len(data) or data[at] != op.MESSAGE_INDEX or data[at + HEAD.size] != channel & 255:
-            say("chunk index offset", f"the chunk index says channel {channel} is indexed at byte {at}: it is not")
+        if (
+            at + HEAD.size > len(data)
+            or data[at] != op.MESSAGE_INDEX
+            or data[at + HEAD.size] != channel & 255
+        ):
+            say(
+                "chunk index offset",
+                f"the chunk index says channel {channel} is indexed at byte {at}: it is not",
+            )
 
 
-def _check_index_target(data: memoryview, at: int, length: int, opcode: int, name: str, say: Say) -> None:
+def _check_index_target(
+    data: memoryview, at: int, length: int, opcode: int, name: str, say: Say
+) -> None:
     inside = 0 <= at <= len(data) - HEAD.size
     if not inside or HEAD.unpack_from(data, at) != (opcode, length - HEAD.size):
         say(name, f"{name} points to {length} bytes at byte {at}, which are not such a record")
@@ -202,4 +261,8 @@ def _check_summary_group(data: memoryview, fields: dict[str, Any], say: Say) -> 
     except FormatError:
         opcodes = set()
     if opcodes != {fields["group_opcode"]}:
-        say("summary offset", f"the summary offset of opcode {fields['group_opcode']} points to others at byte {start}")
+        say(
+            "summary offset",
+            f"the summary offset of opcode {fields['group_opcode']} points to others at byte "
+            f"{start}",
+        )

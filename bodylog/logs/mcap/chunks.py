@@ -1,4 +1,6 @@
-"""Chunks of an MCAP: decompress them, check their CRC, find their messages by index or record by record."""
+"""Chunks of an MCAP: decompress them, check their
+CRC, find their messages by index or record by record.
+"""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,7 +19,14 @@ from . import opcodes as op
 from .records import HEAD, iter_records
 
 MESSAGE_HEAD = np.dtype(
-    [("opcode", "u1"), ("size", "<i8"), ("channel", "<u2"), ("sequence", "<u4"), ("log", "<i8"), ("publish", "<i8")]
+    [
+        ("opcode", "u1"),
+        ("size", "<i8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log", "<i8"),
+        ("publish", "<i8"),
+    ]
 )
 """The first 31 bytes of a Message record; the payload follows."""
 
@@ -32,10 +41,11 @@ _INDEX_HEAD = struct.Struct("<BQHI")
 
 
 class Chunk(NamedTuple):
-    """One Chunk record: where it is, its log times (ns), and {channel: position of its MessageIndex}, if known.
+    """One Chunk record: where it is, its log times (ns),
+    and {channel: position of its MessageIndex}, if known.
 
-    `listed`: a sound summary lists it; otherwise an index may be missing, and every request opens the chunk. `stored`:
-    it is declared uncompressed. `cut`: the file ends inside it.
+    `listed`: a sound summary lists it; otherwise an index may be missing, and every request opens
+    the chunk. `stored`: it is declared uncompressed. `cut`: the file ends inside it.
     """
 
     start: int
@@ -56,14 +66,19 @@ class LooseRecords(NamedTuple):
 
 
 class MessageRecords(NamedTuple):
-    """Message records inside `data`: where each starts (n,) and its first 31 bytes (n,) MESSAGE_HEAD."""
+    """Message records inside `data`: where each starts
+    (n,) and its first 31 bytes (n,) MESSAGE_HEAD.
+    """
 
     starts: Array
     heads: Array
 
 
-def chunk_head(data: memoryview, start: int, cut: bool = False) -> tuple[int, int, int, int, str, memoryview]:
-    """Start, end (ns), unpacked size, CRC, compression and packed bytes of the Chunk at `start`; or FormatError.
+def chunk_head(
+    data: memoryview, start: int, cut: bool = False
+) -> tuple[int, int, int, int, str, memoryview]:
+    """Start, end (ns), unpacked size, CRC, compression and
+    packed bytes of the Chunk at `start`; or FormatError.
 
     `cut`: the file ends inside the chunk; return the packed bytes before the end.
     """
@@ -77,7 +92,9 @@ def chunk_head(data: memoryview, start: int, cut: bool = False) -> tuple[int, in
         raise FormatError(f"byte {start}: opcode {opcode} with {length} bytes is not a whole chunk")
     packed = _U64.unpack_from(data, at)[0]
     if at + 8 + packed > start + HEAD.size + length:
-        raise FormatError(f"byte {start}: a chunk of {length} bytes claims {packed} bytes of records")
+        raise FormatError(
+            f"byte {start}: a chunk of {length} bytes claims {packed} bytes of records"
+        )
     compression = str(data[at - letters : at], "ascii", "replace")
     return first, last, size, crc, compression, data[at + 8 : at + 8 + packed]
 
@@ -103,8 +120,12 @@ def unpack_chunk(data: memoryview, chunk: Chunk, buffer: Buffer) -> Array:
     return content
 
 
-def load_chunk(data: memoryview, chunk: Chunk, buffer: Buffer, diagnostics: Diagnostics) -> Array | None:
-    """The chunk's records (bytes,) uint8 if its CRC matches, else None and a loss in the diagnostics."""
+def load_chunk(
+    data: memoryview, chunk: Chunk, buffer: Buffer, diagnostics: Diagnostics
+) -> Array | None:
+    """The chunk's records (bytes,) uint8 if its CRC
+    matches, else None and a loss in the diagnostics.
+    """
     try:
         return unpack_chunk(data, chunk, buffer)
     except FormatError as problem:
@@ -112,7 +133,9 @@ def load_chunk(data: memoryview, chunk: Chunk, buffer: Buffer, diagnostics: Diag
         return None
 
 
-def record_loss(data: memoryview, chunk: Chunk, problem: FormatError, diagnostics: Diagnostics) -> None:
+def record_loss(
+    data: memoryview, chunk: Chunk, problem: FormatError, diagnostics: Diagnostics
+) -> None:
     """Record the loss of a chunk."""
     count = sum(len(index_of(data, at)) for at in chunk.indexes.values()) if chunk.indexes else None
     seconds = max(0, chunk.end_ns - chunk.start_ns) / 1e9
@@ -120,7 +143,9 @@ def record_loss(data: memoryview, chunk: Chunk, problem: FormatError, diagnostic
 
 
 def index_of(data: memoryview, at: int) -> Array:
-    """The MessageIndex at byte `at`: (n, 2) int64 log time (ns) and offset in the chunk; empty if it is not one."""
+    """The MessageIndex at byte `at`: (n, 2) int64 log time
+    (ns) and offset in the chunk; empty if it is not one.
+    """
     if not 0 <= at <= len(data) - _INDEX_HEAD.size:
         return np.empty((0, 2), np.int64)
     ensure_local(data, at, at + _INDEX_HEAD.size)
@@ -131,50 +156,72 @@ def index_of(data: memoryview, at: int) -> Array:
     return np.frombuffer(data, "<i8", size // 16 * 2, at + _INDEX_HEAD.size).reshape(-1, 2)
 
 
-def list_chunk_messages(content: Array, data: memoryview, chunk: Chunk, diagnostics: Diagnostics) -> MessageRecords:
-    """All messages of a loaded chunk in order: by its indexes if they are right, else record by record."""
+def list_chunk_messages(
+    content: Array, data: memoryview, chunk: Chunk, diagnostics: Diagnostics
+) -> MessageRecords:
+    """All messages of a loaded chunk in order: by its
+    indexes if they are right, else record by record.
+    """
     if chunk.indexes:
         found = list_indexed_messages(content, [(0, len(content))], data, [chunk])
         if found is not None:
             return found
         diagnostics.warn(
-            f"the message indexes of the chunk at byte {chunk.start} are wrong; its records were read one by one"
+            f"the message indexes of the chunk at byte {chunk.start} are wrong; its records "
+            "were read one by one"
         )
     return _scan_messages(content, chunk, diagnostics)
 
 
 def heads_of(content: Array | memoryview) -> Array:
     """A view whose item i is the message head that starts at byte i."""
-    return np.ndarray((max(0, len(content) - MESSAGE_HEAD.itemsize + 1),), MESSAGE_HEAD, content, 0, (1,))
+    return np.ndarray(
+        (max(0, len(content) - MESSAGE_HEAD.itemsize + 1),), MESSAGE_HEAD, content, 0, (1,)
+    )
 
 
 def heads_at(content: Array | memoryview, starts: Array) -> Array:
-    """The message heads (n,) that start at these bytes; gathering plain bytes is 20 times faster."""
+    """The message heads (n,) that start at these
+    bytes; gathering plain bytes is 20 times faster.
+    """
     return heads_of(content).view(f"V{MESSAGE_HEAD.itemsize}")[starts].view(MESSAGE_HEAD)
 
 
 def list_indexed_messages(
     content: Array, places: Sequence[tuple[int, int]], data: memoryview, chunks: Sequence[Chunk]
 ) -> MessageRecords | None:
-    """All messages of chunks by their indexes, each chunk's records between two bytes of `content`; None if wrong."""
+    """All messages of chunks by their indexes, each chunk's
+    records between two bytes of `content`; None if wrong.
+    """
     listed = [
         (channel, index_of(data, at)[:, 1] + low)
         for (low, _), chunk in zip(places, chunks, strict=True)
         for channel, at in chunk.indexes.items()
     ]
     starts = np.concatenate([offsets for _, offsets in listed])
-    if not len(starts) or starts.min() < places[0][0] or starts.max() > places[-1][1] - MESSAGE_HEAD.itemsize:
+    if (
+        not len(starts)
+        or starts.min() < places[0][0]
+        or starts.max() > places[-1][1] - MESSAGE_HEAD.itemsize
+    ):
         return None
     heads = heads_at(content, starts)
-    channels = np.repeat([channel for channel, _ in listed], [len(offsets) for _, offsets in listed])
+    channels = np.repeat(
+        [channel for channel, _ in listed], [len(offsets) for _, offsets in listed]
+    )
     if (heads["opcode"] != op.MESSAGE).any() or (heads["channel"] != channels).any():
         return None
     if (starts[1:] <= starts[:-1]).any():
         order = np.argsort(starts, kind="stable")
-        starts, heads = starts[order], heads[order]
-    empty = (np.diff(np.searchsorted(starts, [low for low, _ in places]), append=len(starts)) == 0).any()
+        starts = starts[order]
+        heads = heads[order]
+    empty = (
+        np.diff(np.searchsorted(starts, [low for low, _ in places]), append=len(starts)) == 0
+    ).any()
     return (
-        None if empty or not _records_fill_places(content, np.array(places), starts, heads["size"]) else MessageRecords(starts, heads)
+        None
+        if empty or not _records_fill_places(content, np.array(places), starts, heads["size"])
+        else MessageRecords(starts, heads)
     )
 
 
@@ -182,15 +229,18 @@ def _records_fill_places(content: Array, places: Array, starts: Array, sizes: Ar
     """Whether whole records without a gap fill each place, so that the index misses no message."""
     if sizes.min() < MESSAGE_HEAD.itemsize - HEAD.size or sizes.max() > len(content):
         return False
-    # In order, what follows an edge is its place's end or a message: no message overlaps another or an edge.
-    # Both are two runs in order, which a stable sort merges.
+    # In order, what follows an edge is its place's end or a message: no message overlaps another or
+    # an edge. Both are two runs in order, which a stable sort merges.
     lows = np.sort(np.concatenate((places[:, 0], starts + sizes + HEAD.size)), kind="stable")
     highs = np.sort(np.concatenate((starts, places[:, 1])), kind="stable")
     if (lows > highs).any():
         return False
     view = content.data
     try:
-        between = [iter_records(view, lows[i].item(), highs[i].item()) for i in np.flatnonzero(lows < highs)]
+        between = [
+            iter_records(view, lows[i].item(), highs[i].item())
+            for i in np.flatnonzero(lows < highs)
+        ]
         return all(opcode != op.MESSAGE for records in between for opcode, _, _ in records)
     except FormatError:
         return False
@@ -225,14 +275,17 @@ def loose_messages(data: memoryview, run: LooseRecords) -> Iterator[MessageRecor
 
 
 def follow_messages(data: memoryview, at: int, end: int) -> tuple[Array, int]:
-    """Where consecutive Messages (n,) start from byte `at` to `end`, at most one block; and where they end."""
+    """Where consecutive Messages (n,) start from byte
+    `at` to `end`, at most one block; and where they end.
+    """
     if end - at < _SHORTEST:
         return np.empty(0, np.int64), at
     opcode, length = HEAD.unpack_from(data, at)
     step = HEAD.size + length
     if opcode != op.MESSAGE or not _SHORTEST <= step <= end - at:
         return np.empty(0, np.int64), at
-    # Consecutive messages often have equal length: the guess is cheap, and saves the loop where it holds.
+    # Consecutive messages often have equal length: the
+    # guess is cheap, and saves the loop where it holds.
     most = min(_BLOCK, (end - at) // step, max(1, _BLOCK_BYTES // step))
     heads = np.ndarray((most,), _HEAD, data, at, (step,))
     equal = (heads["opcode"] == op.MESSAGE) & (heads["size"] == length)
@@ -244,7 +297,9 @@ def follow_messages(data: memoryview, at: int, end: int) -> tuple[Array, int]:
 
 def _one_after_another(data: memoryview, at: int, end: int) -> tuple[Array, int]:
     starts: list[int] = []
-    unpack, last, stop = HEAD.unpack_from, end - HEAD.size, at + _BLOCK_BYTES
+    unpack = HEAD.unpack_from
+    last = end - HEAD.size
+    stop = at + _BLOCK_BYTES
     for _ in range(_BLOCK):
         if at > last or at > stop:
             break

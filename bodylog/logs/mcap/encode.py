@@ -27,7 +27,8 @@ MESSAGE_HEAD = _MESSAGE.itemsize
 
 @dataclass(frozen=True, eq=False)
 class MessageTable:
-    """n messages of any channels: channel, sequence, log_ns, publish_ns (n,), payload i in data at offset[i].
+    """n messages of any channels: channel, sequence,
+    log_ns, publish_ns (n,), payload i in data at offset[i].
 
     Offsets count through the concatenated arrays of `data`; no payload spans two of them.
     """
@@ -75,9 +76,17 @@ def encode_schema(number: int, name: str, encoding: str, definition: bytes) -> b
     )
 
 
-def encode_channel(number: int, schema_id: int, topic: str, encoding: str, metadata: Mapping[str, str]) -> bytes:
+def encode_channel(
+    number: int, schema_id: int, topic: str, encoding: str, metadata: Mapping[str, str]
+) -> bytes:
     """A topic."""
-    return encode_record(op.CHANNEL, struct.pack("<HH", number, schema_id), encode_string(topic), encode_string(encoding), encode_string_map(metadata))
+    return encode_record(
+        op.CHANNEL,
+        struct.pack("<HH", number, schema_id),
+        encode_string(topic),
+        encode_string(encoding),
+        encode_string_map(metadata),
+    )
 
 
 def encode_metadata(name: str, pairs: Mapping[str, str]) -> bytes:
@@ -93,20 +102,37 @@ def metadata_index(offset: int, length: int, name: str) -> bytes:
 def encode_attachment(fields: Mapping[str, Any]) -> bytes:
     """An attachment record with the `fields` of another log's attachment, and a new CRC-32."""
     data = bytes(fields["data"])
-    body = struct.pack("<QQ", fields["log_time"], fields["create_time"]) + encode_string(fields["name"])
+    body = struct.pack("<QQ", fields["log_time"], fields["create_time"]) + encode_string(
+        fields["name"]
+    )
     body += encode_string(fields["media_type"]) + struct.pack("<Q", len(data)) + data
     return encode_record(op.ATTACHMENT, body, struct.pack("<I", crc32(body)))
 
 
 def attachment_index(offset: int, length: int, fields: Mapping[str, Any]) -> bytes:
     """The index record of an attachment with these `fields`."""
-    numbers = struct.pack("<QQQQQ", offset, length, fields["log_time"], fields["create_time"], len(fields["data"]))
-    return encode_record(op.ATTACHMENT_INDEX, numbers, encode_string(fields["name"]), encode_string(fields["media_type"]))
+    numbers = struct.pack(
+        "<QQQQQ", offset, length, fields["log_time"], fields["create_time"], len(fields["data"])
+    )
+    return encode_record(
+        op.ATTACHMENT_INDEX,
+        numbers,
+        encode_string(fields["name"]),
+        encode_string(fields["media_type"]),
+    )
 
 
-def encode_chunk_head(start_ns: int, end_ns: int, size: int, crc: int, compression: str, stored: bytes) -> tuple[bytes, int]:
-    """The head of a chunk record, to be followed by `stored`, and the length of the whole record."""
-    head = struct.pack("<QQQI", start_ns, end_ns, size, crc) + encode_string(compression) + struct.pack("<Q", len(stored))
+def encode_chunk_head(
+    start_ns: int, end_ns: int, size: int, crc: int, compression: str, stored: bytes
+) -> tuple[bytes, int]:
+    """The head of a chunk record, to be followed by
+    `stored`, and the length of the whole record.
+    """
+    head = (
+        struct.pack("<QQQI", start_ns, end_ns, size, crc)
+        + encode_string(compression)
+        + struct.pack("<Q", len(stored))
+    )
     return HEAD.pack(op.CHUNK, len(head) + len(stored)) + head, HEAD.size + len(head) + len(stored)
 
 
@@ -114,7 +140,9 @@ def message_index(number: int, log_ns: Array, offset: Array) -> bytes:
     """Log times of one channel's messages and their offsets in the chunk."""
     pairs = np.empty((len(log_ns), 2), "<u8")
     pairs[:, 0], pairs[:, 1] = log_ns, offset
-    return encode_record(op.MESSAGE_INDEX, struct.pack("<HI", number, pairs.nbytes), pairs.tobytes())
+    return encode_record(
+        op.MESSAGE_INDEX, struct.pack("<HI", number, pairs.nbytes), pairs.tobytes()
+    )
 
 
 def chunk_index(
@@ -125,7 +153,9 @@ def chunk_index(
     compression: str,
     sizes: tuple[int, int],
 ) -> bytes:
-    """A chunk's times, place (offset, length), message index offsets by channel, and sizes (stored, unpacked)."""
+    """A chunk's times, place (offset, length), message
+    index offsets by channel, and sizes (stored, unpacked).
+    """
     offsets = b"".join(struct.pack("<HQ", number, indexes[number]) for number in sorted(indexes))
     return encode_record(
         op.CHUNK_INDEX,
@@ -137,8 +167,12 @@ def chunk_index(
     )
 
 
-def encode_statistics(counts: Mapping[int, int], numbers: tuple[int, int, int, int, int], span: tuple[int, int]) -> bytes:
-    """Messages per channel; numbers of (schemas, channels, attachments, metadata, chunks); first and last log time."""
+def encode_statistics(
+    counts: Mapping[int, int], numbers: tuple[int, int, int, int, int], span: tuple[int, int]
+) -> bytes:
+    """Messages per channel; numbers of (schemas, channels,
+    attachments, metadata, chunks); first and last log time.
+    """
     pairs = b"".join(struct.pack("<HQ", number, counts[number]) for number in sorted(counts))
     head = struct.pack("<QHIIIIQQI", sum(counts.values()), *numbers, *span, len(pairs))
     return encode_record(op.STATISTICS, head, pairs)
@@ -163,12 +197,16 @@ def encode_messages(table: MessageTable) -> tuple[Array, Array]:
     for number, here in group_rows(np.searchsorted(edges, table.offset, "right") - 1):
         if number < len(table.data):  # an empty payload may begin at the very end
             where = table.offset[here] - edges[number]
-            _copy_pieces(table.data[number], where, out, start[here] + MESSAGE_HEAD, table.length[here])
+            _copy_pieces(
+                table.data[number], where, out, start[here] + MESSAGE_HEAD, table.length[here]
+            )
     return out, start
 
 
 def group_rows(numbers: Array) -> Iterator[tuple[int, Array]]:
-    """The distinct numbers of (n,), each below 65,536, ascending, with the rows (m,) where each occurs."""
+    """The distinct numbers of (n,), each below 65,536,
+    ascending, with the rows (m,) where each occurs.
+    """
     numbers = numbers.astype(np.uint16)
     order = np.argsort(numbers, kind="stable")
     edges = np.flatnonzero(np.diff(numbers[order])) + 1
@@ -194,5 +232,7 @@ def _copy_pieces(source: Array, where: Array, out: Array, to: Array, length: Arr
 
 
 def _byte_windows(data: Array, size: int) -> Array:
-    """The `size` bytes from every offset (bytes,) of `data` as one item each: copied as a block, not byte by byte."""
+    """The `size` bytes from every offset (bytes,) of `data`
+    as one item each: copied as a block, not byte by byte.
+    """
     return np.ndarray(max(0, len(data) - size + 1), f"V{size}", data, 0, (1,))

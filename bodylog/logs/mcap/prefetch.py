@@ -1,4 +1,6 @@
-"""Decompress chunks one after another, the next one in the background while the current one is used."""
+"""Decompress chunks one after another, the next one
+in the background while the current one is used.
+"""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -17,17 +19,25 @@ if TYPE_CHECKING:
 _SMALL = 4 << 20
 """Bytes of a log that decompress faster than a thread starts."""
 
-_SHORT, _LONG = 1 << 14, 8 << 20
-"""Packed bytes: handing over a shorter chunk costs more than it saves; two longer ones take too much memory."""
+_SHORT = 1 << 14
+_LONG = 8 << 20
+"""Packed bytes: handing over a shorter chunk costs more
+than it saves; two longer ones take too much memory.
+"""
 
 Unpacked = Array | FormatError | None
 """A chunk's records, or why there are none; None for messages outside chunks."""
 
 
 def unpacked_parts(
-    data: memoryview, parts: Sequence[Chunk | LooseRecords], diagnostics: Diagnostics, alone: bool = False
+    data: memoryview,
+    parts: Sequence[Chunk | LooseRecords],
+    diagnostics: Diagnostics,
+    alone: bool = False,
 ) -> Iterator[tuple[Chunk | LooseRecords, Unpacked]]:
-    """Each part with its decompressed records, valid until the next; `alone`: nothing between is needed."""
+    """Each part with its decompressed records, valid
+    until the next; `alone`: nothing between is needed.
+    """
     if len(parts) < 3 or parts[-1].start - parts[0].start < _SMALL or _count_processors() < 2:
         buffer = Buffer(diagnostics.path, diagnostics.limits)
         yield from ((part, _unpack_part(data, part, buffer, alone)) for part in parts)
@@ -45,19 +55,26 @@ def _overlap_unpacking(
     diagnostics: Diagnostics,
     alone: bool,
 ) -> Iterator[tuple[Chunk | LooseRecords, Unpacked]]:
-    """Alternate between two buffers; the first part is not overlapped, as some callers read only a log's beginning."""
-    here, there = Buffer(diagnostics.path, diagnostics.limits), Buffer(diagnostics.path, diagnostics.limits)
+    """Alternate between two buffers; the first part is not
+    overlapped, as some callers read only a log's beginning.
+    """
+    here = Buffer(diagnostics.path, diagnostics.limits)
+    there = Buffer(diagnostics.path, diagnostics.limits)
     waiting: Future[Unpacked] | None = None
     for number, part in enumerate(parts):
         found = waiting.result() if waiting else _unpack_part(data, part, here, alone)
         following = parts[number + 1] if 0 < number < len(parts) - 1 else None
         pays = isinstance(following, Chunk) and _SHORT <= following.length <= _LONG
-        waiting = pool.submit(_unpack_part, data, following, there, alone) if following and pays else None
+        waiting = (
+            pool.submit(_unpack_part, data, following, there, alone) if following and pays else None
+        )
         yield part, found
         here, there = there, here
 
 
-def _unpack_part(data: memoryview, part: Chunk | LooseRecords, buffer: Buffer, alone: bool) -> Unpacked:
+def _unpack_part(
+    data: memoryview, part: Chunk | LooseRecords, buffer: Buffer, alone: bool
+) -> Unpacked:
     if isinstance(part, LooseRecords):
         return None
     advise_sequential(data, part.start, part.start + part.length, alone)

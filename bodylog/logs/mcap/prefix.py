@@ -1,4 +1,6 @@
-"""Find the leading bytes of an MCAP that can be kept, so that more chunks and a new summary can follow them."""
+"""Find the leading bytes of an MCAP that can be kept,
+so that more chunks and a new summary can follow them.
+"""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -16,7 +18,8 @@ from .writer import Contents
 NAME = "bodylog"
 """Name of the metadata record that describes how an estimate was made."""
 
-_INDEX_HEAD, _INDEX_ENTRY = 6, 16
+_INDEX_HEAD = 6
+_INDEX_ENTRY = 16
 _Summary = Mapping[int, list[tuple[Record, bytes]]]
 """Opcode -> the summary's records, parsed and raw."""
 
@@ -31,7 +34,9 @@ class Prefix:
 
 
 class _DataRecord(NamedTuple):
-    """One record of the data section; `channels` are those it refers to, None if it refers to none."""
+    """One record of the data section; `channels` are
+    those it refers to, None if it refers to none.
+    """
 
     opcode: int
     start: int
@@ -42,15 +47,18 @@ class _DataRecord(NamedTuple):
 def reusable_prefix(path: Path) -> Prefix:
     """All of a chunked MCAP with a sound summary, except what an earlier run appended.
 
-    FormatError gives the reason to rewrite the file: it is not chunked, has no summary, or one that contradicts the
-    data; or messages under `PREFIX` lie between others; or a name is not UTF-8, which other readers reject.
+    FormatError gives the reason to rewrite the file: it is not chunked, has no summary, or one that
+    contradicts the data; or messages under `PREFIX` lie between others; or a name is not UTF-8,
+    which other readers reject.
     """
     with RecordFile(path) as file:
         return _reusable_prefix(file, PREFIX)
 
 
 def count_messages(path: Path) -> int:
-    """Count an MCAP's messages by its message indexes; FormatError where summary and data disagree."""
+    """Count an MCAP's messages by its message indexes;
+    FormatError where summary and data disagree.
+    """
     with RecordFile(path) as file:
         return sum(_reusable_prefix(file, None).contents.counts.values())
 
@@ -60,25 +68,35 @@ def _reusable_prefix(file: RecordFile, root: str | None) -> Prefix:
     summary: dict[int, list[tuple[Record, bytes]]] = {}
     for record, raw in records:
         summary.setdefault(record.opcode, []).append((record, raw))
-    if root is not None and any(map(no_utf8, _records_with_names(file, start, [one for one, _ in records]))):
+    if root is not None and any(
+        map(no_utf8, _records_with_names(file, start, [one for one, _ in records]))
+    ):
         raise FormatError("a name in it is not UTF-8")
     file.prefetch(_located_heads(summary))
     parts = _data_section_records(file.heads(start), summary)
     ours = _own_channels(summary, root)
-    foreign = {r.fields["offset"] for r, _ in summary.get(op.METADATA_INDEX, []) if r.fields["name"] != NAME}
+    foreign = {
+        r.fields["offset"]
+        for r, _ in summary.get(op.METADATA_INDEX, [])
+        if r.fields["name"] != NAME
+    }
     cut = _find_cut(parts, ours, foreign)
     contents = _kept_contents(summary, [p for p in parts if p.start < cut], ours)
     return Prefix(cut, _kept_bytes_crc(file, cut, parts[-1].start), contents)
 
 
 def no_utf8(record: Record) -> bool:
-    """Whether a text of a record contains the replacement character for bytes that are not UTF-8."""
+    """Whether a text of a record contains the
+    replacement character for bytes that are not UTF-8.
+    """
     values = [(*v, *v.values()) if isinstance(v, dict) else (v,) for v in record.fields.values()]
     return any(isinstance(text, str) and "\ufffd" in text for texts in values for text in texts)
 
 
 def _records_with_names(file: RecordFile, end: int, summary: list[Record]) -> Iterator[Record]:
-    """The records that hold names: header, repeated records of the summary, and metadata other than bodylog's."""
+    """The records that hold names: header, repeated records
+    of the summary, and metadata other than bodylog's.
+    """
     first = next(file.heads(end), None)
     if first is not None and first.opcode == op.HEADER:
         yield file.fields(first)
@@ -95,20 +113,34 @@ def _located_heads(summary: _Summary) -> Iterator[tuple[int, int]]:
     for record, _ in summary.get(op.CHUNK_INDEX, []):
         fields = record.fields
         yield fields["chunk_start_offset"], 1
-        yield fields["chunk_start_offset"] + fields["chunk_length"], fields["message_index_length"] + 1
+        yield (
+            fields["chunk_start_offset"] + fields["chunk_length"],
+            fields["message_index_length"] + 1,
+        )
 
 
 def _data_section_records(heads: Iterable[Head], summary: _Summary) -> list[_DataRecord]:
-    """The data section's records, each as the summary describes it; FormatError where the two disagree."""
+    """The data section's records, each as the summary
+    describes it; FormatError where the two disagree.
+    """
     chunks = [r.fields for r, _ in summary.get(op.CHUNK_INDEX, [])]
-    indexed = {fields["chunk_start_offset"]: _shared_channel_set(tuple(fields["message_index_offsets"])) for fields in chunks}
+    indexed = {
+        fields["chunk_start_offset"]: _shared_channel_set(tuple(fields["message_index_offsets"]))
+        for fields in chunks
+    }
     parts = [_describe_data_record(head, indexed) for head in heads]
     _require_agreement([p.start for p in parts if p.opcode == op.CHUNK], list(indexed), "chunks")
     found = [(c, p.start) for p in parts if p.opcode == op.MESSAGE_INDEX for c in p.channels or ()]
-    _require_agreement(found, [pair for fields in chunks for pair in fields["message_index_offsets"].items()], "message indexes")
+    _require_agreement(
+        found,
+        [pair for fields in chunks for pair in fields["message_index_offsets"].items()],
+        "message indexes",
+    )
     for opcode, index in ((op.ATTACHMENT, op.ATTACHMENT_INDEX), (op.METADATA, op.METADATA_INDEX)):
         listed = [r.fields["offset"] for r, _ in summary.get(index, [])]
-        _require_agreement([p.start for p in parts if p.opcode == opcode], listed, "attachments or metadata")
+        _require_agreement(
+            [p.start for p in parts if p.opcode == opcode], listed, "attachments or metadata"
+        )
     if not parts or parts[-1].opcode != op.DATA_END:
         raise FormatError("the summary does not follow the end of the data")
     return parts
@@ -144,14 +176,23 @@ def _require_agreement(found: list[Any], listed: list[Any], what: str) -> None:
 
 def _own_channels(summary: _Summary, root: str | None) -> frozenset[int]:
     channels = [r.fields for r, _ in summary.get(op.CHANNEL, [])]
-    return frozenset(int(c["id"]) for c in channels if root is not None and str(c["topic"]).startswith(root))
+    return frozenset(
+        int(c["id"]) for c in channels if root is not None and str(c["topic"]).startswith(root)
+    )
 
 
 def _find_cut(parts: list[_DataRecord], ours: frozenset[int], foreign: set[int]) -> int:
-    """Where an earlier run's tail begins, at the schemas before its first channel; else at DataEnd."""
-    first = next((i for i, p in enumerate(parts) if (p.channels or frozenset()) & ours), len(parts) - 1)
+    """Where an earlier run's tail begins, at the
+    schemas before its first channel; else at DataEnd.
+    """
+    first = next(
+        (i for i, p in enumerate(parts) if (p.channels or frozenset()) & ours), len(parts) - 1
+    )
     tail = parts[first:-1]
-    if any(p.opcode == op.ATTACHMENT or p.start in foreign or not (p.channels or ours) <= ours for p in tail):
+    if any(
+        p.opcode == op.ATTACHMENT or p.start in foreign or not (p.channels or ours) <= ours
+        for p in tail
+    ):
         raise FormatError(f"{PREFIX} messages lie between others")
     while tail and first and parts[first - 1].opcode == op.SCHEMA:
         first -= 1
@@ -168,14 +209,26 @@ def _kept_bytes_crc(file: RecordFile, cut: int, end: int) -> int | None:
 
 def _kept_contents(summary: _Summary, kept: list[_DataRecord], ours: frozenset[int]) -> Contents:
     """The summary of the kept parts; FormatError if it lacks something they need."""
-    channels = {r.fields["id"]: (r, raw) for r, raw in summary.get(op.CHANNEL, []) if r.fields["id"] not in ours}
+    channels = {
+        r.fields["id"]: (r, raw)
+        for r, raw in summary.get(op.CHANNEL, [])
+        if r.fields["id"] not in ours
+    }
     used = {r.fields["schema_id"] for r, _ in channels.values()}
-    dropped = {r.fields["schema_id"] for r, _ in summary.get(op.CHANNEL, []) if r.fields["id"] in ours} - used
-    schemas = {r.fields["id"]: raw for r, raw in summary.get(op.SCHEMA, []) if r.fields["id"] not in dropped}
+    dropped = {
+        r.fields["schema_id"] for r, _ in summary.get(op.CHANNEL, []) if r.fields["id"] in ours
+    } - used
+    schemas = {
+        r.fields["id"]: raw
+        for r, raw in summary.get(op.SCHEMA, [])
+        if r.fields["id"] not in dropped
+    }
     if not used <= {0, *schemas}:
         raise FormatError("the summary lacks schemas of its channels")
     counts = dict.fromkeys(channels, 0)
-    contents = Contents(schemas, {number: raw for number, (_, raw) in channels.items()}, counts=counts)
+    contents = Contents(
+        schemas, {number: raw for number, (_, raw) in channels.items()}, counts=counts
+    )
     places = {p.start for p in kept}
     for opcode, place, into in (
         (op.CHUNK_INDEX, "chunk_start_offset", contents.chunks),
@@ -187,8 +240,12 @@ def _kept_contents(summary: _Summary, kept: list[_DataRecord], ours: frozenset[i
     return contents
 
 
-def _count_kept_messages(contents: Contents, summary: _Summary, kept: list[_DataRecord], places: set[int]) -> None:
-    """Messages per channel by the message indexes, and the time span of the kept chunks; the statistics must agree."""
+def _count_kept_messages(
+    contents: Contents, summary: _Summary, kept: list[_DataRecord], places: set[int]
+) -> None:
+    """Messages per channel by the message indexes, and the
+    time span of the kept chunks; the statistics must agree.
+    """
     for part in kept:
         if part.opcode == op.MESSAGE_INDEX:
             number = next(iter(part.channels or ()))

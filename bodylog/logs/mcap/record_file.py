@@ -57,7 +57,9 @@ class RecordFile:
         return found
 
     def prefetch(self, places: Iterable[tuple[int, int]]) -> None:
-        """Request these (start, size) from the disk all at once, to avoid waiting for each in turn."""
+        """Request these (start, size) from the disk
+        all at once, to avoid waiting for each in turn.
+        """
         for start, size in places if hasattr(os, "posix_fadvise") else ():
             if start + size <= self.size:
                 os.posix_fadvise(self._file.fileno(), start, size, os.POSIX_FADV_WILLNEED)
@@ -72,21 +74,28 @@ class RecordFile:
 
     def heads(self, end: int) -> Iterator[Head]:
         """The records from the magic to byte `end`; FormatError where one extends past it."""
-        at, low, window = len(MAGIC), 0, b""
+        at = len(MAGIC)
+        low = 0
+        window = b""
         while at < end:
             if at - low + HEAD.size + _FIRST > len(window):
-                low, window = at, os.pread(self._file.fileno(), _WINDOW, at)
+                low = at
+                window = os.pread(self._file.fileno(), _WINDOW, at)
             if len(window) < HEAD.size:
                 raise FormatError(f"byte {at}: the file ends inside a record's head")
             opcode, size = HEAD.unpack_from(window, at - low)
             if opcode == 0 or size > end - at - HEAD.size:
-                raise FormatError(f"byte {at}: opcode {opcode} with {size} bytes; {end - at - HEAD.size} are left")
+                raise FormatError(
+                    f"byte {at}: opcode {opcode} with {size} bytes; {end - at - HEAD.size} are left"
+                )
             body = at - low + HEAD.size
             yield Head(opcode, at, size, window[body : body + min(size, _FIRST)])
             at += HEAD.size + size
 
     def summary(self) -> tuple[int, list[tuple[Record, bytes]]]:
-        """Where the summary starts, and its records, parsed and raw; FormatError when it is damaged."""
+        """Where the summary starts, and its records,
+        parsed and raw; FormatError when it is damaged.
+        """
         foot = self.size - _FOOTER
         tail = self.read(max(foot, 0), min(_FOOTER, self.size))
         if foot < len(MAGIC) or tail[-len(MAGIC) :] != MAGIC or tail[0] != op.FOOTER:
@@ -100,7 +109,10 @@ class RecordFile:
             raise FormatError("the summary's CRC fails")
         view = memoryview(raw)
         records = [
-            (parse_record(op, view[at : at + size], start + at - HEAD.size), raw[at - HEAD.size : at + size])
+            (
+                parse_record(op, view[at : at + size], start + at - HEAD.size),
+                raw[at - HEAD.size : at + size],
+            )
             for op, at, size in iter_records(view, 0, len(raw))
         ]
         return start, records

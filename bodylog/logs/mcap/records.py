@@ -20,25 +20,32 @@ FIELDS: dict[int, tuple[str, str]] = {
     op.MESSAGE: ("Message", "channel_id:u16 sequence:u32 log_time:u64 publish_time:u64 data:rest"),
     op.CHUNK: (
         "Chunk",
-        "message_start_time:u64 message_end_time:u64 uncompressed_size:u64 uncompressed_crc:u32 compression:str "
+        "message_start_time:u64 message_end_time:u64 uncompressed_size:u64 "
+        "uncompressed_crc:u32 compression:str "
         "records:long",
     ),
     op.MESSAGE_INDEX: ("MessageIndex", "channel_id:u16 records:bytes"),
     op.CHUNK_INDEX: (
         "ChunkIndex",
         "message_start_time:u64 message_end_time:u64 chunk_start_offset:u64 chunk_length:u64 "
-        "message_index_offsets:offsets message_index_length:u64 compression:str compressed_size:u64 "
+        "message_index_offsets:offsets message_index_length:u64 compression:str "
+        "compressed_size:u64 "
         "uncompressed_size:u64",
     ),
-    op.ATTACHMENT: ("Attachment", "log_time:u64 create_time:u64 name:str media_type:str data:long crc:u32"),
+    op.ATTACHMENT: (
+        "Attachment",
+        "log_time:u64 create_time:u64 name:str media_type:str data:long crc:u32",
+    ),
     op.ATTACHMENT_INDEX: (
         "AttachmentIndex",
         "offset:u64 length:u64 log_time:u64 create_time:u64 data_size:u64 name:str media_type:str",
     ),
     op.STATISTICS: (
         "Statistics",
-        "message_count:u64 schema_count:u16 channel_count:u32 attachment_count:u32 metadata_count:u32 "
-        "chunk_count:u32 message_start_time:u64 message_end_time:u64 channel_message_counts:offsets",
+        "message_count:u64 schema_count:u16 channel_count:u32 attachment_count:u32 "
+        "metadata_count:u32 "
+        "chunk_count:u32 message_start_time:u64 message_end_time:u64 "
+        "channel_message_counts:offsets",
     ),
     op.METADATA: ("Metadata", "name:str metadata:texts"),
     op.METADATA_INDEX: ("MetadataIndex", "offset:u64 length:u64 name:str"),
@@ -48,7 +55,8 @@ FIELDS: dict[int, tuple[str, str]] = {
 """Opcode -> name of the record and its fields in order, each with its kind."""
 
 _CODES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q"}
-_U32, _U64 = struct.Struct("<I"), struct.Struct("<Q")
+_U32 = struct.Struct("<I")
+_U64 = struct.Struct("<Q")
 _OFFSET = struct.Struct("<HQ")
 
 
@@ -59,7 +67,9 @@ def _plan_record_fields(fields: str) -> tuple[tuple[str, tuple[str, ...], struct
         if kind in _CODES and steps and steps[-1][0] == "numbers":
             steps[-1] = ("numbers", (*steps[-1][1], name), steps[-1][2] + _CODES[kind])
         else:
-            steps.append(("numbers" if kind in _CODES else kind, (name,), "<" + _CODES.get(kind, "")))
+            steps.append(
+                ("numbers" if kind in _CODES else kind, (name,), "<" + _CODES.get(kind, ""))
+            )
     return tuple((kind, names, struct.Struct(codes)) for kind, names, codes in steps)
 
 
@@ -89,7 +99,9 @@ class _Reader:
     def take(self, size: int) -> memoryview:
         """The next `size` bytes; FormatError when the record is shorter."""
         if size > len(self._body) - self._at:
-            raise FormatError(f"a field of {size} bytes in a record with {len(self._body) - self._at} bytes left")
+            raise FormatError(
+                f"a field of {size} bytes in a record with {len(self._body) - self._at} bytes left"
+            )
         self._at += size
         return self._body[self._at - size : self._at]
 
@@ -108,7 +120,8 @@ class _Reader:
 
 
 def _read_string_map(content: memoryview) -> dict[str, str]:
-    inner, texts = _Reader(content), {}
+    inner = _Reader(content)
+    texts = {}
     while inner._at < len(content):
         name = inner.read("str")
         texts[name] = inner.read("str")
@@ -122,7 +135,9 @@ def _read_offset_map(content: memoryview) -> dict[int, int]:
 
 
 def is_mcap(path: Path) -> bool:
-    """Whether a file begins with the magic of an MCAP; False for a folder or a file that cannot be read."""
+    """Whether a file begins with the magic of an MCAP;
+    False for a folder or a file that cannot be read.
+    """
     try:
         with path.open("rb") as stream:
             return stream.read(len(MAGIC)) == MAGIC
@@ -143,13 +158,19 @@ def parse_record(opcode: int, body: memoryview, start: int = 0) -> Record:
 
 
 def iter_records(data: memoryview, start: int, end: int) -> Iterator[tuple[int, int, int]]:
-    """(opcode, body start, body length) of the records from `start`; FormatError where one extends past `end`."""
+    """(opcode, body start, body length) of the records
+    from `start`; FormatError where one extends past `end`.
+    """
     at = start
     while at < end:
         if end - at < HEAD.size:
-            raise FormatError(f"byte {at}: {end - at} bytes where a record header takes {HEAD.size}")
+            raise FormatError(
+                f"byte {at}: {end - at} bytes where a record header takes {HEAD.size}"
+            )
         opcode, length = HEAD.unpack_from(data, at)
         if opcode == 0 or length > end - at - HEAD.size:
-            raise FormatError(f"byte {at}: opcode {opcode} with {length} bytes; {end - at - HEAD.size} are left")
+            raise FormatError(
+                f"byte {at}: opcode {opcode} with {length} bytes; {end - at - HEAD.size} are left"
+            )
         yield opcode, at + HEAD.size, length
         at += HEAD.size + length

@@ -30,14 +30,21 @@ Many = Callable[[Array, int], bool]
 
 
 def iterate_sound_records(
-    data: memoryview, start: int, end: int, channels: Collection[int], lost: Callable[[int, int], None],
+    data: memoryview,
+    start: int,
+    end: int,
+    channels: Collection[int],
+    lost: Callable[[int, int], None],
     many: Many = lambda _starts, _end: False,
-) -> Iterator[Found]:  # fmt: skip
-    """The records between two bytes; after each damage `lost(start, size)` is called and the search resumes.
+) -> Iterator[Found]:
+    """The records between two bytes; after each damage
+    `lost(start, size)` is called and the search resumes.
 
     Messages that `many` takes in bulk are not yielded.
     """
-    at, chunked, singly = start, None, start
+    at = start
+    chunked = None
+    singly = start
     held: Found | None = None
     while at < end:
         if at >= singly and data[at] == op.MESSAGE:
@@ -49,7 +56,9 @@ def iterate_sound_records(
                 # The last one's length may be wrong; the next record shows it.
                 at = int(starts[-1]) if many(starts[:-1], int(starts[-1])) else at
         opcode, length = HEAD.unpack_from(data, at) if end - at >= HEAD.size else (0, 0)
-        if (opcode == op.MESSAGE and _SHORTEST <= length <= end - at - HEAD.size) or _is_plausible_record(data, at, end):
+        if (
+            opcode == op.MESSAGE and _SHORTEST <= length <= end - at - HEAD.size
+        ) or _is_plausible_record(data, at, end):
             if held:
                 yield held
             held = (opcode, at, length)
@@ -75,14 +84,20 @@ def iterate_sound_records(
 
 
 def _chunks_follow(data: memoryview, start: int, end: int) -> bool:
-    """Whether chunks and their indexes follow a damage, even if the file ends inside the first of them."""
+    """Whether chunks and their indexes follow a damage,
+    even if the file ends inside the first of them.
+    """
     if _chunk_like(data, start):
         return True
     for low in range(start, end, _WINDOW):
         if is_zero(data, low, min(end, low + _WINDOW)):
             continue
         heads = heads_of(data[low : min(end, low + _WINDOW + MESSAGE_HEAD.itemsize - 1)])
-        likely = (heads["opcode"] == op.CHUNK) & (heads["size"] >= _CHUNK_FIXED) & (heads["size"] < _LARGEST)
+        likely = (
+            (heads["opcode"] == op.CHUNK)
+            & (heads["size"] >= _CHUNK_FIXED)
+            & (heads["size"] < _LARGEST)
+        )
         if any(_chunk_like(data, low + int(at)) for at in np.flatnonzero(likely)):
             return True
     return find_next_record(data, start, end, _IN_CHUNKED, ()) is not None
@@ -100,15 +115,26 @@ def _chunk_like(data: memoryview, at: int) -> bool:
         if data[name:end] == known.encode():
             packed = int.from_bytes(data[end : end + 8], "little")
             signs = [opcode == op.CHUNK, known != "", length == _CHUNK_FIXED + len(known) + packed]
-            signs += [known == "" and length == _CHUNK_FIXED + size, known == "" and 0 < packed == size]
+            signs += [
+                known == "" and length == _CHUNK_FIXED + size,
+                known == "" and 0 < packed == size,
+            ]
             if sum(signs) + (known != "" and letters == len(known)) >= 2:
                 return True
     return False
 
 
-def _search_targets(chunked: bool, channels: Collection[int]) -> tuple[Collection[int], Collection[int]]:
-    """Opcodes and channels to search for after damage, outside chunks: content of a damaged chunk is unchecked."""
-    return ((*_IN_CHUNKED, op.DATA_END), ()) if chunked else ((op.SCHEMA, op.CHANNEL, op.DATA_END), channels)
+def _search_targets(
+    chunked: bool, channels: Collection[int]
+) -> tuple[Collection[int], Collection[int]]:
+    """Opcodes and channels to search for after damage,
+    outside chunks: content of a damaged chunk is unchecked.
+    """
+    return (
+        ((*_IN_CHUNKED, op.DATA_END), ())
+        if chunked
+        else ((op.SCHEMA, op.CHANNEL, op.DATA_END), channels)
+    )
 
 
 def _is_plausible_record(data: memoryview, at: int, end: int) -> bool:
@@ -131,8 +157,12 @@ def _is_plausible_record(data: memoryview, at: int, end: int) -> bool:
     return True
 
 
-def find_next_record(data: memoryview, start: int, end: int, opcodes: Collection[int], channels: Collection[int]) -> int | None:
-    """The first byte from `start` where such a record, or a message of such a channel, plausibly begins, or None."""
+def find_next_record(
+    data: memoryview, start: int, end: int, opcodes: Collection[int], channels: Collection[int]
+) -> int | None:
+    """The first byte from `start` where such a record, or
+    a message of such a channel, plausibly begins, or None.
+    """
     known = np.zeros(1 << 16, bool)
     known[list(channels)] = True
     for low in range(start, end, _WINDOW):
@@ -146,16 +176,21 @@ def find_next_record(data: memoryview, start: int, end: int, opcodes: Collection
     return None
 
 
-def _candidate_offsets(window: memoryview, left: int, opcodes: list[int], known: Array) -> list[int]:
+def _candidate_offsets(
+    window: memoryview, left: int, opcodes: list[int], known: Array
+) -> list[int]:
     heads = heads_of(window)
-    opcode, size = heads["opcode"], heads["size"]
+    opcode = heads["opcode"]
+    size = heads["size"]
     likely = np.isin(opcode, opcodes) | (opcode == op.MESSAGE) & (size >= _SHORTEST)
     where = np.flatnonzero(likely & (size >= 0) & (size < left))
     return [int(at) for at in where[(opcode[where] != op.MESSAGE) | known[heads["channel"][where]]]]
 
 
 def _is_sound(data: memoryview, at: int, end: int) -> bool:
-    """Whether a whole record is at `at`, and it is either a consistent chunk or followed by another record."""
+    """Whether a whole record is at `at`, and it is either
+    a consistent chunk or followed by another record.
+    """
     if not _is_plausible_record(data, at, end):
         return False
     opcode, length = HEAD.unpack_from(data, at)

@@ -1,4 +1,6 @@
-"""Survey an MCAP in any state: by its summary, by its records, and past damage to the next sound record."""
+"""Survey an MCAP in any state: by its summary, by its
+records, and past damage to the next sound record.
+"""
 
 import struct
 from pathlib import Path
@@ -11,7 +13,16 @@ from ..records import Array
 from ..storage.compression import STORED, Buffer
 from ..storage.mmapped import drop_pages, ensure_local
 from . import opcodes as op
-from .chunks import Chunk, LooseRecords, chunk_head, heads_at, index_of, load_chunk, list_chunk_messages, unpack_chunk
+from .chunks import (
+    Chunk,
+    LooseRecords,
+    chunk_head,
+    heads_at,
+    index_of,
+    list_chunk_messages,
+    load_chunk,
+    unpack_chunk,
+)
 from .records import HEAD, MAGIC, iter_records, parse_record
 from .resync import iterate_sound_records
 from .summary import Summary, summary_of, use_statistics
@@ -42,16 +53,23 @@ def survey_mcap(data: memoryview, diagnostics: Diagnostics) -> McapSurvey:
             diagnostics.warn("the file ends inside its summary or footer; all data come before")
         elif last is None:
             diagnostics.add_loss(
-                len(data), 0, None, None, "the file ends without its footer: data after that are missing"
+                len(data),
+                0,
+                None,
+                None,
+                "the file ends without its footer: data after that are missing",
             )
         _count_chunk_messages(data, survey, diagnostics)
     for channel in survey.counts.keys() - survey.channels.keys():
-        diagnostics.add_loss(-channel - 1, 0, survey.counts[channel], None, f"no record declares channel {channel}")
+        diagnostics.add_loss(
+            -channel - 1, 0, survey.counts[channel], None, f"no record declares channel {channel}"
+        )
     return survey
 
 
 def _survey_by_summary(data: memoryview, summary: Summary, diagnostics: Diagnostics) -> McapSurvey:
-    survey, at = McapSurvey(), len(MAGIC)
+    survey = McapSurvey()
+    at = len(MAGIC)
     for record in summary.records:
         if record.opcode in (op.SCHEMA, op.CHANNEL):
             survey.declare(record)
@@ -66,12 +84,18 @@ def _survey_by_summary(data: memoryview, summary: Summary, diagnostics: Diagnost
     return survey
 
 
-def _scan_mcap_records(data: memoryview, start: int, end: int, survey: McapSurvey, diagnostics: Diagnostics) -> int | None:
-    """Survey the records between two bytes; returns FOOTER or DATA_END if met, CHUNK if the file is truncated."""
+def _scan_mcap_records(
+    data: memoryview, start: int, end: int, survey: McapSurvey, diagnostics: Diagnostics
+) -> int | None:
+    """Survey the records between two bytes; returns FOOTER
+    or DATA_END if met, CHUNK if the file is truncated.
+    """
     if start == end:
         return None
     ensure_local(data, start, end)
-    run, ended, unsummarised = _LooseRun(data, survey, start, diagnostics), None, end == len(data)
+    run = _LooseRun(data, survey, start, diagnostics)
+    ended = None
+    unsummarised = end == len(data)
 
     def lost(at: int, size: int) -> None:
         run.close(at + size)
@@ -80,11 +104,22 @@ def _scan_mcap_records(data: memoryview, start: int, end: int, survey: McapSurve
             return
         cut = _find_truncated_chunk(data, at) if at + size == len(data) else None
         if cut is None:
-            diagnostics.add_loss(at, size, None, _truncated_chunk_duration(data, at), "no whole record can be read there")
+            diagnostics.add_loss(
+                at,
+                size,
+                None,
+                _truncated_chunk_duration(data, at),
+                "no whole record can be read there",
+            )
         else:
-            why = f"the file ends in this chunk, after {size} bytes, which are read without their checksum"
+            why = (
+                f"the file ends in this chunk, after {size} bytes, which are read without their "
+                "checksum"
+            )
             diagnostics.add_loss(at, None, None, None, why)
-        run.chunk, run.loss, run.is_cut = None, at, at + size == end
+        run.chunk = None
+        run.loss = at
+        run.is_cut = at + size == end
         if survey.parts and isinstance(survey.parts[-1], Chunk):
             survey.parts[-1] = survey.parts[-1]._replace(indexes={})
         survey.parts += [cut] if cut else []
@@ -96,9 +131,15 @@ def _scan_mcap_records(data: memoryview, start: int, end: int, survey: McapSurve
         run.extend(starts, after)
         return True
 
-    for opcode, at, length in iterate_sound_records(data, start, end, survey.channels.keys(), lost, many):
+    for opcode, at, length in iterate_sound_records(
+        data, start, end, survey.channels.keys(), lost, many
+    ):
         ended = opcode if opcode in (op.FOOTER, op.DATA_END) else ended
-        if opcode == op.MESSAGE and unsummarised and (at == len(MAGIC) or not run.credible(at, length)):
+        if (
+            opcode == op.MESSAGE
+            and unsummarised
+            and (at == len(MAGIC) or not run.credible(at, length))
+        ):
             lost(at, HEAD.size + length)
         elif opcode == op.MESSAGE:
             run.add(at, at + HEAD.size + length)
@@ -117,7 +158,9 @@ def _scan_mcap_records(data: memoryview, start: int, end: int, survey: McapSurve
 class _LooseRun:
     """Consecutive messages outside chunks."""
 
-    def __init__(self, data: memoryview, survey: McapSurvey, start: int, diagnostics: Diagnostics) -> None:
+    def __init__(
+        self, data: memoryview, survey: McapSurvey, start: int, diagnostics: Diagnostics
+    ) -> None:
         self._data = data
         self._diagnostics = diagnostics
         self._survey = survey
@@ -142,14 +185,18 @@ class _LooseRun:
         self._count(starts)
 
     def close(self, following: int) -> None:
-        """End the run and add it to the survey if it has messages; the next run starts at byte `following`."""
+        """End the run and add it to the survey if it has
+        messages; the next run starts at byte `following`.
+        """
         self._flush()
         if self._end > self._start:
             self._survey.parts.append(LooseRecords(self._start, self._end))
         self._start = self._end = following
 
     def credible(self, at: int, length: int) -> bool:
-        """Whether a message outside chunks in a chunked file is real, not an index or channel with a flipped bit."""
+        """Whether a message outside chunks in a chunked file
+        is real, not an index or channel with a flipped bit.
+        """
         chunks = [part for part in self._survey.parts[-1:] if isinstance(part, Chunk)]
         if not chunks:
             return True
@@ -161,13 +208,20 @@ class _LooseRun:
         """Add a chunk; an earlier loss lies between it and the chunk before."""
         parts = self._survey.parts
         before = parts[-1].end_ns if parts and isinstance(parts[-1], Chunk) else None
-        if self.loss is not None and before is not None and 0 <= chunk.start_ns - before < _LONGEST_NS:
+        if (
+            self.loss is not None
+            and before is not None
+            and 0 <= chunk.start_ns - before < _LONGEST_NS
+        ):
             self._diagnostics.set_duration(self.loss, (chunk.start_ns - before) / 1e9)
-        self.chunk, self.loss = chunk, None
+        self.chunk = chunk
+        self.loss = None
         parts.append(chunk)
 
     def index(self, at: int) -> None:
-        """Assign a MessageIndex to the chunk before it, or count the messages of a lost chunk by it."""
+        """Assign a MessageIndex to the chunk before it,
+        or count the messages of a lost chunk by it.
+        """
         if self.chunk is not None:
             (channel,) = _CHANNEL.unpack_from(self._data, at + HEAD.size)
             self.chunk = self.chunk._replace(indexes={**self.chunk.indexes, channel: at})
@@ -187,8 +241,11 @@ class _LooseRun:
 
 
 def _count_chunk_messages(data: memoryview, survey: McapSurvey, diagnostics: Diagnostics) -> None:
-    """Count the messages of every chunk: by its indexes if all channels are known, else by opening it."""
-    buffer, unopened = Buffer(diagnostics.path, diagnostics.limits), []
+    """Count the messages of every chunk: by its indexes
+    if all channels are known, else by opening it.
+    """
+    buffer = Buffer(diagnostics.path, diagnostics.limits)
+    unopened = []
     for chunk in [part for part in survey.parts if isinstance(part, Chunk)]:
         if chunk.indexes and survey.knows(chunk.indexes):
             for channel, at in chunk.indexes.items():
@@ -202,7 +259,9 @@ def _count_chunk_messages(data: memoryview, survey: McapSurvey, diagnostics: Dia
             heads = list_chunk_messages(content, data, chunk, diagnostics).heads
             survey.count(heads["channel"], heads["log"])
             if chunk.cut and len(heads):
-                diagnostics.set_duration(chunk.start, max(0, chunk.end_ns - int(heads["log"].max())) / 1e9)
+                diagnostics.set_duration(
+                    chunk.start, max(0, chunk.end_ns - int(heads["log"].max())) / 1e9
+                )
         drop_pages(data, chunk.start, chunk.start + chunk.length)
     for chunk in unopened:  # a chunk may hold a schema but no message of it
         if survey.knows(survey.counts):
@@ -230,7 +289,11 @@ def _find_truncated_chunk(data: memoryview, at: int) -> Chunk | None:
         content = unpack_chunk(data, chunk, Buffer())
     except FormatError:
         return None
-    return chunk if len(list_chunk_messages(content, data, chunk, Diagnostics(Path())).starts) else None
+    return (
+        chunk
+        if len(list_chunk_messages(content, data, chunk, Diagnostics(Path())).starts)
+        else None
+    )
 
 
 def _truncated_chunk_duration(data: memoryview, at: int) -> float | None:

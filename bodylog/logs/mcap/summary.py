@@ -16,13 +16,16 @@ from .records import FIELDS, HEAD, MAGIC, Record, iter_records, parse_record
 from .survey import McapSurvey
 
 _FOOTER = HEAD.size + 20
-_INDEX_HEAD, _INDEX_TAIL, _OFFSET = struct.Struct("<QQQQI"), struct.Struct("<QI"), struct.Struct("<HQ")
+_INDEX_HEAD = struct.Struct("<QQQQI")
+_INDEX_TAIL = struct.Struct("<QI")
+_OFFSET = struct.Struct("<HQ")
 _INDEX_SIZES = 16
 _STORED = tuple(name.encode() for name in STORED)
 
 
 class Summary(NamedTuple):
-    """Start, records except chunk indexes, each chunk with the end of its indexes, number of indexed messages.
+    """Start, records except chunk indexes, each chunk with
+    the end of its indexes, number of indexed messages.
 
     Chunk indexes are not kept, as a long log has very many.
     """
@@ -36,7 +39,11 @@ class Summary(NamedTuple):
 def footer_of(data: memoryview) -> Record | None:
     """The Footer that ends the file, or None."""
     start = len(data) - len(MAGIC) - _FOOTER
-    if start < len(MAGIC) or data[-len(MAGIC) :] != MAGIC or HEAD.unpack_from(data, start) != (op.FOOTER, 20):
+    if (
+        start < len(MAGIC)
+        or data[-len(MAGIC) :] != MAGIC
+        or HEAD.unpack_from(data, start) != (op.FOOTER, 20)
+    ):
         return None
     return parse_record(op.FOOTER, data[start + HEAD.size : start + _FOOTER], start)
 
@@ -46,7 +53,8 @@ def find_summary_section(data: memoryview) -> tuple[int, int] | None:
     footer = footer_of(data)
     if footer is None or not footer.fields["summary_start"]:
         return None
-    start, crc = footer.fields["summary_start"], footer.fields["summary_crc"]
+    start = footer.fields["summary_start"]
+    crc = footer.fields["summary_crc"]
     if not len(MAGIC) <= start <= footer.start:
         raise FormatError(f"it is declared to start at byte {start}, outside the file")
     advise_sequential(data, start, len(data), alone=True)
@@ -64,7 +72,9 @@ def records_of(data: memoryview, start: int, end: int) -> Iterator[Record]:
 
 
 def summary_of(data: memoryview) -> Summary | None:
-    """Parse the summary; None without one, FormatError when it is damaged or lists chunks that do not exist."""
+    """Parse the summary; None without one, FormatError
+    when it is damaged or lists chunks that do not exist.
+    """
     place = find_summary_section(data)
     summary = _read_summary_records(data, *place) if place else None
     if summary is None or not (summary.records or summary.chunks):
@@ -74,7 +84,9 @@ def summary_of(data: memoryview) -> Summary | None:
 
 
 def _read_summary_records(data: memoryview, start: int, end: int) -> Summary:
-    records, chunks, indexed = [], [], 0
+    records = []
+    chunks = []
+    indexed = 0
     for opcode, at, size in iter_records(data, start, end):
         if opcode == op.CHUNK_INDEX:
             chunk, after = _read_chunk_index(data, at, at + size)
@@ -91,7 +103,9 @@ def _require_chunks_fit(data: memoryview, summary: Summary) -> None:
     starts = [*(chunk.start for chunk, _ in summary.chunks[1:]), summary.start]
     for (chunk, end), following in zip(summary.chunks, starts, strict=False):
         if chunk.start < len(MAGIC) or end > following:
-            raise FormatError(f"a chunk of {chunk.length} bytes at byte {chunk.start} does not fit there")
+            raise FormatError(
+                f"a chunk of {chunk.length} bytes at byte {chunk.start} does not fit there"
+            )
         if end == following:
             continue
         ensure_local(data, chunk.start, chunk.start + HEAD.size)
@@ -100,9 +114,11 @@ def _require_chunks_fit(data: memoryview, summary: Summary) -> None:
 
 
 def _read_chunk_index(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
-    """The chunk that the ChunkIndex between two bytes describes, and the length of its message indexes.
+    """The chunk that the ChunkIndex between two bytes
+    describes, and the length of its message indexes.
 
-    Equivalent to `records.parse_record`, but faster: a long log has so many that they determine how long it takes to open.
+    Equivalent to `records.parse_record`, but faster: a long log
+    has so many that they determine how long it takes to open.
     """
     if (left := end - at - _INDEX_HEAD.size - _INDEX_TAIL.size) < 0:
         raise FormatError(f"byte {at}: a chunk index of {end - at} bytes")
@@ -115,19 +131,26 @@ def _read_chunk_index(data: memoryview, at: int, end: int) -> tuple[Chunk, int]:
     if letters + _INDEX_SIZES > end - name:
         raise FormatError(f"byte {at}: a chunk index with a name of {letters} bytes")
     stored = data[name : name + letters] in _STORED
-    return Chunk(start, length, first, last, dict(_OFFSET.iter_unpack(data[at : at + table])), True, stored), after
+    return Chunk(
+        start, length, first, last, dict(_OFFSET.iter_unpack(data[at : at + table])), True, stored
+    ), after
 
 
 def use_statistics(summary: Summary, survey: McapSurvey, diagnostics: Diagnostics) -> bool:
-    """Take counts and times from Statistics if they agree with indexes and channels; else change nothing."""
-    statistics = next((record.fields for record in summary.records if record.opcode == op.STATISTICS), None)
+    """Take counts and times from Statistics if they
+    agree with indexes and channels; else change nothing.
+    """
+    statistics = next(
+        (record.fields for record in summary.records if record.opcode == op.STATISTICS), None
+    )
     if statistics is None:
         return False
     counts = statistics["channel_message_counts"]
     chunks = [part for part in survey.parts if isinstance(part, Chunk)]
     if sum(counts.values()) != statistics["message_count"]:
         diagnostics.warn(
-            f"the statistics count {statistics['message_count']} messages, {sum(counts.values())} by channel"
+            f"the statistics count {statistics['message_count']} messages, "
+            f"{sum(counts.values())} by channel"
         )
         return False
     if len(summary.chunks) != len(chunks):
@@ -137,14 +160,24 @@ def use_statistics(summary: Summary, survey: McapSurvey, diagnostics: Diagnostic
     if any(chunk.indexes for chunk in chunks):
         indexed = summary.indexed + sum(survey.counts.values())
         if indexed != statistics["message_count"]:
-            diagnostics.warn(f"the statistics count {statistics['message_count']} messages, the indexes {indexed}")
-            survey.parts = [p._replace(indexes={}) if isinstance(p, Chunk) else p for p in survey.parts]
+            diagnostics.warn(
+                f"the statistics count {statistics['message_count']} messages, the indexes "
+                f"{indexed}"
+            )
+            survey.parts = [
+                p._replace(indexes={}) if isinstance(p, Chunk) else p for p in survey.parts
+            ]
             return False
     survey.counts = dict(counts)
     survey.times = (
-        [statistics["message_start_time"], statistics["message_end_time"]] if statistics["message_count"] else []
+        [statistics["message_start_time"], statistics["message_end_time"]]
+        if statistics["message_count"]
+        else []
     )
     timed = [chunk for chunk in chunks if chunk.end_ns]
     if timed:  # rosbag2's statistics ignore a message at time zero, its chunks do not
-        survey.times += [min(chunk.start_ns for chunk in timed), max(chunk.end_ns for chunk in timed)]
+        survey.times += [
+            min(chunk.start_ns for chunk in timed),
+            max(chunk.end_ns for chunk in timed),
+        ]
     return True

@@ -29,7 +29,9 @@ class McapSurvey:
     def knows(self, channels: Iterable[int]) -> bool:
         """Whether each of these channels, and its schema if it has one, is declared."""
         known = [self.channels.get(channel) for channel in channels]
-        return all(one is not None and one.fields["schema_id"] in (0, *self.schemas) for one in known)
+        return all(
+            one is not None and one.fields["schema_id"] in (0, *self.schemas) for one in known
+        )
 
     def count(self, channels: Array, log_ns: Array) -> None:
         """Count messages by channel id (n,) and log time (n,) ns."""

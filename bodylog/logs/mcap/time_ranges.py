@@ -1,4 +1,6 @@
-"""First and last log time of each topic of an MCAP, from the message indexes of its first and last chunk."""
+"""First and last log time of each topic of an MCAP,
+from the message indexes of its first and last chunk.
+"""
 
 from collections.abc import Sequence
 
@@ -6,7 +8,9 @@ from ..records import Array
 from .chunks import Chunk, LooseRecords, index_of
 
 
-def spans_of(data: memoryview, parts: Sequence[Chunk | LooseRecords], topic_of: Array) -> dict[int, tuple[int, int]]:
+def spans_of(
+    data: memoryview, parts: Sequence[Chunk | LooseRecords], topic_of: Array
+) -> dict[int, tuple[int, int]]:
     """First and last log time (ns) by topic id; empty when messages lie outside indexed chunks."""
     first: dict[int, int] = {}
     last: dict[int, int] = {}
@@ -18,7 +22,8 @@ def spans_of(data: memoryview, parts: Sequence[Chunk | LooseRecords], topic_of: 
             last[channel] = at
     spans: dict[int, tuple[int, int]] = {}
     for channel, at in first.items():
-        starts, ends = index_of(data, at)[:, 0], index_of(data, last[channel])[:, 0]
+        starts = index_of(data, at)[:, 0]
+        ends = index_of(data, last[channel])[:, 0]
         if len(starts) and len(ends):
             widen_time_span(spans, int(topic_of[channel]), (int(starts.min()), int(ends.max())))
     return spans

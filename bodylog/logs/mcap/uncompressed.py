@@ -11,13 +11,23 @@ from ...errors import FormatError
 from ..records import Array
 from ..storage.compression import STORED
 from ..storage.mmapped import advise_sequential
-from .chunks import Chunk, LooseRecords, MessageRecords, chunk_head, list_indexed_messages, records_at
+from .chunks import (
+    Chunk,
+    LooseRecords,
+    MessageRecords,
+    chunk_head,
+    list_indexed_messages,
+    records_at,
+)
 
 _TOGETHER = 16 << 20
 
 
-def group_uncompressed_chunks(parts: Sequence[Chunk | LooseRecords]) -> Iterator[list[Chunk | LooseRecords]]:
-    """The parts in order, with uncompressed chunks grouped that begin in the same 16 MB of the file.
+def group_uncompressed_chunks(
+    parts: Sequence[Chunk | LooseRecords],
+) -> Iterator[list[Chunk | LooseRecords]]:
+    """The parts in order, with uncompressed chunks
+    grouped that begin in the same 16 MB of the file.
 
     The first part is alone, as some callers read only a log's beginning.
     """
@@ -35,8 +45,8 @@ def read_uncompressed_run(
 ) -> tuple[Array, MessageRecords] | None:
     """The file (bytes,) uint8 and all messages in a run of uncompressed chunks.
 
-    `alone`: the bytes around it are not needed. None when the run holds other parts, or a CRC or index in it is wrong:
-    read each part separately.
+    `alone`: the bytes around it are not needed. None when the run holds other parts, or a CRC or
+    index in it is wrong: read each part separately.
     """
     chunks = [part for part in parts if isinstance(part, Chunk) and part.stored and part.indexes]
     if len(chunks) < len(parts):
@@ -45,7 +55,9 @@ def read_uncompressed_run(
         advise_sequential(data, first.start, last.start + last.length, alone)
     places = [place for chunk in chunks if (place := _sound_chunk_bounds(data, chunk))]
     whole = np.frombuffer(data, np.uint8)
-    found = list_indexed_messages(whole, places, data, chunks) if len(places) == len(chunks) else None
+    found = (
+        list_indexed_messages(whole, places, data, chunks) if len(places) == len(chunks) else None
+    )
     return None if found is None else (whole, found)
 
 

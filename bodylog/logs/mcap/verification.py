@@ -13,4 +13,6 @@ def verify_message_count(beside: Path, expected: int, out: Path) -> None:
     except FormatError as problem:
         raise LogError(f"{out}: was not written correctly ({problem}); is the disk full?") from None
     if found != expected:
-        raise LogError(f"{out}: holds {found} messages where {expected} were written; is the disk full?")
+        raise LogError(
+            f"{out}: holds {found} messages where {expected} were written; is the disk full?"
+        )

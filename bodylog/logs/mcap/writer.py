@@ -26,7 +26,9 @@ _AHEAD = 2
 
 @dataclass
 class Contents:
-    """Content of the summary: records by id or in file order, messages per channel, first and last log time."""
+    """Content of the summary: records by id or in file
+    order, messages per channel, first and last log time.
+    """
 
     schemas: dict[int, bytes] = field(default_factory=dict)
     channels: dict[int, bytes] = field(default_factory=dict)
@@ -56,12 +58,18 @@ class _Packed:
 
 
 class McapRecordWriter:
-    """Appends records to a stream at `position`; crc is that of all bytes before, or None if the file keeps none."""
+    """Appends records to a stream at `position`; crc is that
+    of all bytes before, or None if the file keeps none.
+    """
 
-    def __init__(self, stream: BinaryIO, contents: Contents, position: int = 0, crc: int | None = None) -> None:
+    def __init__(
+        self, stream: BinaryIO, contents: Contents, position: int = 0, crc: int | None = None
+    ) -> None:
         """Start at `position` of the stream, whose CRC so far is `crc`."""
         self.contents = contents
-        self._stream, self._position, self._crc = stream, position, crc
+        self._stream = stream
+        self._position = position
+        self._crc = crc
         self._schema_ids = {record[11:]: number for number, record in contents.schemas.items()}
 
     def begin(self, profile: str, library: str) -> None:
@@ -77,12 +85,20 @@ class McapRecordWriter:
                 self._crc = crc32(part, self._crc)
 
     def topic(
-        self, name: str, kind: str, encoding: str, definition: bytes, definition_encoding: str, about: Mapping[str, str]
+        self,
+        name: str,
+        kind: str,
+        encoding: str,
+        definition: bytes,
+        definition_encoding: str,
+        about: Mapping[str, str],
     ) -> int:
         """Declare a topic; returns its channel id. Equal definitions share one schema."""
         number = _lowest_free_id(self.contents.channels)
         schema_id = self._schema(kind, definition_encoding, definition) if kind or definition else 0
-        self.contents.channels[number] = mcap.encode_channel(number, schema_id, name, encoding, about)
+        self.contents.channels[number] = mcap.encode_channel(
+            number, schema_id, name, encoding, about
+        )
         self.contents.counts.setdefault(number, 0)
         self.put(self.contents.channels[number])
         return number
@@ -91,7 +107,9 @@ class McapRecordWriter:
         """Write messages in the given order, as chunks of about 1 MiB each."""
         edges = np.cumsum(table.length + mcap.MESSAGE_HEAD) // CHUNK_BYTES
         cuts = [0, *(np.flatnonzero(np.diff(edges)) + 1).tolist(), len(edges)]
-        parts = (_table_rows(table, slice(first, last)) for first, last in pairwise(cuts) if last > first)
+        parts = (
+            _table_rows(table, slice(first, last)) for first, last in pairwise(cuts) if last > first
+        )
         with ThreadPoolExecutor(2) as pool:
             waiting: deque[Future[_Packed]] = deque()
             for part in parts:
@@ -132,14 +150,17 @@ class McapRecordWriter:
     def _chunk(self, packed: _Packed) -> None:
         place = self._position, packed.length
         self.put(packed.head, packed.stored)
-        indexes_at, indexes = self._position, {}
+        indexes_at = self._position
+        indexes = {}
         for number, (count, index) in packed.indexes.items():
             indexes[number] = self._position
             self.put(index)
             self.contents.counts[number] += count
         sizes = len(packed.stored), packed.size
         self.contents.chunks.append(
-            mcap.chunk_index(packed.span, place, indexes, self._position - indexes_at, packed.compression, sizes)
+            mcap.chunk_index(
+                packed.span, place, indexes, self._position - indexes_at, packed.compression, sizes
+            )
         )
         self.contents.seen(*packed.span)
 
@@ -149,9 +170,11 @@ def _compress_messages(table: MessageTable) -> _Packed:
 
     raw, start = mcap.encode_messages(table)
     span = int(table.log_ns.min()), int(table.log_ns.max())
-    stored, compression = zstandard.ZstdCompressor(_LEVEL).compress(raw.data), "zstd"
+    stored = zstandard.ZstdCompressor(_LEVEL).compress(raw.data)
+    compression = "zstd"
     if len(stored) >= _WORTH * raw.size:
-        stored, compression = raw.tobytes(), ""
+        stored = raw.tobytes()
+        compression = ""
     head, length = mcap.encode_chunk_head(*span, raw.size, crc32(raw.data), compression, stored)
     indexes = {
         number: (len(rows), mcap.message_index(number, table.log_ns[rows], start[rows]))
@@ -186,7 +209,8 @@ def _encode_summary(contents: Contents, start: int) -> bytes:
         (op.ATTACHMENT_INDEX, contents.attachments),
         (op.METADATA_INDEX, contents.metadata),
     ]
-    body, offsets = b"", b""
+    body = b""
+    offsets = b""
     for opcode, records in groups:
         group = b"".join(records)
         if group:

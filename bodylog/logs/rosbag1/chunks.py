@@ -9,7 +9,7 @@ from ...errors import FormatError
 from ..diagnostics import Diagnostics
 from ..records import Array
 from ..storage.compression import Buffer
-from .records import CHUNK, INDEX, MESSAGE, BagRecord, fields_of, record_at, iterate_bag_records
+from .records import CHUNK, INDEX, MESSAGE, BagRecord, fields_of, iterate_bag_records, record_at
 from .truncated import cut_at, decompress_truncated
 
 _VARY = ((b"conn=", 4), (b"time=", 8))
@@ -42,7 +42,9 @@ class BagRun(NamedTuple):
 
 
 class BagMessages(NamedTuple):
-    """Messages inside a chunk, in order: connection, log time (ns), and where each payload is; all (n,)."""
+    """Messages inside a chunk, in order: connection,
+    log time (ns), and where each payload is; all (n,).
+    """
 
     connection: Array
     log_ns: Array
@@ -54,7 +56,9 @@ class BagMessages(NamedTuple):
 def load_bag_chunk(
     data: memoryview, chunk: BagChunk, buffer: Buffer, diagnostics: Diagnostics
 ) -> tuple[Array, dict[int, Index]] | None:
-    """The chunk's records (bytes,) uint8 and the message lists after it; None and a loss when it is damaged."""
+    """The chunk's records (bytes,) uint8 and the message
+    lists after it; None and a loss when it is damaged.
+    """
     if chunk.cut:
         found = cut_at(data, chunk.start)
         return (np.frombuffer(decompress_truncated(found), np.uint8), {}) if found else None
@@ -66,9 +70,13 @@ def load_bag_chunk(
             raise FormatError(f"byte {chunk.start}: op {record.op} where a chunk was announced")
         compression = str(record.fields.get(b"compression", b""), "ascii", "replace")
         packed = data[record.body : record.end]
-        return buffer.load(compression, packed, record.number(b"size")), indexes_at(data, record.end)
+        return buffer.load(compression, packed, record.number(b"size")), indexes_at(
+            data, record.end
+        )
     except FormatError as problem:
-        diagnostics.add_loss(chunk.start, size, sum(chunk.counts.values()) or None, None, str(problem))
+        diagnostics.add_loss(
+            chunk.start, size, sum(chunk.counts.values()) or None, None, str(problem)
+        )
         return None
 
 
@@ -88,13 +96,21 @@ def indexes_at(data: memoryview, at: int) -> dict[int, Index]:
 
 
 def list_bag_messages(
-    content: Array, data: memoryview, place: int, indexes: dict[int, Index], diagnostics: Diagnostics
+    content: Array,
+    data: memoryview,
+    place: int,
+    indexes: dict[int, Index],
+    diagnostics: Diagnostics,
 ) -> BagMessages:
-    """All messages of a loaded chunk in order: by its indexes if they are right, else record by record."""
+    """All messages of a loaded chunk in order: by its
+    indexes if they are right, else record by record.
+    """
     found = _list_indexed_bag_messages(content, data, indexes) if indexes else None
     if found is None:
         if indexes:
-            diagnostics.warn(f"the index of the chunk at byte {place} is wrong; its records were read one by one")
+            diagnostics.warn(
+                f"the index of the chunk at byte {place} is wrong; its records were read one by one"
+            )
         return scan_messages(content.data, 0, len(content), place, diagnostics)
     return found
 
@@ -109,14 +125,20 @@ def _read_u32(content: Array, at: Array) -> Array:
     return _sliding_windows(content, 4)[at].view("<u4")[:, 0].astype(np.int64)
 
 
-def _list_indexed_bag_messages(content: Array, data: memoryview, indexes: dict[int, Index]) -> BagMessages | None:
-    lists = [np.frombuffer(data, "<u4", 3 * count, at)[2::3].astype(np.int64) for at, count in indexes.values()]
+def _list_indexed_bag_messages(
+    content: Array, data: memoryview, indexes: dict[int, Index]
+) -> BagMessages | None:
+    lists = [
+        np.frombuffer(data, "<u4", 3 * count, at)[2::3].astype(np.int64)
+        for at, count in indexes.values()
+    ]
     starts = np.concatenate(lists)
     listed = np.repeat(np.array(list(indexes), np.int64), [len(part) for part in lists])
     if not len(starts) or starts.max() > len(content) - 8:
         return None
     order = np.argsort(starts, kind="stable")
-    starts, listed = starts[order], listed[order]
+    starts = starts[order]
+    listed = listed[order]
     header = _read_u32(content, starts)
     offset = starts + 8 + header
     if offset.max() > len(content):
@@ -124,14 +146,19 @@ def _list_indexed_bag_messages(content: Array, data: memoryview, indexes: dict[i
     length = _read_u32(content, offset - 4)
     if not _records_fill_gaps(content, starts, offset + length):
         return None
-    connection, log_ns = np.empty_like(starts), np.empty_like(starts)
+    connection = np.empty_like(starts)
+    log_ns = np.empty_like(starts)
     for size in np.unique(header).tolist():
         rows = np.flatnonzero(header == size)
         same = _same_headers(content, starts[rows] + 4, size)
         if same is None:
             return None
         connection[rows], log_ns[rows] = same
-    return BagMessages(connection, log_ns, offset, length, starts) if (connection == listed).all() else None
+    return (
+        BagMessages(connection, log_ns, offset, length, starts)
+        if (connection == listed).all()
+        else None
+    )
 
 
 def _same_headers(content: Array, at: Array, size: int) -> tuple[Array, Array] | None:
@@ -146,19 +173,25 @@ def _same_headers(content: Array, at: Array, size: int) -> tuple[Array, Array] |
     if bytes(record.fields.get(b"op", b"")) != bytes([MESSAGE]):
         return None
     text = bytes(first)
-    conn, time = (text.index(bytes([len(name) + width, 0, 0, 0]) + name) + 4 + len(name) for name, width in _VARY)
+    conn, time = (
+        text.index(bytes([len(name) + width, 0, 0, 0]) + name) + 4 + len(name)
+        for name, width in _VARY
+    )
     same = np.ones(size, bool)
     same[conn : conn + 4] = same[time : time + 8] = False
     if (headers[:, same] != headers[0, same]).any():
         return None
     seconds = np.ascontiguousarray(headers[:, time : time + 8]).view("<u4").astype(np.int64)
-    connection = np.ascontiguousarray(headers[:, conn : conn + 4]).view("<u4")[:, 0].astype(np.int64)
+    connection = (
+        np.ascontiguousarray(headers[:, conn : conn + 4]).view("<u4")[:, 0].astype(np.int64)
+    )
     return connection, seconds[:, 0] * 10**9 + seconds[:, 1]
 
 
 def _records_fill_gaps(content: Array, starts: Array, ends: Array) -> bool:
     """Whether only whole other records lie between the messages, so that the index misses none."""
-    lows, highs = np.concatenate(([0], ends)), np.concatenate((starts, [len(content)]))
+    lows = np.concatenate(([0], ends))
+    highs = np.concatenate((starts, [len(content)]))
     if (lows > highs).any():
         return False
     view = content.data
@@ -175,17 +208,29 @@ def _records_fill_gaps(content: Array, starts: Array, ends: Array) -> bool:
     return True
 
 
-def scan_messages(data: memoryview, start: int, end: int, place: int, diagnostics: Diagnostics) -> BagMessages:
-    """The messages between two bytes of `data`, record by record; losses are reported at byte `place`."""
+def scan_messages(
+    data: memoryview, start: int, end: int, place: int, diagnostics: Diagnostics
+) -> BagMessages:
+    """The messages between two bytes of `data`, record
+    by record; losses are reported at byte `place`.
+    """
 
     def lost(at: int, size: int) -> None:
-        diagnostics.add_loss(place, size, None, None, f"records inside the chunk are damaged from its byte {at}")
+        diagnostics.add_loss(
+            place, size, None, None, f"records inside the chunk are damaged from its byte {at}"
+        )
 
     rows = []
     for record in iterate_bag_records(data, start, end, lost):
         if record.op == MESSAGE:
             try:
-                row = (record.number(b"conn"), record.time_ns(b"time"), record.body, record.size, record.start)
+                row = (
+                    record.number(b"conn"),
+                    record.time_ns(b"time"),
+                    record.body,
+                    record.size,
+                    record.start,
+                )
             except FormatError:
                 lost(record.start, record.end - record.start)
                 continue

@@ -1,4 +1,6 @@
-"""Records of ROS 1 bags (format 2.0): headers of name=value fields, and the next sound record after damage."""
+"""Records of ROS 1 bags (format 2.0): headers of
+name=value fields, and the next sound record after damage.
+"""
 
 import struct
 from collections.abc import Callable, Iterator
@@ -34,10 +36,15 @@ class BagRecord:
         return self.body + self.size
 
     def number(self, name: bytes, width: int = 4) -> int:
-        """An unsigned field of `width` bytes; FormatError when it is missing or of another width."""
+        """An unsigned field of `width` bytes; FormatError
+        when it is missing or of another width.
+        """
         value = self.fields.get(name)
         if value is None or len(value) != width:
-            raise FormatError(f"byte {self.start}: no {width}-byte field {name.decode()} in a record of op {self.op}")
+            raise FormatError(
+                f"byte {self.start}: no {width}-byte field {name.decode()} in a record of op "
+                f"{self.op}"
+            )
         return int(_NUMBERS[width].unpack(value)[0])
 
     def time_ns(self, name: bytes) -> int:
@@ -48,8 +55,11 @@ class BagRecord:
 
 
 def fields_of(data: memoryview, start: int, end: int) -> dict[bytes, memoryview]:
-    """name -> value of the header fields between two bytes; FormatError when they do not fill it exactly."""
-    fields, at = {}, start
+    """name -> value of the header fields between two
+    bytes; FormatError when they do not fill it exactly.
+    """
+    fields = {}
+    at = start
     while at < end:
         size = _U32.unpack_from(data, at)[0] if end - at >= 4 else end
         if size > end - at - 4:
@@ -82,9 +92,11 @@ def iterate_bag_records(
     lost: Callable[[int, int], None],
     cut: Callable[[int], int | None] = lambda _at: None,
 ) -> Iterator[BagRecord]:
-    """The records between two bytes; after each damage `lost(start, size)` is called and the search resumes.
+    """The records between two bytes; after each damage
+    `lost(start, size)` is called and the search resumes.
 
-    If the file ends inside an unreadable record or empty chunk, `cut(start)` gives where the next records begin.
+    If the file ends inside an unreadable record or empty
+    chunk, `cut(start)` gives where the next records begin.
     """
     at = start
     while at < end:

@@ -8,8 +8,18 @@ import numpy as np
 from ...errors import FormatError
 from ..diagnostics import Diagnostics
 from ..storage.compression import STORED, Buffer
-from .chunks import BagChunk, BagRun, load_bag_chunk, list_bag_messages, scan_messages
-from .records import BAG_HEADER, CHUNK, CHUNK_INFO, CONNECTION, MAGIC, MESSAGE, BagRecord, record_at, iterate_bag_records
+from .chunks import BagChunk, BagRun, list_bag_messages, load_bag_chunk, scan_messages
+from .records import (
+    BAG_HEADER,
+    CHUNK,
+    CHUNK_INFO,
+    CONNECTION,
+    MAGIC,
+    MESSAGE,
+    BagRecord,
+    iterate_bag_records,
+    record_at,
+)
 from .survey import BagSurvey
 from .truncated import cut_at, decompress_truncated
 
@@ -34,7 +44,9 @@ def _survey_by_index(data: memoryview, diagnostics: Diagnostics) -> BagSurvey | 
     header = record_at(data, len(MAGIC), len(data))
     at = header.number(b"index_pos", 8)
     if header.op != BAG_HEADER or at == 0:
-        diagnostics.warn("the bag was never closed: it has no index; its records were read one by one")
+        diagnostics.warn(
+            "the bag was never closed: it has no index; its records were read one by one"
+        )
         return None
     if not header.end <= at <= len(data):
         raise FormatError(f"it is declared to start at byte {at} of {len(data)}")
@@ -90,15 +102,20 @@ def _scan_bag_records(data: memoryview, survey: BagSurvey, diagnostics: Diagnost
             lost(record.start, record.end - record.start)
 
 
-def _survey_truncated_chunk(data: memoryview, at: int, survey: BagSurvey, diagnostics: Diagnostics) -> int | None:
-    """Survey the rest of a truncated chunk at byte `at`; returns the byte after it, or after an uncompressed head.
+def _survey_truncated_chunk(
+    data: memoryview, at: int, survey: BagSurvey, diagnostics: Diagnostics
+) -> int | None:
+    """Survey the rest of a truncated chunk at byte `at`;
+    returns the byte after it, or after an uncompressed head.
 
     None if there is no such chunk, or no message of it can be decompressed.
     """
     found = cut_at(data, at)
     if found is None:
         return None
-    why = f"the file ends in this chunk, after {len(data) - at} bytes, which are read as far as they "
+    why = (
+        f"the file ends in this chunk, after {len(data) - at} bytes, which are read as far as they "
+    )
     if found.compression in STORED:
         diagnostics.add_loss(at, found.lacks, None, None, why + "go")
         return len(data) - len(found.packed)
@@ -106,11 +123,19 @@ def _survey_truncated_chunk(data: memoryview, at: int, survey: BagSurvey, diagno
     if not len(scan_messages(memoryview(content), 0, len(content), at, Diagnostics(Path())).starts):
         return None
     diagnostics.add_loss(at, None, None, None, why + "unpack")
-    _survey_chunk_content(data, BagChunk(at, {}, cut=True), survey, Buffer(diagnostics.path, diagnostics.limits), diagnostics)
+    _survey_chunk_content(
+        data,
+        BagChunk(at, {}, cut=True),
+        survey,
+        Buffer(diagnostics.path, diagnostics.limits),
+        diagnostics,
+    )
     return len(data)
 
 
-def _survey_chunk_content(data: memoryview, chunk: BagChunk, survey: BagSurvey, buffer: Buffer, diagnostics: Diagnostics) -> None:
+def _survey_chunk_content(
+    data: memoryview, chunk: BagChunk, survey: BagSurvey, buffer: Buffer, diagnostics: Diagnostics
+) -> None:
     loaded = load_bag_chunk(data, chunk, buffer, diagnostics)
     if loaded is None:
         return
@@ -120,11 +145,14 @@ def _survey_chunk_content(data: memoryview, chunk: BagChunk, survey: BagSurvey, 
             survey.declare(inner, content.data)
     found = list_bag_messages(content, data, chunk.start, indexes, diagnostics)
     survey.count(found.connection, found.log_ns)
-    survey.parts.append(replace(chunk, counts=dict.fromkeys(np.unique(found.connection).tolist(), 0)))
+    survey.parts.append(
+        replace(chunk, counts=dict.fromkeys(np.unique(found.connection).tolist(), 0))
+    )
 
 
 def _survey_loose_record(record: BagRecord, survey: BagSurvey) -> None:
-    connection, log_ns = record.number(b"conn"), record.time_ns(b"time")
+    connection = record.number(b"conn")
+    log_ns = record.time_ns(b"time")
     survey.count(np.array([connection]), np.array([log_ns]))
     last = survey.parts[-1] if survey.parts else None
     if isinstance(last, BagRun) and last.end == record.start:

@@ -21,7 +21,9 @@ class BagSurvey:
     def declare(self, record: BagRecord, data: memoryview) -> None:
         """Add a connection; the first one of an id is kept."""
         fields = {**fields_of(data, record.body, record.end), **record.fields}
-        self.connections.setdefault(record.number(b"conn"), {name: bytes(value) for name, value in fields.items()})
+        self.connections.setdefault(
+            record.number(b"conn"), {name: bytes(value) for name, value in fields.items()}
+        )
 
     def count(self, connections: Array, log_ns: Array) -> None:
         """Count messages by connection (n,) and log time (n,) ns."""

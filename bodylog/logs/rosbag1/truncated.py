@@ -1,4 +1,6 @@
-"""The truncated chunk at the end of a ROS 1 bag: cut by a full disk or a killed copy, or never closed."""
+"""The truncated chunk at the end of a ROS 1 bag: cut
+by a full disk or a killed copy, or never closed.
+"""
 
 import bz2
 import struct
@@ -12,12 +14,15 @@ from .records import CHUNK, record_at
 _U32 = struct.Struct("<I")
 _LZ4 = b"\x04\x22\x4d\x18"
 _LONGEST_HEAD = 1 << 16
-_ALWAYS, _RATIO = 64 << 20, 255
+_ALWAYS = 64 << 20
+_RATIO = 255
 
 
 @dataclass(frozen=True)
 class Cut:
-    """The rest of a chunk: compression, packed bytes, the bytes they expand to at most, and how many are missing."""
+    """The rest of a chunk: compression, packed bytes, the
+    bytes they expand to at most, and how many are missing.
+    """
 
     compression: str
     packed: memoryview
@@ -28,8 +33,8 @@ class Cut:
 def cut_at(data: memoryview, at: int) -> Cut | None:
     """The truncated chunk at byte `at`; None when it is whole, or something else.
 
-    A recorder writes a chunk's length when it closes the chunk; before, the length is 0 and uncompressed records
-    follow.
+    A recorder writes a chunk's length when it closes the chunk; before, the length is 0 and
+    uncompressed records follow.
     """
     head = min(len(data) - at, _LONGEST_HEAD)
     with suppress(FormatError, struct.error):
@@ -45,12 +50,16 @@ def cut_at(data: memoryview, at: int) -> Cut | None:
             return None
         whole, packed = record.number(b"size"), data[start:]
         lacks = length - len(packed) if stored and length == whole else None
-        return Cut(compression, packed, min(whole or _ALWAYS, max(_ALWAYS, _RATIO * len(packed))), lacks)
+        return Cut(
+            compression, packed, min(whole or _ALWAYS, max(_ALWAYS, _RATIO * len(packed))), lacks
+        )
     return None
 
 
 def decompress_truncated(cut: Cut) -> bytes:
-    """The records before the cut, as far as they decompress: bz2 block by block, lz4 byte by byte."""
+    """The records before the cut, as far as they
+    decompress: bz2 block by block, lz4 byte by byte.
+    """
     if cut.compression == "bz2":
         return _decompress_bz2_start(cut.packed, cut.most)
     return bytes(_decompress_lz4_start(cut.packed, cut.most)) if cut.compression == "lz4" else b""
@@ -63,12 +72,15 @@ def _decompress_bz2_start(packed: memoryview, most: int) -> bytes:
 
 
 def _decompress_lz4_start(packed: memoryview, most: int) -> bytearray:
-    """LZ4 frame: https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md; the library gives only whole blocks."""
+    """LZ4 frame: https://github.com/lz4/lz4/blob/dev/doc/lz4_Frame_format.md;
+    the library gives only whole blocks.
+    """
     found = bytearray()
     if packed[:4] != _LZ4 or len(packed) < 7:
         return found
     flags = packed[4]
-    at, after = 7 + (8 if flags & 8 else 0) + (4 if flags & 1 else 0), 4 if flags & 16 else 0
+    at = 7 + (8 if flags & 8 else 0) + (4 if flags & 1 else 0)
+    after = 4 if flags & 16 else 0
     while at + 4 <= len(packed) and len(found) < most:
         head = _U32.unpack_from(packed, at)[0]
         size = head & 0x7FFFFFFF
@@ -85,7 +97,9 @@ def _decompress_lz4_start(packed: memoryview, most: int) -> bytearray:
 
 
 def _append_lz4_sequences(block: memoryview, found: bytearray, most: int) -> bool:
-    """Append a block of literals and matches to `found`; returns whether it was sound to its end."""
+    """Append a block of literals and matches to
+    `found`; returns whether it was sound to its end.
+    """
     at = 0
     with suppress(IndexError):
         while len(found) < most:

@@ -24,7 +24,8 @@ _SELECT = "SELECT {} FROM messages WHERE rowid > ? {} ORDER BY rowid"
 
 
 def raise_if_interrupted(problem: Exception) -> None:
-    """Raise KeyboardInterrupt if a signal, not damage, ended a query: SQLite hides exceptions of its handler.
+    """Raise KeyboardInterrupt if a signal, not damage,
+    ended a query: SQLite hides exceptions of its handler.
 
     Other signals arrive again shortly and then end the process.
     """
@@ -38,7 +39,9 @@ Row = tuple[int, int, int, bytes]
 
 
 class Block(NamedTuple):
-    """Rows as arrays: topic id in the file (n,), log time (n,) ns, bytes, offset and length of payloads (n,)."""
+    """Rows as arrays: topic id in the file (n,), log time
+    (n,) ns, bytes, offset and length of payloads (n,).
+    """
 
     topic: Array
     log_ns: Array
@@ -56,9 +59,17 @@ class MessageRows:
         self._diagnostics = diagnostics
 
     def blocks(self, wanted: Collection[int] | None) -> Iterator[Block]:
-        """The rows of these topics in the order stored; unreadable rows are skipped and recorded as losses."""
-        chosen = "" if wanted is None else f"AND topic_id IN ({','.join(str(int(number)) for number in wanted)})"
-        count, largest, low = _FIRST_ROWS, 1, _LOWEST
+        """The rows of these topics in the order stored;
+        unreadable rows are skipped and recorded as losses.
+        """
+        chosen = (
+            ""
+            if wanted is None
+            else f"AND topic_id IN ({','.join(str(int(number)) for number in wanted)})"
+        )
+        count = _FIRST_ROWS
+        largest = 1
+        low = _LOWEST
         try:
             cursor = self._store.execute(_SELECT.format(_COLUMNS, chosen), (low,))
             while rows := cursor.fetchmany(count):
@@ -75,7 +86,9 @@ class MessageRows:
             raise_if_interrupted(problem)  # else continue row by row, past the damage
         yield from self._damaged_rows(chosen, wanted, low)
 
-    def _damaged_rows(self, chosen: str, wanted: Collection[int] | None, low: int) -> Iterator[Block]:
+    def _damaged_rows(
+        self, chosen: str, wanted: Collection[int] | None, low: int
+    ) -> Iterator[Block]:
         """The sound rows after rowid `low`, one to a block."""
         query = _SELECT.format(_COLUMNS, chosen)
         last_ns: int | None = None
@@ -100,14 +113,18 @@ class MessageRows:
         if block is not None:
             yield block
         else:
-            self._diagnostics.add_loss(row[0], None, 1, None, f"row {row[0]} of messages is damaged")
+            self._diagnostics.add_loss(
+                row[0], None, 1, None, f"row {row[0]} of messages is damaged"
+            )
 
     def _next(self, low: int, last_ns: int | None, problem: Exception) -> Row | None:
         """The next readable row after rowid `low`, or None; records the rows between as lost."""
-        base, step = max(low, 0), 0
+        base = max(low, 0)
+        step = 0
         while step < 1 << 40 and not self._readable(base + step):
             step = max(1, 2 * step)
-        short, long = step // 2, step
+        short = step // 2
+        long = step
         while long - short > 1:
             middle = (short + long) // 2
             short, long = (short, middle) if self._readable(base + middle) else (middle, long)
@@ -137,16 +154,22 @@ class MessageRows:
 
 
 def _require_rising_rowid(row: Row, low: int) -> None:
-    """DatabaseError when a row does not come after rowid `low`: pages that point back would be read forever."""
+    """DatabaseError when a row does not come after rowid
+    `low`: pages that point back would be read forever.
+    """
     if row[0] <= low:
         raise sqlite3.DatabaseError(f"row {row[0]} comes after row {low}")
 
 
 def _rows_to_block(rows: list[Row], low: int) -> Block | None:
-    """The rows as arrays; None when a value has the wrong type, or rowids do not rise from `low`."""
+    """The rows as arrays; None when a value has the
+    wrong type, or rowids do not rise from `low`.
+    """
     ids, numbers, times, payloads = zip(*rows, strict=True)
     try:
-        rowid, topic, log_ns = (np.frombuffer(array("q", values), np.int64) for values in (ids, numbers, times))
+        rowid, topic, log_ns = (
+            np.frombuffer(array("q", values), np.int64) for values in (ids, numbers, times)
+        )
         data = np.frombuffer(b"".join(payloads), np.uint8)
     except TypeError:
         return None

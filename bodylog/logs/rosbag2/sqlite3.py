@@ -1,4 +1,6 @@
-"""Read rosbag2's SQLite files as undecoded batches: read only, no file is written beside the user's."""
+"""Read rosbag2's SQLite files as undecoded batches:
+read only, no file is written beside the user's.
+"""
 
 import os
 import shutil
@@ -15,7 +17,7 @@ from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
 from ..records import Batch, Finding, Topic
 from ..storage.packed_files import decompress_messages
-from ..topics import TopicTable, normalise_message_type, log_time_span, split_by_topic_id
+from ..topics import TopicTable, log_time_span, normalise_message_type, split_by_topic_id
 from .rows import DAMAGE, Block, MessageRows, raise_if_interrupted
 
 _ENDS = ("min", "max")
@@ -31,7 +33,9 @@ class Db3Log:
 
     format = "db3"
 
-    def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
+    def __init__(
+        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
+    ) -> None:
         """Open `source` (default: `path`) read only; LogError when it has no topics or messages."""
         self.path = path
         self._diagnostics = Diagnostics(path, strict, limits)
@@ -48,15 +52,22 @@ class Db3Log:
             self._store.close()
             raise_if_interrupted(problem)
             advice = f"type: sqlite3 {path} .recover | sqlite3 whole.db3"
-            raise LogError(f"{path}: not readable as a rosbag2 database: {problem}; {advice}") from None
+            raise LogError(
+                f"{path}: not readable as a rosbag2 database: {problem}; {advice}"
+            ) from None
         self.start_ns, self.end_ns = log_time_span(ends if counts else (), self._diagnostics)
-        topics, self._topic_of = TopicTable(), {}
+        topics = TopicTable()
+        self._topic_of = {}
         for number, (name, kind, encoding, definition, dialect, metadata) in named.items():
             count = counts.get(number, 0)
-            self._topic_of[number] = topics.add(name, kind, encoding, definition, dialect, count, metadata)
+            self._topic_of[number] = topics.add(
+                name, kind, encoding, definition, dialect, count, metadata
+            )
         self.topics: tuple[Topic, ...] = topics.all()
         for number in counts.keys() - named.keys():
-            self._diagnostics.add_loss(-number, None, counts[number], None, f"no row declares topic {number}")
+            self._diagnostics.add_loss(
+                -number, None, counts[number], None, f"no row declares topic {number}"
+            )
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -64,8 +75,12 @@ class Db3Log:
         return self._diagnostics.findings
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
-        """Messages of the topics `ids` (None: all) in the order stored, one batch per topic and block of rows."""
-        wanted = {number: topic for number, topic in self._topic_of.items() if ids is None or topic in ids}
+        """Messages of the topics `ids` (None: all) in the
+        order stored, one batch per topic and block of rows.
+        """
+        wanted = {
+            number: topic for number, topic in self._topic_of.items() if ids is None or topic in ids
+        }
         if wanted:
             blocks = self._rows.blocks(None if ids is None else wanted)
             found = (batch for block in blocks for batch in _batches_by_topic(block, wanted))
@@ -91,16 +106,23 @@ class Db3Log:
         """Messages by topic id in the file, first and last log time (ns)."""
         try:
             counts = self._counts(numbers)
-            if self._store.execute("PRAGMA index_list(messages)").fetchall():  # two look-ups instead of a scan
-                times = [self._store.execute(f"SELECT {end}(timestamp) FROM messages").fetchone()[0] for end in _ENDS]
+            if self._store.execute("PRAGMA index_list(messages)").fetchall():
+                # two look-ups instead of a scan
+                times = [
+                    self._store.execute(f"SELECT {end}(timestamp) FROM messages").fetchone()[0]
+                    for end in _ENDS
+                ]
             else:
-                times = self._store.execute("SELECT min(timestamp), max(timestamp) FROM messages").fetchone()
+                times = self._store.execute(
+                    "SELECT min(timestamp), max(timestamp) FROM messages"
+                ).fetchone()
             if all(type(value) is int for value in (*counts, *(times if counts else ()))):
                 return counts, times[0] or 0, times[1] or 0
         except DAMAGE as problem:
             raise_if_interrupted(problem)
             self._diagnostics.warn(f"the table of messages is damaged: {problem}")
-        counts, ends = {}, []
+        counts = {}
+        ends = []
         for block in self._rows.blocks(None):
             for topic in block.topic.tolist():
                 counts[topic] = counts.get(topic, 0) + 1
@@ -114,22 +136,36 @@ class Db3Log:
             whole, *each = self._store.execute(f"SELECT count(*), {sums} FROM messages").fetchone()
             if whole == sum(count or 0 for count in each):
                 return {number: count for number, count in zip(numbers, each, strict=True) if count}
-        return dict(self._store.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id").fetchall())
+        return dict(
+            self._store.execute(
+                "SELECT topic_id, count(*) FROM messages GROUP BY topic_id"
+            ).fetchall()
+        )
 
 
 def _connect_database(path: Path, source: Path) -> sqlite3.Connection:
     """The database; rows that its write-ahead log or journal holds are read from a copy."""
-    pending = [beside for end in ("-wal", "-journal") if (beside := source.with_name(source.name + end)).is_file()]
+    pending = [
+        beside
+        for end in ("-wal", "-journal")
+        if (beside := source.with_name(source.name + end)).is_file()
+    ]
     if not any(beside.stat().st_size for beside in pending):
         address = f"file:{quote(os.fsencode(source.resolve()))}?mode=ro&immutable=1"
         return _open_read_only(address, source.stat().st_size)
     needed = sum(part.stat().st_size for part in (source, *pending))
     with create_scratch_folder() as folder:
         if shutil.disk_usage(folder).free < 2 * needed:
-            raise LogError(f"{path}: {pending[0].name} holds unsaved rows; {2 * needed} bytes are needed in {folder}")
+            raise LogError(
+                f"{path}: {pending[0].name} holds unsaved rows; {2 * needed} bytes are "
+                f"needed in {folder}"
+            )
         for part in (source, *pending):
             shutil.copyfile(part, folder / part.name)
-        store = _open_read_only(f"file:{quote(os.fsencode(folder))}/{quote(os.fsencode(source.name))}?mode=rw", 2 * needed)
+        store = _open_read_only(
+            f"file:{quote(os.fsencode(folder))}/{quote(os.fsencode(source.name))}?mode=rw",
+            2 * needed,
+        )
         store.execute("SELECT count(*) FROM sqlite_master").fetchall()
         return store
 
@@ -144,22 +180,33 @@ def _open_read_only(address: str, size: int) -> sqlite3.Connection:
 
 
 def _only_tables(path: Path, store: sqlite3.Connection) -> None:
-    """LogError for computed rows: a view, which may never end, a virtual table or a generated column."""
+    """LogError for computed rows: a view, which may
+    never end, a virtual table or a generated column.
+    """
     for name in _TABLES:
-        found = store.execute("SELECT type, rootpage FROM sqlite_master WHERE lower(name) = ?", (name,)).fetchall()
+        found = store.execute(
+            "SELECT type, rootpage FROM sqlite_master WHERE lower(name) = ?", (name,)
+        ).fetchall()
         kinds = [kind if kind != "table" or page else "virtual table" for kind, page in found]
         if any(kind != "table" for kind in kinds):
-            raise LogError(f"{path}: {name} is a {kinds[0]}, where rosbag2 keeps a table; record the log again")
+            raise LogError(
+                f"{path}: {name} is a {kinds[0]}, where rosbag2 keeps a table; record the log again"
+            )
         hidden = [row[1] for row in store.execute(f"PRAGMA table_xinfo({name})") if row[6]]
         if hidden:
-            raise LogError(f"{path}: {name}.{hidden[0]} is computed, where rosbag2 stores values; record the log again")
+            raise LogError(
+                f"{path}: {name}.{hidden[0]} is computed, where rosbag2 stores values; "
+                "record the log again"
+            )
 
 
 def _decode_text(raw: bytes) -> str:
     return raw.decode(errors="replace")
 
 
-def _read_topic_rows(store: sqlite3.Connection) -> dict[int, tuple[str, str, str, bytes, str, dict[str, str]]]:
+def _read_topic_rows(
+    store: sqlite3.Connection,
+) -> dict[int, tuple[str, str, str, bytes, str, dict[str, str]]]:
     """Id in the file -> name, type, encoding, definition, its dialect, metadata."""
     columns = [row[1] for row in store.execute("PRAGMA table_info(topics)")]
     kept = [name for name in ("offered_qos_profiles", "type_description_hash") if name in columns]
@@ -170,15 +217,28 @@ def _read_topic_rows(store: sqlite3.Connection) -> dict[int, tuple[str, str, str
         if type(number) is not int:
             continue  # a damaged row; its messages are reported as of an unknown topic
         metadata = {key: str(value) for key, value in zip(kept, rest, strict=True) if value}
-        definition, dialect = definitions.get(kind) or _standard_definition(normalise_message_type(str(kind)))
-        topics[number] = (str(name), str(kind), str(encoding or "cdr"), definition, dialect, metadata)
+        definition, dialect = definitions.get(kind) or _standard_definition(
+            normalise_message_type(str(kind))
+        )
+        topics[number] = (
+            str(name),
+            str(kind),
+            str(encoding or "cdr"),
+            definition,
+            dialect,
+            metadata,
+        )
     return topics
 
 
 def _read_definitions(store: sqlite3.Connection) -> dict[str, tuple[bytes, str]]:
-    if not store.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchall():
+    if not store.execute(
+        "SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"
+    ).fetchall():
         return {}
-    rows = store.execute("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions")
+    rows = store.execute(
+        "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+    )
     return {kind: (str(text).encode(), str(dialect)) for kind, dialect, text in rows if text}
 
 

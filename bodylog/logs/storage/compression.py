@@ -17,7 +17,8 @@ NAMES = ("", "none", "lz4", "zstd", "bz2")
 STORED = ("", "none")
 """Names for uncompressed chunks."""
 
-_RATIO, _LIKELY = 1024, 16
+_RATIO = 1024
+_LIKELY = 16
 """A file, chunk or message may always expand to this many times its size, whatever the limits."""
 
 _PIECE = 128 << 10
@@ -28,7 +29,8 @@ class Allowance:
 
     def __init__(self, path: Path | None, limits: Input) -> None:
         """Start the count for the log at `path`."""
-        self._path, self._limits = path, limits
+        self._path = path
+        self._limits = limits
         self._packed = self._unpacked = 0
 
     def single(self, packed: int) -> int:
@@ -36,19 +38,30 @@ class Allowance:
         return max(int(self._limits.max_message_mb * 1e6), _LIKELY * packed)
 
     def take(self, packed: int, size: int) -> None:
-        """Count `size` unpacked bytes of `packed` bytes: FormatError for too large a one, LogError for the sum."""
+        """Count `size` unpacked bytes of `packed` bytes:
+        FormatError for too large a one, LogError for the sum.
+        """
         if size > self.single(packed):
             asked = f"type in robot.toml: [input] max_message_mb = {math.ceil(size / 1e6)}"
-            raise FormatError(f"{packed} packed bytes declare {size} bytes; to unpack them, {asked}")
-        self._packed, self._unpacked = self._packed + packed, self._unpacked + size
+            raise FormatError(
+                f"{packed} packed bytes declare {size} bytes; to unpack them, {asked}"
+            )
+        self._packed = self._packed + packed
+        self._unpacked = self._unpacked + size
         self.check(self._packed, self._unpacked)
 
     def check(self, packed: int, size: int) -> None:
         """LogError, naming the setting, when a file of `packed` bytes may not expand to `size`."""
         whole = self._limits.max_unpacked_gb
         if size > max(int(whole * 1e9), _RATIO * packed):
-            text = f"{self._path}: it unpacks to more than {whole:g} GB, {_RATIO} times its size or more"
-            raise LogError(f"{text}; to read it, type in robot.toml: [input] max_unpacked_gb = {math.ceil(4 * whole)}")
+            text = (
+                f"{self._path}: it unpacks to more than {whole:g} GB, {_RATIO} times its size or "
+                "more"
+            )
+            raise LogError(
+                f"{text}; to read it, type in robot.toml: [input] max_unpacked_gb = "
+                f"{math.ceil(4 * whole)}"
+            )
 
 
 class Buffer:
@@ -60,7 +73,8 @@ class Buffer:
         self._allowance = Allowance(path, limits)
 
     def load(self, compression: str, packed: memoryview, size: int, partly: bool = False) -> Array:
-        """Decompress `packed` to `size` bytes (size,) uint8; FormatError on a mismatch or beyond the limits.
+        """Decompress `packed` to `size` bytes (size,) uint8;
+        FormatError on a mismatch or beyond the limits.
 
         `partly`: `packed` is truncated; return the bytes before the cut.
         """
@@ -78,13 +92,16 @@ class Buffer:
 
 def _decompress_into(target: Array, compression: str, packed: memoryview, partly: bool) -> int:
     """Number of bytes written: all of them, unless `partly`."""
-    at, view = 0, target.data
+    at = 0
+    view = target.data
     try:
         for count in _PIECES[compression](packed, view):
             at += count
     except (OSError, EOFError, RuntimeError, ValueError, _zstd_error()) as problem:
         if not partly:
-            raise FormatError(f"{compression} data is damaged after {at} bytes: {problem}") from None
+            raise FormatError(
+                f"{compression} data is damaged after {at} bytes: {problem}"
+            ) from None
     if at != len(target) and not partly:
         raise FormatError(f"{compression} data holds {at} bytes where {len(target)} are declared")
     return min(at, len(target))
@@ -110,7 +127,10 @@ def _decompress_zstd(packed: memoryview, target: memoryview) -> Iterator[int]:
 def _decompress_lz4(packed: memoryview, target: memoryview) -> Iterator[int]:
     import lz4.frame as lz4
 
-    context, used, at, ended = lz4.create_decompression_context(), 0, 0, False
+    context = lz4.create_decompression_context()
+    used = 0
+    at = 0
+    ended = False
     while (not ended and used < len(packed)) or (at < len(target) and not ended):
         piece, taken, ended = lz4.decompress_chunk(context, packed[used:], max_length=_PIECE)
         if not piece and not taken:
@@ -123,7 +143,9 @@ def _decompress_lz4(packed: memoryview, target: memoryview) -> Iterator[int]:
 def _decompress_bz2(packed: memoryview, target: memoryview) -> Iterator[int]:
     import bz2
 
-    unpacker, at, rest = bz2.BZ2Decompressor(), 0, packed
+    unpacker = bz2.BZ2Decompressor()
+    at = 0
+    rest = packed
     while not unpacker.eof:
         piece = unpacker.decompress(rest, max_length=_PIECE)
         if not piece and unpacker.needs_input and not rest:

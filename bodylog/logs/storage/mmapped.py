@@ -1,4 +1,6 @@
-"""Memory-mapped files whose pages are dropped after use, so that resident memory does not grow with the log."""
+"""Memory-mapped files whose pages are dropped after
+use, so that resident memory does not grow with the log.
+"""
 
 import mmap
 from pathlib import Path
@@ -11,7 +13,8 @@ from .remote_map import RemoteMap, remote_map_of
 
 _ADVICE = hasattr(mmap, "MADV_DONTNEED")
 _PAGE = mmap.PAGESIZE
-_BEHIND, _AROUND = 32, 2 << 20
+_BEHIND = 32
+_AROUND = 2 << 20
 """Images are used a while after they were read; and touching one page loads its neighbours."""
 
 
@@ -27,12 +30,16 @@ def map_file(path: Path) -> memoryview:
 
 
 def is_mapped(data: Array) -> bool:
-    """Whether bytes (n,) belong to a mapped file, so that they stay valid while someone holds them."""
+    """Whether bytes (n,) belong to a mapped file, so
+    that they stay valid while someone holds them.
+    """
     return isinstance(getattr(data.base, "obj", None), mmap.mmap)
 
 
 def check_untruncated(data: memoryview, path: Path, problem: BaseException | None = None) -> None:
-    """LogError when the mapped file was truncated during reading and `problem`, if any, may follow from that."""
+    """LogError when the mapped file was truncated during
+    reading and `problem`, if any, may follow from that.
+    """
     if not isinstance(data.obj, mmap.mmap) or not isinstance(problem, BodylogError | None):
         return
     if (left := data.obj.size()) < len(data):
@@ -43,8 +50,8 @@ def check_untruncated(data: memoryview, path: Path, problem: BaseException | Non
 def advise_sequential(data: memoryview, start: int, end: int, alone: bool = False) -> None:
     """Tell the kernel that all bytes between two will be read in order.
 
-    The page cache then holds the file in large pieces, which are mapped at once. With `alone` only these bytes are
-    requested: readahead would load some megabytes beyond them.
+    The page cache then holds the file in large pieces, which are mapped at once. With `alone` only
+    these bytes are requested: readahead would load some megabytes beyond them.
     """
     ensure_local(data, start, end)
     low, high = start // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
@@ -68,7 +75,9 @@ def is_zero(data: memoryview, start: int, end: int) -> bool:
 
 
 def drop_pages(data: memoryview, start: int, end: int) -> None:
-    """Drop the pages between two bytes of a mapped file, and those well before; access maps them again."""
+    """Drop the pages between two bytes of a mapped
+    file, and those well before; access maps them again.
+    """
     behind = max(_AROUND, _BEHIND * (end - start))
     low, high = max(0, start - behind) // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
     if _ADVICE and high > low and type(data.obj) is mmap.mmap:

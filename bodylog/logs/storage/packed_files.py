@@ -56,14 +56,16 @@ def _iterate_lz4_content(stream: BinaryIO) -> Iterator[bytes]:
         elif not packed:
             return
         if unpacker.eof:
-            packed, unpacker = unpacker.unused_data or stream.read(_PIECE), LZ4FrameDecompressor()
+            packed = unpacker.unused_data or stream.read(_PIECE)
+            unpacker = LZ4FrameDecompressor()
         else:
             packed = stream.read(_PIECE) if unpacker.needs_input else b""
 
 
 _PACKED: Mapping[bytes, tuple[str, Callable[[BinaryIO], Iterator[bytes]]]] = {
-    ZSTD: ("zstd", _iterate_zstd_content), b"\x04\x22\x4d\x18": ("lz4", _iterate_lz4_content)
-}  # fmt: skip
+    ZSTD: ("zstd", _iterate_zstd_content),
+    b"\x04\x22\x4d\x18": ("lz4", _iterate_lz4_content),
+}
 """Name of a file's compression and how to undo it, by the first bytes."""
 
 
@@ -78,7 +80,8 @@ def unpack_file(
     limits: Input = LIMITS,
     check: Callable[[bytes], object] = lambda first: None,
 ) -> Opened:
-    """Decompress a file to a temporary file and call `use` on it; LogError when disk space or limits do not suffice.
+    """Decompress a file to a temporary file and call `use`
+    on it; LogError when disk space or limits do not suffice.
 
     `check` sees the first bytes and may reject them before the rest is decompressed.
     """
@@ -90,8 +93,12 @@ def unpack_file(
         return use(inner)
 
 
-def _unpack_file(path: Path, inner: Path, limit: int, limits: Input, check: Callable[[bytes], object]) -> None:
-    written, packed, allowance = 0, path.stat().st_size, Allowance(path, limits)
+def _unpack_file(
+    path: Path, inner: Path, limit: int, limits: Input, check: Callable[[bytes], object]
+) -> None:
+    written = 0
+    packed = path.stat().st_size
+    allowance = Allowance(path, limits)
     with path.open("rb") as stream, inner.open("wb") as target:
         form, pieces = _PACKED[stream.read(4)]
         stream.seek(0)
@@ -104,7 +111,10 @@ def _unpack_file(path: Path, inner: Path, limit: int, limits: Input, check: Call
                 allowance.check(packed, written)
                 if written > limit:
                     room = f"the {max(0, limit)} bytes free in {inner.parent.parent}"
-                    raise LogError(f"{path}: unpacked it takes more than {room}; name a larger folder in TMPDIR")
+                    raise LogError(
+                        f"{path}: unpacked it takes more than {room}; name a larger folder "
+                        "in TMPDIR"
+                    )
                 target.write(piece)
         except FormatError as problem:
             damage = str(problem)
@@ -126,7 +136,9 @@ def decompress_messages(
             yield batch
 
 
-def _decompress_batch_parts(batch: Batch, diagnostics: Diagnostics, allowance: Allowance) -> Iterator[Batch]:
+def _decompress_batch_parts(
+    batch: Batch, diagnostics: Diagnostics, allowance: Allowance
+) -> Iterator[Batch]:
     """The batch decompressed, in parts of some megabytes, to limit memory."""
     kept: list[int] = []
     payloads: list[bytes] = []
@@ -138,11 +150,17 @@ def _decompress_batch_parts(batch: Batch, diagnostics: Diagnostics, allowance: A
             size += len(payloads[-1])
         except FormatError as problem:
             diagnostics.add_loss(
-                int(batch.offset[i]), len(payload), 1, 0.0, f"a message compressed on its own: {problem}"
+                int(batch.offset[i]),
+                len(payload),
+                1,
+                0.0,
+                f"a message compressed on its own: {problem}",
             )
         if size > _TOGETHER:
             yield _join_payloads(batch, kept, payloads)
-            kept, payloads, size = [], [], 0
+            kept = []
+            payloads = []
+            size = 0
     if kept:
         yield _join_payloads(batch, kept, payloads)
 
@@ -150,7 +168,13 @@ def _decompress_batch_parts(batch: Batch, diagnostics: Diagnostics, allowance: A
 def _join_payloads(batch: Batch, kept: list[int], payloads: list[bytes]) -> Batch:
     length = np.array([len(payload) for payload in payloads], np.int64)
     data: Array = np.frombuffer(payloads[0] if len(payloads) == 1 else b"".join(payloads), np.uint8)
-    return replace(batch, log_ns=batch.log_ns[kept], data=data, offset=np.cumsum(length) - length, length=length)
+    return replace(
+        batch,
+        log_ns=batch.log_ns[kept],
+        data=data,
+        offset=np.cumsum(length) - length,
+        length=length,
+    )
 
 
 def _batch_payload_views(batch: Batch) -> Iterator[memoryview]:

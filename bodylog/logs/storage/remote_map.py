@@ -28,7 +28,11 @@ class RemoteMap(mmap.mmap):
     def ensure_local(self, start: int, end: int) -> None:
         """Fetch the missing blocks between the bytes `start` and `end` in few requests."""
         with self.lock:
-            wanted = [block for block in range(start // _BLOCK, -(-end // _BLOCK)) if block not in self.present]
+            wanted = [
+                block
+                for block in range(start // _BLOCK, -(-end // _BLOCK))
+                if block not in self.present
+            ]
             for first, last in _consecutive_runs(wanted):
                 low, high = first * _BLOCK, min((last + 1) * _BLOCK, len(self))
                 data = self.remote(low, high)
@@ -55,7 +59,9 @@ _MAPPED: dict[Path, tuple[Read, int]] = {}
 
 @contextmanager
 def mapped_remote(name: str, size: int, read: Read) -> Iterator[Path]:
-    """A path that `mmapped.map_file` maps as a RemoteMap of `size` bytes; its head is there to detect its format."""
+    """A path that `mmapped.map_file` maps as a RemoteMap of
+    `size` bytes; its head is there to detect its format.
+    """
     with create_scratch_folder() as folder:
         path = folder / name
         with path.open("wb") as stream:

@@ -22,11 +22,18 @@ def column_names(names: list[str], path: Path) -> list[str]:
     if not any(names):
         raise FormatError(f"{path}: the table has no header; name its columns in the first line")
     if all(is_number(name) for name in names if name):
-        raise FormatError(f"{path}: the first line holds numbers ({', '.join(names[:3])}); it must name the columns")
+        raise FormatError(
+            f"{path}: the first line holds numbers ({', '.join(names[:3])}); it must name "
+            "the columns"
+        )
     if len(names) > _MOST_COLUMNS:
         raise FormatError(f"{path}: {len(names)} columns; at most {_MOST_COLUMNS} are read")
-    if twice := next((name for name, count in Counter(filter(None, names)).items() if count > 1), None):
-        raise FormatError(f"{path}: column {twice!r} occurs {names.count(twice)} times; give each a unique name")
+    if twice := next(
+        (name for name, count in Counter(filter(None, names)).items() if count > 1), None
+    ):
+        raise FormatError(
+            f"{path}: column {twice!r} occurs {names.count(twice)} times; give each a unique name"
+        )
     return names
 
 

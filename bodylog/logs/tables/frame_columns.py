@@ -1,7 +1,9 @@
-"""Poses of a frame in the columns of a table: a matrix, a place with a quaternion, or one with roll, pitch and yaw.
+"""Poses of a frame in the columns of a table: a matrix, a
+place with a quaternion, or one with roll, pitch and yaw.
 
-A pose stands in a log as six coordinates, as if three sliding and three turning joints carried the frame: x, y, z in m,
-then three rotations in rad. Their order is rz, ry, rx, or rz, rx, ry where the first is near its singularity.
+A pose stands in a log as six coordinates, as if three sliding and three turning joints carried the
+frame: x, y, z in m, then three rotations in rad. Their order is rz, ry, rx, or rz, rx, ry where the
+first is near its singularity.
 """
 
 import re
@@ -29,7 +31,9 @@ _MOST_OFF = 0.02
 
 @dataclass(frozen=True, eq=False)
 class FramePoses:
-    """A frame's poses by row: its columns · place (N,3) m · rotation (N,3,3), NaN where a row has none."""
+    """A frame's poses by row: its columns · place (N,3)
+    m · rotation (N,3,3), NaN where a row has none.
+    """
 
     name: str
     columns: tuple[str, ...]
@@ -38,14 +42,18 @@ class FramePoses:
 
     @property
     def coordinates(self) -> dict[str, Array]:
-        """The six coordinates (N,) by name: NAME.x, .y, .z in m, then the rotations in rad, in their order."""
+        """The six coordinates (N,) by name: NAME.x, .y, .z
+        in m, then the rotations in rad, in their order.
+        """
         found = {axis: self.place[:, k] for k, axis in enumerate(PLACE)}
         found |= _rotation_angles(self.rotation)
         return {f"{self.name}.{axis}": values for axis, values in found.items()}
 
 
 def frame_poses(numbers: Mapping[str, Array], path: str) -> list[FramePoses]:
-    """Every frame in a table's columns; LogError where lengths cannot be in m, or matrices are no rotations."""
+    """Every frame in a table's columns; LogError where
+    lengths cannot be in m, or matrices are no rotations.
+    """
     return [*_read_matrices(numbers, path), *_frame_positions(numbers, path)]
 
 
@@ -64,9 +72,13 @@ def _read_matrices(numbers: Mapping[str, Array], path: str) -> Iterator[FramePos
     for name, found in cells.items():
         if any((row, column) not in found for row in range(3) for column in range(4)):
             continue
-        values = np.array([[numbers[found[row, column]] for column in range(4)] for row in range(3)])
+        values = np.array(
+            [[numbers[found[row, column]] for column in range(4)] for row in range(3)]
+        )
         matrix = np.moveaxis(values, -1, 0)
-        yield _check_frame_poses(FramePoses(name, tuple(found.values()), matrix[:, :, 3], matrix[:, :, :3]), path)
+        yield _check_frame_poses(
+            FramePoses(name, tuple(found.values()), matrix[:, :, 3], matrix[:, :, :3]), path
+        )
 
 
 def _frame_positions(numbers: Mapping[str, Array], path: str) -> Iterator[FramePoses]:
@@ -78,8 +90,14 @@ def _frame_positions(numbers: Mapping[str, Array], path: str) -> Iterator[FrameP
         turned = next((axes for axes in (_QUATERNION, _ANGLES) if set(axes) <= set(found)), None)
         if turned is None or not set(PLACE) <= set(found):
             continue
-        place, turn = (np.column_stack([numbers[found[axis]] for axis in axes]) for axes in (PLACE, turned))
-        rotation = _of_quaternions(turn, name, path) if turned == _QUATERNION else _of_angles(turn, name, path)
+        place, turn = (
+            np.column_stack([numbers[found[axis]] for axis in axes]) for axes in (PLACE, turned)
+        )
+        rotation = (
+            _of_quaternions(turn, name, path)
+            if turned == _QUATERNION
+            else _of_angles(turn, name, path)
+        )
         columns = tuple(found[axis] for axis in (*PLACE, *turned))
         yield _check_frame_poses(FramePoses(name, columns, place, rotation), path)
 
@@ -89,7 +107,10 @@ def _of_quaternions(turn: Array, name: str, path: str) -> Array:
     wrong = np.abs(length - 1.0) > _MOST_OFF
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise LogError(f"{path}: row {row + 1}: quaternion of {name} has the length {length[row]:.3g}; possible: 1")
+        raise LogError(
+            f"{path}: row {row + 1}: quaternion of {name} has the length {length[row]:.3g}; "
+            "possible: 1"
+        )
     x, y, z, w = (turn / length[:, None]).T
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -102,9 +123,16 @@ def _of_quaternions(turn: Array, name: str, path: str) -> Array:
 def _of_angles(turn: Array, name: str, path: str) -> Array:
     largest = float(np.nanmax(np.abs(turn), initial=0.0))
     if largest > 2.0 * np.pi:
-        raise LogError(f"{path}: roll, pitch, yaw of {name}: found {largest:.4g}; possible: rad, at most a turn")
+        raise LogError(
+            f"{path}: roll, pitch, yaw of {name}: found {largest:.4g}; possible: rad, at "
+            "most a turn"
+        )
     roll, pitch, yaw = turn.T
-    return np.asarray(_rotations_about_axis("z", yaw) @ _rotations_about_axis("y", pitch) @ _rotations_about_axis("x", roll))
+    return np.asarray(
+        _rotations_about_axis("z", yaw)
+        @ _rotations_about_axis("y", pitch)
+        @ _rotations_about_axis("x", roll)
+    )
 
 
 def _rotations_about_axis(axis: str, angle: Array) -> Array:
@@ -123,18 +151,26 @@ def _rotations_about_axis(axis: str, angle: Array) -> Array:
 def _check_frame_poses(found: FramePoses, path: str) -> FramePoses:
     farthest = float(np.nanmax(np.abs(found.place), initial=0.0))
     if farthest > _FARTHEST_M:
-        raise LogError(f"{path}: {found.name}: a coordinate of its place is {farthest:.4g}; possible: m, not mm")
+        raise LogError(
+            f"{path}: {found.name}: a coordinate of its place is {farthest:.4g}; possible: "
+            "m, not mm"
+        )
     r = found.rotation
     off = np.abs(r.transpose(0, 2, 1) @ r - np.eye(3)).max(axis=(1, 2), initial=0.0)
     wrong = np.flatnonzero((off > _MOST_OFF) | (np.linalg.det(r) < 0.0))
     if len(wrong):
         row = int(wrong[0])
-        raise LogError(f"{path}: row {row + 1}: the matrix of {found.name} is no rotation; possible: row r, column c")
+        raise LogError(
+            f"{path}: row {row + 1}: the matrix of {found.name} is no rotation; possible: "
+            "row r, column c"
+        )
     return found
 
 
 def _rotation_angles(rotation: Array) -> dict[str, Array]:
-    """The rotations (N,) rad in the order farther from its singularity, each within half a turn of its middle."""
+    """The rotations (N,) rad in the order farther from its
+    singularity, each within half a turn of its middle.
+    """
     known: Array = np.asarray(np.isfinite(rotation).all(axis=(1, 2)))
     r = np.where(known[:, None, None], rotation, np.nan)
     first = np.hypot(r[:, 0, 0], r[:, 1, 0])
@@ -155,7 +191,9 @@ def _rotation_angles(rotation: Array) -> dict[str, Array]:
 
 
 def _unwrap_near_mean(angle: Array) -> Array:
-    """Angles (N,) within half a turn of a quarter turn near their mean, so that logs of one robot agree."""
+    """Angles (N,) within half a turn of a quarter turn
+    near their mean, so that logs of one robot agree.
+    """
     mean = np.arctan2(np.nanmean(np.sin(angle)), np.nanmean(np.cos(angle)))
     quarters = int(np.round(mean / (np.pi / 2.0)))
     centre = np.pi / 2.0 * (2 if quarters == -2 else quarters)

@@ -1,7 +1,9 @@
-"""What the columns of a Parquet file unpack to, by the headers of their pages, before a page is read.
+"""What the columns of a Parquet file unpack to, by
+the headers of their pages, before a page is read.
 
-The file's footer declares sizes as well, but no reader holds a file to them. Page headers are Thrift's compact protocol
-(Apache Thrift, thrift-compact-protocol.md), their fields those of Parquet (parquet.thrift).
+The file's footer declares sizes as well, but no reader holds a file to
+them. Page headers are Thrift's compact protocol (Apache Thrift,
+thrift-compact-protocol.md), their fields those of Parquet (parquet.thrift).
 """
 
 import mmap
@@ -16,10 +18,14 @@ from ..limits import Input
 _MOST_PAGES = 1 << 18
 _LONGEST_HEADER = 1 << 16
 _DEEPEST = 8
-_DATA, _DICTIONARY, _DATA_V2 = 0, 2, 3
+_DATA = 0
+_DICTIONARY = 2
+_DATA_V2 = 3
 _DELTA_BYTE_ARRAY = 7
 """The encoding whose texts repeat the beginning of the one before."""
-_TYPE, _UNPACKED, _PACKED = 1, 2, 3
+_TYPE = 1
+_UNPACKED = 2
+_PACKED = 3
 _HEADERS = {_DATA: 5, _DICTIONARY: 7, _DATA_V2: 8}
 _VALUES = 1
 _ENCODING = {_DATA: 2, _DICTIONARY: 2, _DATA_V2: 4}
@@ -27,9 +33,11 @@ _ENCODING = {_DATA: 2, _DICTIONARY: 2, _DATA_V2: 4}
 
 @dataclass(frozen=True)
 class ParquetLeaf:
-    """One column without its groups: values · bytes of its pages, and of the largest one · bytes of texts.
+    """One column without its groups: values · bytes of
+    its pages, and of the largest one · bytes of texts.
 
-    texts_read: at most, where each of a dictionary is read once · texts_copied: at most, where each value is a copy.
+    texts_read: at most, where each of a dictionary is read
+    once · texts_copied: at most, where each value is a copy.
     """
 
     values: int = 0
@@ -49,10 +57,13 @@ class ParquetLeaf:
         )
 
 
-def list_parquet_leaves(path: Path, file: Any, limits: Input, groups: tuple[int, ...] | None = None) -> Mapping[str, ParquetLeaf]:
+def list_parquet_leaves(
+    path: Path, file: Any, limits: Input, groups: tuple[int, ...] | None = None
+) -> Mapping[str, ParquetLeaf]:
     """The leaves of an open ParquetFile in some row groups (None: all), by their dotted names.
 
-    LogError, with the setting, where a page unpacks to more than a message may; FormatError for a damaged header.
+    LogError, with the setting, where a page unpacks to more
+    than a message may; FormatError for a damaged header.
     """
     found: dict[str, ParquetLeaf] = {}
     about = file.metadata
@@ -70,8 +81,12 @@ def list_parquet_leaves(path: Path, file: Any, limits: Input, groups: tuple[int,
                 found[name] = found.get(name, ParquetLeaf()).with_chunk(chunk)
     largest = max(found, key=lambda name: found[name].largest, default="")
     if found and found[largest].largest > limits.max_message_mb * 1e6:
-        asked = f"type in robot.toml: [input] max_message_mb = {-(-found[largest].largest // 10**6)}"
-        raise LogError(f"{path}: {largest}: a page of {found[largest].largest} bytes; to read it, {asked}")
+        asked = (
+            f"type in robot.toml: [input] max_message_mb = {-(-found[largest].largest // 10**6)}"
+        )
+        raise LogError(
+            f"{path}: {largest}: a page of {found[largest].largest} bytes; to read it, {asked}"
+        )
     return found
 
 
@@ -91,9 +106,13 @@ def _read_column_chunk(path: Path, data: mmap.mmap, column: Any) -> tuple[Parque
             about = header.get(_HEADERS.get(kind, -1), {})
             own = int(about.get(_VALUES, 0))
         except (KeyError, TypeError, ValueError, IndexError, AttributeError):
-            raise FormatError(f"{path}: {column.path_in_schema}: the header of a page is damaged") from None
+            raise FormatError(
+                f"{path}: {column.path_in_schema}: the header of a page is damaged"
+            ) from None
         if min(size, packed, own) < 0:
-            raise FormatError(f"{path}: {column.path_in_schema}: a page of {size} bytes and {own} values")
+            raise FormatError(
+                f"{path}: {column.path_in_schema}: a page of {size} bytes and {own} values"
+            )
         at += packed
         count += 1
         unpacked += size
@@ -109,8 +128,12 @@ def _read_column_chunk(path: Path, data: mmap.mmap, column: Any) -> tuple[Parque
     return ParquetLeaf(values, unpacked, largest, texts, texts + values * dictionary), count
 
 
-def _read_thrift_struct(data: mmap.mmap, at: int, end: int, depth: int = 0) -> tuple[dict[int, Any], int]:
-    """A struct of the compact protocol as {field: number or struct}, and the place behind it; ValueError if damaged."""
+def _read_thrift_struct(
+    data: mmap.mmap, at: int, end: int, depth: int = 0
+) -> tuple[dict[int, Any], int]:
+    """A struct of the compact protocol as {field: number or
+    struct}, and the place behind it; ValueError if damaged.
+    """
     if depth > _DEEPEST:
         raise ValueError("too deep")
     found: dict[int, Any] = {}
@@ -128,7 +151,9 @@ def _read_thrift_struct(data: mmap.mmap, at: int, end: int, depth: int = 0) -> t
     raise ValueError("too long")
 
 
-def _read_thrift_value(data: mmap.mmap, at: int, end: int, kind: int, depth: int) -> tuple[Any, int]:
+def _read_thrift_value(
+    data: mmap.mmap, at: int, end: int, kind: int, depth: int
+) -> tuple[Any, int]:
     """A value of a type of the compact protocol, and the place behind it."""
     if kind in (1, 2):
         return 2 - kind, at

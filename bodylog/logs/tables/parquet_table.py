@@ -10,11 +10,13 @@ from ...errors import FormatError, UsageError
 from ..limits import Input, TableSize
 from ..records import Array
 from . import parquet_pages
-from .cells import OBJECT_BYTES, column_names, exception_line, cell_objects
+from .cells import OBJECT_BYTES, cell_objects, column_names, exception_line
 
 
 def read_parquet_table(path: Path, limits: Input) -> tuple[list[str], list[Array], int]:
-    """Names and cells (N,) of the columns, and the number of rows; FormatError or LogError where it is unreadable."""
+    """Names and cells (N,) of the columns, and the number
+    of rows; FormatError or LogError where it is unreadable.
+    """
     try:
         parquet: Any = import_module("pyarrow.parquet")
     except ImportError:
@@ -26,7 +28,9 @@ def read_parquet_table(path: Path, limits: Input) -> tuple[list[str], list[Array
 
 @contextmanager
 def _arrow_damage_errors(path: Path) -> Iterator[None]:
-    """Turn what Arrow raises for a damaged file, or for types that it does not convert, into a FormatError."""
+    """Turn what Arrow raises for a damaged file, or for
+    types that it does not convert, into a FormatError.
+    """
     arrow: Any = import_module("pyarrow")
     try:
         yield
@@ -43,18 +47,28 @@ def _of_file(path: Path, limits: Input, parquet: Any) -> tuple[list[str], list[A
         texts = [name for name in names if _is_text(file.schema_arrow.field(name).type)]
         size = TableSize(limits)
         for name in names:
-            _charge_table_column(path, name, list(parquet_pages.leaves_under_column(leaves, name)), file, size)
+            _charge_table_column(
+                path, name, list(parquet_pages.leaves_under_column(leaves, name)), file, size
+            )
         rows = file.metadata.num_rows
-    with parquet.ParquetFile(path, read_dictionary=texts) as file:  # one copy of each text, however often it occurs
+    with parquet.ParquetFile(path, read_dictionary=texts) as file:
+        # one copy of each text, however often it occurs
         table = file.read()
     columns = [(name, table.column(place)) for place, name in enumerate(names)]
-    flat = [pair for name, column in columns for pair in _arrow_column_values(path, name, column, size)]
+    flat = [
+        pair for name, column in columns for pair in _arrow_column_values(path, name, column, size)
+    ]
     return [name for name, _ in flat], [cells for _, cells in flat], rows
 
 
-def _charge_table_column(path: Path, name: str, leaves: Sequence[parquet_pages.ParquetLeaf], file: Any, size: TableSize) -> None:
-    """Count a column before it is read; the texts of a plain column are counted once it is known which occur."""
-    kind, values = file.schema_arrow.field(name).type, sum(leaf.values for leaf in leaves)
+def _charge_table_column(
+    path: Path, name: str, leaves: Sequence[parquet_pages.ParquetLeaf], file: Any, size: TableSize
+) -> None:
+    """Count a column before it is read; the texts of a
+    plain column are counted once it is known which occur.
+    """
+    kind = file.schema_arrow.field(name).type
+    values = sum(leaf.values for leaf in leaves)
     if _is_plain(kind):
         size.take(8 * values, f"{path}: {name}")
     elif _is_text(kind):
@@ -74,7 +88,9 @@ def _is_text(kind: Any) -> bool:
     return bool(types.is_string(kind) or types.is_binary(kind))
 
 
-def _arrow_column_values(path: Path, name: str, column: Any, size: TableSize) -> Iterator[tuple[str, Array]]:
+def _arrow_column_values(
+    path: Path, name: str, column: Any, size: TableSize
+) -> Iterator[tuple[str, Array]]:
     """A Parquet column as a table column; a list of fixed length as several: name.0, name.1, ..."""
     if _is_plain(column.type):
         yield name, column.cast("float64").to_numpy()
@@ -85,7 +101,9 @@ def _arrow_column_values(path: Path, name: str, column: Any, size: TableSize) ->
     cells = column.to_pylist()
     widths = {len(cell) for cell in cells if isinstance(cell, list)}
     if len(widths) == 1 and all(isinstance(cell, list) for cell in cells):
-        yield from ((f"{name}.{k}", cell_objects([cell[k] for cell in cells])) for k in range(min(widths)))
+        yield from (
+            (f"{name}.{k}", cell_objects([cell[k] for cell in cells])) for k in range(min(widths))
+        )
     else:
         yield name, cell_objects(cells)
 

@@ -1,4 +1,6 @@
-"""The role of each column of a pose table, by its name: joint, image position, image file, time, or unused."""
+"""The role of each column of a pose table, by its name:
+joint, image position, image file, time, or unused.
+"""
 
 import re
 from collections.abc import Mapping
@@ -14,10 +16,12 @@ from .table_file import FileTable
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 _TIME = re.compile(
-    r"(?:unix|epoch|ros)?_?(?:t|time|stamp|timestamp|secs?|seconds|unix|epoch)(?:_(ns|us|ms|s|sec))?", re.IGNORECASE
+    r"(?:unix|epoch|ros)?_?(?:t|time|stamp|timestamp|secs?|seconds|unix|epoch)(?:_(ns|us|ms|s|sec))?",
+    re.IGNORECASE,
 )
 _LABEL = re.compile(
-    r"pose|row|index|idx|id|no|nr|num|number|n|#|count|frame|sample|episode|unnamed.*|\w+_(id|index|idx)", re.IGNORECASE
+    r"pose|row|index|idx|id|no|nr|num|number|n|#|count|frame|sample|episode|unnamed.*|\w+_(id|index|idx)",
+    re.IGNORECASE,
 )
 _PLACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[uv])")
 _STD = re.compile(r"(?P<name>.+)[_.](?:std[_.](?P<axis>[uv])|(?P<before>[uv])[_.]std|std)")
@@ -26,7 +30,8 @@ _SPACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[xyz]|q[xyzw])", re.IGNORECASE)
 
 @dataclass(frozen=True, eq=False)
 class PoseColumns:
-    """joints (names) · tracks {name: positions (N,2) px} · std {name: (N,2) px} · images {column: files} · t (N,) s.
+    """joints (names) · tracks {name: positions (N,2) px} ·
+    std {name: (N,2) px} · images {column: files} · t (N,) s.
 
     `time`: the column of times, None if rows are numbered · notes on the roles of the columns.
     """
@@ -42,26 +47,39 @@ class PoseColumns:
 
 def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     """Assign a role to each column; LogError if there is neither a joint nor a position."""
-    left, notes = dict(table.numbers), list[str]()
+    left = dict(table.numbers)
+    notes = list[str]()
     images = {name: files for name, files in table.texts.items() if _name_image_files(files)}
     time, t = _take_time_column(left, table.rows, notes)
     tracks, std = _take_track_columns(left)
     labels = [name for name in left if is_label_column(name)]
     frames = frame_poses(left, path)
-    spaces = list(dict.fromkeys([*_find_space_columns(left), *(column for one in frames for column in one.columns)]))
+    spaces = list(
+        dict.fromkeys(
+            [*_find_space_columns(left), *(column for one in frames for column in one.columns)]
+        )
+    )
     empty = [name for name, values in left.items() if not np.isfinite(values).any()]
     lone = [name for name in left if _PLACE.fullmatch(name)]
-    unused = dict.fromkeys([*(n for n in table.texts if n not in images), *labels, *spaces, *empty, *lone])
+    unused = dict.fromkeys(
+        [*(n for n in table.texts if n not in images), *labels, *spaces, *empty, *lone]
+    )
     joints = {name: values for name, values in left.items() if name not in unused}
     if frames and not joints:
         joints = frames[0].coordinates
         for column in frames[0].columns:
             unused.pop(column, None)
-        what = "a pose in each row; its coordinates (m, rad) stand for joints, whose zeros stay unknown"
+        what = (
+            "a pose in each row; its coordinates (m, rad) stand for joints, whose zeros stay "
+            "unknown"
+        )
         notes.append(f"{frames[0].name}: {what}")
     if not joints and not tracks and not images:
         have = ", ".join(table.names[:12])
-        raise LogError(f"{path}: no column is a joint, NAME_u and NAME_v, or image files; the columns are {have}")
+        raise LogError(
+            f"{path}: no column is a joint, NAME_u and NAME_v, or image files; the columns "
+            f"are {have}"
+        )
     notes += _describe_used_columns(joints, tracks, images, time)
     if unused:
         notes.append(f"columns not used: {', '.join(unused)}")
@@ -74,8 +92,12 @@ def _name_image_files(files: Array) -> bool:
     return bool(filled) and sum(name.lower().endswith(IMAGES) for name in filled) > len(filled) / 2
 
 
-def _take_time_column(left: dict[str, Array], rows: int, notes: list[str]) -> tuple[str | None, Array]:
-    """The column of times, removed from `left`, and the rows' times (N,) s: row numbers if no column is sound."""
+def _take_time_column(
+    left: dict[str, Array], rows: int, notes: list[str]
+) -> tuple[str | None, Array]:
+    """The column of times, removed from `left`, and the
+    rows' times (N,) s: row numbers if no column is sound.
+    """
     name, t = time_column(left)
     if name is None:
         notes.append("no column of times; t is the row's number, counted from 0")
@@ -85,10 +107,15 @@ def _take_time_column(left: dict[str, Array], rows: int, notes: list[str]) -> tu
         left.pop(other)
         notes.append(f"column {other} is a second column of times; {name} is used")
     if not np.isfinite(t).all() or (np.diff(np.sort(t)) <= 0).any() or np.abs(t).max() > 9e9:
-        notes.append(f"column {name} does not date every row differently; t is the row's number, counted from 0")
+        notes.append(
+            f"column {name} does not date every row differently; t is the row's number, "
+            "counted from 0"
+        )
         return None, np.arange(rows, dtype=float)
     if np.diff(np.sort(t)).max(initial=0) > 86_400 / 2:
-        notes.append(f"column {name} leaps by more than half a day; t is the row's number, counted from 0")
+        notes.append(
+            f"column {name} leaps by more than half a day; t is the row's number, counted from 0"
+        )
         return None, np.arange(rows, dtype=float)
     return name, t
 
@@ -112,7 +139,9 @@ def _time_column_scale(name: str) -> float:
 
 
 def _take_track_columns(left: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Positions (N,2) px of NAME_u and NAME_v, and their standard deviations, removed from `left`."""
+    """Positions (N,2) px of NAME_u and NAME_v, and
+    their standard deviations, removed from `left`.
+    """
     axes: dict[str, dict[str, str]] = {}
     for column in left:
         if match := _PLACE.fullmatch(column):
@@ -126,12 +155,16 @@ def _take_track_columns(left: dict[str, Array]) -> tuple[dict[str, Array], dict[
     for column in left:
         match = _STD.fullmatch(column)
         if match and match["name"] in tracks:
-            stds.setdefault(match["name"], {})[(match["axis"] or match["before"] or "both").lower()] = column
+            stds.setdefault(match["name"], {})[
+                (match["axis"] or match["before"] or "both").lower()
+            ] = column
     return tracks, {name: _track_std(found, left) for name, found in stds.items()}
 
 
 def _track_std(found: Mapping[str, str], left: dict[str, Array]) -> Array:
-    """Standard deviations (N,2) px from one column per axis or one for both; NaN where not positive."""
+    """Standard deviations (N,2) px from one column
+    per axis or one for both; NaN where not positive.
+    """
     columns = {axis: left.pop(column) for axis, column in found.items()}
     both = columns.get("both")
     unknown = np.full(len(next(iter(columns.values()))), np.nan) if both is None else both
@@ -140,7 +173,9 @@ def _track_std(found: Mapping[str, str], left: dict[str, Array]) -> Array:
 
 
 def _find_space_columns(left: Mapping[str, Array]) -> list[str]:
-    """Columns of poses in space: NAME_x, NAME_y and NAME_z together, and quaternions beside them."""
+    """Columns of poses in space: NAME_x, NAME_y and
+    NAME_z together, and quaternions beside them.
+    """
     axes: dict[str, dict[str, str]] = {}
     for column in left:
         if match := _SPACE.fullmatch(column):
@@ -151,7 +186,10 @@ def _find_space_columns(left: Mapping[str, Array]) -> list[str]:
 
 
 def _describe_used_columns(
-    joints: Mapping[str, Array], tracks: Mapping[str, Array], images: Mapping[str, Array], time: str | None
+    joints: Mapping[str, Array],
+    tracks: Mapping[str, Array],
+    images: Mapping[str, Array],
+    time: str | None,
 ) -> list[str]:
     """The roles of the used columns; joints that may be in degrees."""
     uses = [f"joints: {', '.join(joints)}"] if joints else []
@@ -164,4 +202,6 @@ def _describe_used_columns(
 
 def in_degrees(joints: Mapping[str, Array]) -> list[str]:
     """Joints whose values span more than two turns: they are degrees, or not joints."""
-    return [name for name, values in joints.items() if np.ptp(values[np.isfinite(values)]) > 4.0 * np.pi]
+    return [
+        name for name, values in joints.items() if np.ptp(values[np.isfinite(values)]) > 4.0 * np.pi
+    ]

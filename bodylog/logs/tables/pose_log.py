@@ -19,8 +19,8 @@ from ..records import Array, Batch, Finding, Outgoing, Topic
 from ..topic_names import TRACK, TRACK_NAMES, escape_topic_name
 from ..topics import INDEPENDENT
 from .frame_columns import frame_of
-from .pose_columns import in_degrees, assign_column_roles
-from .table_file import table_format, read_table_file
+from .pose_columns import assign_column_roles, in_degrees
+from .table_file import read_table_file, table_format
 
 JOINTS = "/joint_states"
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -33,9 +33,12 @@ _AS_THEY_ARE = (".jpg", ".jpeg", ".png", ".webp")
 class PoseLog:
     """A CSV, Parquet or YAML table of poses; see protocol.Log."""
 
-    def __init__(self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS) -> None:
+    def __init__(
+        self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
+    ) -> None:
         """Read the whole table `source` (default: `path`); LogError when it holds no poses."""
-        source, self.path = source or path, path
+        source = source or path
+        self.path = path
         with source.open("rb") as stream:
             self.format = table_format(path, stream.read(4)) or "csv"
         table = read_table_file(source, self.format, limits)
@@ -46,18 +49,29 @@ class PoseLog:
         self._add("warning", *table.odd)
         self._add("lost", *table.lost)
         if far := in_degrees(found.joints):
-            text = f'{", ".join(far)}: more than two turns; are these degrees? type: [body] unit = "deg"'
+            text = (
+                f"{', '.join(far)}: more than two turns; are these degrees? type: [body] unit = "
+                '"deg"'
+            )
             self._add("warning", text)
         first = found.t.min()
         # a stamp of zero means no stamp, so times begin a second after it
         t = found.t if first >= 1.0 else found.t - first + 1.0
         self._ns = np.rint(t * 1e9).astype(np.int64)
         self._outgoing = [*self._joints(found.joints), *self._tracks(found.tracks, found.std)]
-        self._images = {len(self._outgoing) + k: files for k, files in enumerate(found.images.values())}
+        self._images = {
+            len(self._outgoing) + k: files for k, files in enumerate(found.images.values())
+        }
         cameras = zip(self._images.items(), found.images, strict=True)
         self.topics: tuple[Topic, ...] = (
-            *(_describe_pose_topic(k, out, tuple(found.joints)) for k, out in enumerate(self._outgoing)),
-            *(_describe_pose_camera(k, name, sum(map(bool, files))) for (k, files), name in cameras),
+            *(
+                _describe_pose_topic(k, out, tuple(found.joints))
+                for k, out in enumerate(self._outgoing)
+            ),
+            *(
+                _describe_pose_camera(k, name, sum(map(bool, files)))
+                for (k, files), name in cameras
+            ),
         )
         self.start_ns, self.end_ns = int(self._ns.min()), int(self._ns.max())
 
@@ -67,7 +81,9 @@ class PoseLog:
         return tuple(dict.fromkeys(self._findings))
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
-        """Messages of the topics `ids` (None: all), one topic after the other; images are read one by one."""
+        """Messages of the topics `ids` (None: all), one
+        topic after the other; images are read one by one.
+        """
         for number, out in enumerate(self._outgoing):
             if ids is None or number in ids:
                 yield Batch(number, out.log_ns, out.data, out.offset, out.length)
@@ -92,27 +108,46 @@ class PoseLog:
     def _add(self, severity: str, *texts: str) -> None:
         """Add findings; LogError for a loss if the log is read strictly."""
         if severity == "lost" and texts and self._strict:
-            raise LogError(f"{self.path}: {texts[0]}; type the command without --strict to use the rest")
+            raise LogError(
+                f"{self.path}: {texts[0]}; type the command without --strict to use the rest"
+            )
         self._findings += [Finding(severity, f"{self.path}: {text}") for text in texts]
 
     def _joints(self, joints: Mapping[str, Array]) -> list[Outgoing]:
         if not joints:
             return []
         values = np.column_stack(list(joints.values()))
-        # NaN where ROS would leave the array empty: pybag cannot read a message that ends in an empty array.
+        # NaN where ROS would leave the array empty: pybag
+        # cannot read a message that ends in an empty array.
         unknown = np.full(values.shape, np.nan)
-        rows: list[CdrField] = [("float64[]", values), ("float64[]", unknown), ("float64[]", unknown)]
-        return [self._outgoing_of(JOINTS, JOINT_STATE, [*cdr.cdr_header_field(self._ns), ("string[]", tuple(joints)), *rows])]
+        rows: list[CdrField] = [
+            ("float64[]", values),
+            ("float64[]", unknown),
+            ("float64[]", unknown),
+        ]
+        return [
+            self._outgoing_of(
+                JOINTS,
+                JOINT_STATE,
+                [*cdr.cdr_header_field(self._ns), ("string[]", tuple(joints)), *rows],
+            )
+        ]
 
     def _tracks(self, tracks: Mapping[str, Array], std: Mapping[str, Array]) -> Iterator[Outgoing]:
         for name, places in tracks.items():
             data = np.hstack([places, std.get(name, np.full(places.shape, np.nan))])
-            fields: list[CdrField] = [*cdr.cdr_header_field(self._ns), ("string[]", TRACK_NAMES), ("float64[]", data)]
+            fields: list[CdrField] = [
+                *cdr.cdr_header_field(self._ns),
+                ("string[]", TRACK_NAMES),
+                ("float64[]", data),
+            ]
             yield self._outgoing_of(TRACK + escape_topic_name(name), VECTOR, fields)
 
     def _outgoing_of(self, topic: str, kind: str, fields: Sequence[CdrField]) -> Outgoing:
         made = cdr.serialise_messages(len(self._ns), fields)
-        return Outgoing(topic, kind, ros2msg_definition(kind), self._ns, made.data, made.offset, made.length)
+        return Outgoing(
+            topic, kind, ros2msg_definition(kind), self._ns, made.data, made.offset, made.length
+        )
 
     def _files(self, number: int, files: Array) -> Iterator[Batch]:
         """One batch per image; a missing or too large file is counted as lost."""
@@ -131,7 +166,9 @@ class PoseLog:
             self._add("lost", f"{text}; only those in the table's folder are")
 
     def _image(self, name: str) -> Array | None:
-        """The bytes of an image in the table's folder, as PNG unless JPEG, PNG or WebP; None: unreadable."""
+        """The bytes of an image in the table's folder, as
+        PNG unless JPEG, PNG or WebP; None: unreadable.
+        """
         file = file_inside(self.path.parent, name)
         try:
             if file is None or not 0 < file.stat().st_size <= _LARGEST:
@@ -156,11 +193,15 @@ def image_files(path: Path) -> tuple[Path, ...]:
         found = assign_column_roles(read_table_file(path, form), str(path)).images
     except BodylogError:
         return ()
-    return tuple(path.parent / str(name) for files in found.values() for name in files.tolist() if name)
+    return tuple(
+        path.parent / str(name) for files in found.values() for name in files.tolist() if name
+    )
 
 
 def _as_png(data: Array, mpx: float) -> Array | None:
-    """An image as PNG, None where it cannot be decoded; FormatError where it states more than `mpx` million pixels."""
+    """An image as PNG, None where it cannot be decoded;
+    FormatError where it states more than `mpx` million pixels.
+    """
     import cv2
 
     check_size(*stated_size(memoryview(data.tobytes())), mpx)
@@ -173,12 +214,22 @@ def _describe_pose_topic(number: int, out: Outgoing, joints: tuple[str, ...]) ->
     if metadata and frame_of(joints) is not None:
         # coordinates of a frame are in m and rad, whatever the unit of a robot's joints is
         metadata = {**metadata, UNIT: "rad"}
-    return Topic(number, out.topic, out.type, "cdr", out.definition, "ros2msg", len(out.log_ns), metadata)
+    return Topic(
+        number, out.topic, out.type, "cdr", out.definition, "ros2msg", len(out.log_ns), metadata
+    )
 
 
 def _describe_pose_camera(number: int, column: str, images: int) -> Topic:
     text = known_definition(COMPRESSED) or b""
-    return Topic(number, f"/{escape_topic_name(column)}/compressed", COMPRESSED, "cdr", text, "ros2msg", images)
+    return Topic(
+        number,
+        f"/{escape_topic_name(column)}/compressed",
+        COMPRESSED,
+        "cdr",
+        text,
+        "ros2msg",
+        images,
+    )
 
 
 def _pose_image_fields(ns: int, data: Array) -> list[CdrField]:

@@ -1,4 +1,6 @@
-"""Read a table from a CSV, Parquet or YAML file as columns of numbers or texts; unreadable parts are counted."""
+"""Read a table from a CSV, Parquet or YAML file as
+columns of numbers or texts; unreadable parts are counted.
+"""
 
 import csv
 import math
@@ -13,7 +15,15 @@ from ...errors import FormatError, LogError
 from ...io import yaml_text
 from ..limits import LIMITS, Input, TableSize
 from ..records import Array
-from .cells import EMPTY, OBJECT_BYTES, column_names, exception_line, cell_number, cell_objects, cell_text
+from .cells import (
+    EMPTY,
+    OBJECT_BYTES,
+    cell_number,
+    cell_objects,
+    cell_text,
+    column_names,
+    exception_line,
+)
 
 SUFFIXES = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".yaml": "yaml", ".yml": "yaml"}
 _LONGEST_ROW = 1 << 22
@@ -26,7 +36,8 @@ _MISTYPED = 0.5
 
 @dataclass(frozen=True, eq=False)
 class FileTable:
-    """numbers {column: (N,) float64, NaN where empty} · texts {column: (N,) object} · number of rows · notes.
+    """numbers {column: (N,) float64, NaN where empty} ·
+    texts {column: (N,) object} · number of rows · notes.
 
     `lost`: notes on unreadable rows; `odd`: on cells without a number in a column of numbers.
     """
@@ -44,14 +55,18 @@ class FileTable:
 
 
 def table_format(path: Path, first: bytes = b"") -> str | None:
-    """The format of a table by the file's first bytes and its name: csv, parquet or yaml; None for other files."""
+    """The format of a table by the file's first bytes and
+    its name: csv, parquet or yaml; None for other files.
+    """
     if first.startswith(b"PAR1"):
         return "parquet"
     return SUFFIXES.get(path.suffix.lower())
 
 
 def read_table_file(path: Path, form: str, limits: Input = LIMITS) -> FileTable:
-    """Read the table in a file of that format; LogError or FormatError if it is invalid or beyond the limits."""
+    """Read the table in a file of that format; LogError
+    or FormatError if it is invalid or beyond the limits.
+    """
     name = "max_yaml_mb" if form == "yaml" else "max_table_mb"
     megabytes = path.stat().st_size / 1e6
     if megabytes > getattr(limits, name):
@@ -70,7 +85,9 @@ def _read_csv(path: Path, limits: Input) -> FileTable:
     with path.open(encoding="utf-8-sig", newline="") as stream:
         rows = _iterate_csv_rows(stream, _detect_delimiter(path))
         header = column_names([cell.strip() for cell in next(rows, [])], path)
-        return _join_table_pieces(header, _group_csv_rows(header, rows, path, TableSize(limits)), path)
+        return _join_table_pieces(
+            header, _group_csv_rows(header, rows, path, TableSize(limits)), path
+        )
 
 
 def _iterate_csv_rows(stream: TextIO, delimiter: str) -> Iterator[list[str]]:
@@ -99,16 +116,24 @@ def _detect_delimiter(path: Path) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _TablePiece:
-    """Some rows: per column numbers (n,), or None if most are texts, the texts (n,), number of rejected rows."""
+    """Some rows: per column numbers (n,), or None if most
+    are texts, the texts (n,), number of rejected rows.
+    """
 
     cells: Sequence[Array]
     short: int
     long: int
 
 
-def _group_csv_rows(header: Sequence[str], rows: Iterator[list[str]], path: Path, size: TableSize) -> Iterator[_TablePiece]:
-    """Rows in blocks, so that memory holds only part of a long table's texts; empty lines are skipped."""
-    width, short, long = len(header), 0, 0
+def _group_csv_rows(
+    header: Sequence[str], rows: Iterator[list[str]], path: Path, size: TableSize
+) -> Iterator[_TablePiece]:
+    """Rows in blocks, so that memory holds only part
+    of a long table's texts; empty lines are skipped.
+    """
+    width = len(header)
+    short = 0
+    long = 0
     most = max(1, _BLOCK_CELLS // width)
     block: list[list[str]] = []
     for row in rows:
@@ -121,23 +146,34 @@ def _group_csv_rows(header: Sequence[str], rows: Iterator[list[str]], path: Path
         block.append(row + [""] * (width - len(row)))
         if len(block) == most:
             yield _build_table_piece(block, width, short, long, path, size)
-            block, short, long = [], 0, 0
+            block = []
+            short = 0
+            long = 0
     yield _build_table_piece(block, width, short, long, path, size)
 
 
-def _build_table_piece(block: list[list[str]], width: int, short: int, long: int, path: Path, size: TableSize) -> _TablePiece:
+def _build_table_piece(
+    block: list[list[str]], width: int, short: int, long: int, path: Path, size: TableSize
+) -> _TablePiece:
     """A block of rows as columns; LogError where the table becomes too large."""
     columns = _split_columns(block, width)
     texts = [cell for column in columns if column.dtype == object for cell in column.tolist()]
-    size.take(8 * len(block) * width + OBJECT_BYTES * len(texts) + sum(map(len, texts)), f"{path}: the cells")
+    size.take(
+        8 * len(block) * width + OBJECT_BYTES * len(texts) + sum(map(len, texts)),
+        f"{path}: the cells",
+    )
     return _TablePiece(columns, short, long)
 
 
 def _split_columns(block: list[list[str]], width: int) -> list[Array]:
-    """Cells of a block by column: floats (n,) if all filled ones are numbers, else texts (n,) as objects."""
+    """Cells of a block by column: floats (n,) if all
+    filled ones are numbers, else texts (n,) as objects.
+    """
     if not block:
         return [np.empty(0) for _ in range(width)]
-    return [_cells_as_numbers([cell.strip() for cell in column]) for column in zip(*block, strict=True)]
+    return [
+        _cells_as_numbers([cell.strip() for cell in column]) for column in zip(*block, strict=True)
+    ]
 
 
 def _cells_as_numbers(cells: Sequence[str]) -> Array:
@@ -147,9 +183,13 @@ def _cells_as_numbers(cells: Sequence[str]) -> Array:
         return np.array(cells, dtype=object)
 
 
-def _join_table_pieces(header: Sequence[str], pieces: Iterator[_TablePiece], path: Path) -> FileTable:
+def _join_table_pieces(
+    header: Sequence[str], pieces: Iterator[_TablePiece], path: Path
+) -> FileTable:
     parts = list(pieces)
-    numbers, texts, odd = dict[str, Array](), dict[str, Array](), []
+    numbers = dict[str, Array]()
+    texts = dict[str, Array]()
+    odd = []
     for place, name in enumerate(header):
         column = [part.cells[place] for part in parts]
         if not name:
@@ -159,15 +199,28 @@ def _join_table_pieces(header: Sequence[str], pieces: Iterator[_TablePiece], pat
             texts[name] = values
         else:
             numbers[name] = values
-            odd += [f"column {name}: {len(wrong)} cells are not finite numbers, e.g. {wrong[0]!r}"] if wrong else []
-    short, long = sum(part.short for part in parts), sum(part.long for part in parts)
+            odd += (
+                [f"column {name}: {len(wrong)} cells are not finite numbers, e.g. {wrong[0]!r}"]
+                if wrong
+                else []
+            )
+    short = sum(part.short for part in parts)
+    long = sum(part.long for part in parts)
     lost = [f"{long} rows have more than {len(header)} cells and are left out"] if long else []
-    lost += [f"{short} rows have fewer than {len(header)} cells; missing cells are empty"] if short else []
-    return FileTable(numbers, texts, sum(len(part.cells[0]) for part in parts), tuple(lost), tuple(odd))
+    lost += (
+        [f"{short} rows have fewer than {len(header)} cells; missing cells are empty"]
+        if short
+        else []
+    )
+    return FileTable(
+        numbers, texts, sum(len(part.cells[0]) for part in parts), tuple(lost), tuple(odd)
+    )
 
 
 def _type_column(column: Sequence[Array]) -> tuple[Array, list[str]]:
-    """A column as numbers, with its cells that are not numbers; as texts if most cells are texts."""
+    """A column as numbers, with its cells that are
+    not numbers; as texts if most cells are texts.
+    """
     if all(part.dtype != object for part in column):
         values = np.concatenate(column)
         wrong = [str(value) for value in values[np.isinf(values)].tolist()]
@@ -178,28 +231,45 @@ def _type_column(column: Sequence[Array]) -> tuple[Array, list[str]]:
     sound = np.isfinite(numbers)
     if sound.sum() <= _MISTYPED * filled.sum():
         return np.array([cell_text(cell) for cell in cells.tolist()], dtype=object), []
-    return np.where(sound, numbers, np.nan), [cell_text(cell) for cell in cells[filled & ~sound].tolist()]
+    return np.where(sound, numbers, np.nan), [
+        cell_text(cell) for cell in cells[filled & ~sound].tolist()
+    ]
 
 
 def _read_yaml_table(path: Path, limits: Input) -> FileTable:
     most = int(limits.max_yaml_mb * yaml_text.MOST_VALUES)
     rows = yaml_text.parse_yaml_text(path.read_text(encoding="utf-8-sig"), most)
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
-        raise ValueError("it must be a list of mappings, one for each pose: - {pan: 0.1, tip_u: 310.5, tip_v: 99}")
+        raise ValueError(
+            "it must be a list of mappings, one for each pose: - {pan: 0.1, tip_u: 310.5, "
+            "tip_v: 99}"
+        )
     flat = [dict(_flatten_row(row)) for row in rows]
     names = column_names(list(dict.fromkeys(name for row in flat for name in row)), path)
-    TableSize(limits).take(OBJECT_BYTES * len(names) * len(flat), f"{path}: {len(flat)} rows of {len(names)} columns")
-    return _of_cells(names, [cell_objects([row.get(name) for row in flat]) for name in names], len(rows), path)
+    TableSize(limits).take(
+        OBJECT_BYTES * len(names) * len(flat), f"{path}: {len(flat)} rows of {len(names)} columns"
+    )
+    return _of_cells(
+        names, [cell_objects([row.get(name) for row in flat]) for name in names], len(rows), path
+    )
 
 
-def _flatten_row(row: Mapping[Any, Any], before: str = "", depth: int = 0) -> Iterator[tuple[str, Any]]:
-    """The cells of one mapping, inner ones under the outer's: `tip: {u: 3, v: 4}` or `tip: [3, 4]` is tip_u, tip_v."""
+def _flatten_row(
+    row: Mapping[Any, Any], before: str = "", depth: int = 0
+) -> Iterator[tuple[str, Any]]:
+    """The cells of one mapping, inner ones under the outer's:
+    `tip: {u: 3, v: 4}` or `tip: [3, 4]` is tip_u, tip_v.
+    """
     for key, value in row.items():
         name = f"{before}{key}"
         if isinstance(value, dict) and depth < 4:
             inner = "" if name in ("joints", "position", "positions") else f"{name}_"
             yield from _flatten_row(value, inner, depth + 1)
-        elif isinstance(value, list) and len(value) == 2 and all(isinstance(v, int | float) for v in value):
+        elif (
+            isinstance(value, list)
+            and len(value) == 2
+            and all(isinstance(v, int | float) for v in value)
+        ):
             yield from zip((f"{name}_u", f"{name}_v"), value, strict=True)
         else:
             yield name, value
@@ -217,4 +287,8 @@ def _read_parquet_columns(path: Path, limits: Input) -> FileTable:
     return _of_cells(names, cells, rows, path)
 
 
-READERS: Mapping[str, Callable[[Path, Input], FileTable]] = {"csv": _read_csv, "parquet": _read_parquet_columns, "yaml": _read_yaml_table}
+READERS: Mapping[str, Callable[[Path, Input], FileTable]] = {
+    "csv": _read_csv,
+    "parquet": _read_parquet_columns,
+    "yaml": _read_yaml_table,
+}

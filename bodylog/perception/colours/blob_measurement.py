@@ -23,7 +23,9 @@ _PIXELS = 1 << 19
 
 
 def measured_blobs(images: Sequence[Array], ranges: Sequence[HsvRange]) -> Array:
-    """Blobs of each colour in images (H,W,3) BGR: (N,colours,PLACES,FIELDS) px, as `blob_tables` gives them."""
+    """Blobs of each colour in images (H,W,3) BGR:
+    (N,colours,PLACES,FIELDS) px, as `blob_tables` gives them.
+    """
     return blob_tables(list(find_windows(dict(enumerate(images)), ranges)), len(images), ranges)
 
 
@@ -34,14 +36,19 @@ def blob_tables(found: Sequence[Window], count: int, ranges: Sequence[HsvRange])
         by_colour[window.colour].append(window)
     if not ranges:
         return np.empty((count, 0, CANDIDATES, FIELDS))
-    return np.stack([_table_of_colour(some, count, one) for some, one in zip(by_colour, ranges, strict=True)], axis=1)
+    return np.stack(
+        [_table_of_colour(some, count, one) for some, one in zip(by_colour, ranges, strict=True)],
+        axis=1,
+    )
 
 
 def _table_of_colour(found: Sequence[Window], count: int, colour: HsvRange) -> Array:
-    """One colour's blobs in the windows of `count` pictures, strongest first: (count,PLACES,FIELDS) px, else NaN.
+    """One colour's blobs in the windows of `count` pictures,
+    strongest first: (count,PLACES,FIELDS) px, else NaN.
 
-    MASS is the blob's area in px², STRENGTH that times its contrast with the surround in grey levels, BORDER 1 where
-    more than 1 % of the blob lies outside the image. Faint ones come after CANDIDATES places.
+    MASS is the blob's area in px², STRENGTH that times its contrast with
+    the surround in grey levels, BORDER 1 where more than 1 % of the blob
+    lies outside the image. Faint ones come after CANDIDATES places.
     """
     blobs = np.full((count, PLACES, FIELDS), np.nan)
     clear = _by_picture([window for window in found if not window.faint], colour)
@@ -69,7 +76,10 @@ def enlarge_blobs(blobs: Array, scale: Array) -> Array:
     by = scale.reshape(-1, *[1] * (blobs.ndim - 2)).astype(np.float64)
     whole = blobs.copy()
     # pixel k of a shrunk picture is the mean of those from scale k to scale (k + 1) - 1
-    whole[..., U], whole[..., V] = by * blobs[..., U] + (by - 1) / 2, by * blobs[..., V] + (by - 1) / 2
+    whole[..., U], whole[..., V] = (
+        by * blobs[..., U] + (by - 1) / 2,
+        by * blobs[..., V] + (by - 1) / 2,
+    )
     whole[..., STD_U], whole[..., STD_V] = by * blobs[..., STD_U], by * blobs[..., STD_V]
     whole[..., MASS], whole[..., STRENGTH] = by**2 * blobs[..., MASS], by**2 * blobs[..., STRENGTH]
     return whole
@@ -79,7 +89,9 @@ def _by_size(found: Sequence[Window]) -> list[list[Window]]:
     """Windows grouped by size, at most one sheet each."""
     sheets: list[list[Window]] = []
     least = 0
-    for side, number in sorted((_square_side(window), number) for number, window in enumerate(found)):
+    for side, number in sorted(
+        (_square_side(window), number) for number, window in enumerate(found)
+    ):
         if not sheets or side > _SIZE_RATIO * least or side**2 * (len(sheets[-1]) + 1) > _PIXELS:
             sheets.append([])
             least = side
@@ -93,7 +105,9 @@ def _square_side(window: Window) -> int:
 
 
 def _measure_windows(some: Sequence[Window], colour: HsvRange) -> Array:
-    """FIELDS of the blob in each window: (K,FIELDS); NaN where full resolution finds too little of the colour."""
+    """FIELDS of the blob in each window: (K,FIELDS); NaN
+    where full resolution finds too little of the colour.
+    """
     sheet, valid = _compose_sheet(some)
     core = _largest_component(sheet, valid, colour)
     rows = np.full((len(some), FIELDS), np.nan)
@@ -101,12 +115,16 @@ def _measure_windows(some: Sequence[Window], colour: HsvRange) -> Array:
     if not enough.size:
         return rows
     if enough.size < len(some):
-        sheet, core, valid = sheet[:, enough], core[:, enough], valid[:, enough]
+        sheet = sheet[:, enough]
+        core = core[:, enough]
+        valid = valid[:, enough]
     u, v, std_u, std_v, mass, contrast = measure_centroids(sheet, core, valid)
     corner = np.array([(some[k].left, some[k].top) for k in enough.tolist()])
     last = np.array([some[k].size for k in enough.tolist()]) - 1
-    centre, std = np.stack([u, v], axis=1) + corner, np.stack([std_u, std_v], axis=1)
-    radius, inside = np.sqrt(mass / np.pi), np.minimum(centre, last - centre)
+    centre = np.stack([u, v], axis=1) + corner
+    std = np.stack([std_u, std_v], axis=1)
+    radius = np.sqrt(mass / np.pi)
+    inside = np.minimum(centre, last - centre)
     border = inside.min(axis=1) < _WHOLE * radius - 0.5
     std = np.hypot(std, _shift_by_border(radius[:, None], inside))
     rows[enough] = np.column_stack([centre, std, mass, mass * contrast, border])
@@ -114,9 +132,12 @@ def _measure_windows(some: Sequence[Window], colour: HsvRange) -> Array:
 
 
 def _compose_sheet(some: Sequence[Window]) -> tuple[Array, Array]:
-    """The windows (S,K,S,3), each in the upper left corner of its square, and 1 where they are: (S,K,S) uint8."""
+    """The windows (S,K,S,3), each in the upper left corner
+    of its square, and 1 where they are: (S,K,S) uint8.
+    """
     side = max(map(_square_side, some))
-    sheet, valid = np.zeros((side, len(some), side, 3), np.uint8), np.zeros((side, len(some), side), np.uint8)
+    sheet = np.zeros((side, len(some), side, 3), np.uint8)
+    valid = np.zeros((side, len(some), side), np.uint8)
     for k, window in enumerate(some):
         height, width = window.pixels.shape[:2]
         sheet[:height, k, :width] = window.pixels
@@ -127,17 +148,22 @@ def _compose_sheet(some: Sequence[Window]) -> tuple[Array, Array]:
 def _shift_by_border(radius: Array, inside: Array) -> Array:
     """The shift (px) of a disc's centre by the image's border, `inside` px away plus half a pixel.
 
-    A disc of radius r has the share (4√2/3π) (h/r)^1.5 in a low segment of height h, at r from its centre.
+    A disc of radius r has the share (4√2/3π) (h/r)^1.5
+    in a low segment of height h, at r from its centre.
     """
     return 0.6 * np.maximum(radius - 0.5 - inside, 0.0) ** 1.5 / np.sqrt(radius)
 
 
 def _largest_component(sheet: Array, valid: Array, colour: HsvRange) -> Array:
-    """1 on the largest component of the colour in each square of a sheet, and on its holes: (S,K,S) uint8."""
+    """1 on the largest component of the colour in each
+    square of a sheet, and on its holes: (S,K,S) uint8.
+    """
     import cv2
 
     side = len(sheet)
-    seen = mask_of_range(cv2.cvtColor(sheet.reshape(1, -1, 3), cv2.COLOR_BGR2HSV), colour).reshape(side, -1)
+    seen = mask_of_range(cv2.cvtColor(sheet.reshape(1, -1, 3), cv2.COLOR_BGR2HSV), colour).reshape(
+        side, -1
+    )
     seen &= valid.reshape(side, -1)
     largest: dict[int, Array] = {}
     for outline in cv2.findContours(seen, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
@@ -150,7 +176,9 @@ def _largest_component(sheet: Array, valid: Array, colour: HsvRange) -> Array:
 
 
 def _distinct_blobs(rows: list[list[float]], others: list[list[float]]) -> list[list[float]]:
-    """Strongest first, each blob once and none of `others`: two coarse pieces of one blob have the same centre."""
+    """Strongest first, each blob once and none of `others`:
+    two coarse pieces of one blob have the same centre.
+    """
     kept: list[list[float]] = []
     for row in sorted(rows, key=lambda row: -row[STRENGTH]):
         if all(abs(row[U] - other[U]) + abs(row[V] - other[V]) > 2 for other in (*others, *kept)):

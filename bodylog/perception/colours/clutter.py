@@ -1,8 +1,9 @@
 """Select the arm's blob among several of one colour: the one whose place the joints predict.
 
-A thing that stands still while the joints move is foreign. A smooth function of the joints is fitted to all other
-candidate places in rounds: each round keeps, in every image, the candidate nearest to the prediction,
-within a shrinking gate. Several starts are tried, and the one that explains most held-out motion wins.
+A thing that stands still while the joints move is foreign. A smooth function of the joints is
+fitted to all other candidate places in rounds: each round keeps, in every image, the candidate
+nearest to the prediction, within a shrinking gate. Several starts are tried, and the one that
+explains most held-out motion wins.
 """
 
 from collections.abc import Iterator
@@ -30,7 +31,8 @@ _SEEDS = 4
 _NEAR = 1.0
 _FAR = 0.08
 _RARELY = 0.05
-_COMPARED, _STRETCH = 3000, 300
+_COMPARED = 3000
+_STRETCH = 300
 """Images of a long log on which starts are compared, and how many of them follow one another."""
 _AT_ONCE = 1024
 EXPLAINED = 0.25
@@ -40,9 +42,9 @@ EXPLAINED = 0.25
 class BlobChoice(NamedTuple):
     """The arm's candidate in each image (N,), -1 for none.
 
-    place (N,2) px, `spread` (N,) px and radius (N,) px are predicted from the joints; `explained` is the
-    share (0..1) of its held-out motion that the joints explain, `beyond_chance` of what time-shifted angles leave;
-    `delay` s is the lag of the camera's timestamps.
+    place (N,2) px, `spread` (N,) px and radius (N,) px are predicted from the joints; `explained`
+    is the share (0..1) of its held-out motion that the joints explain, `beyond_chance` of what
+    time-shifted angles leave; `delay` s is the lag of the camera's timestamps.
     """
 
     number: Array
@@ -66,8 +68,12 @@ class _CandidateRows(NamedTuple):
         return _CandidateRows(*(column[kept] for column in self))
 
 
-def choose_arm_blobs(t: Array, found: Array, joints: Series | None, width: float) -> BlobChoice | None:
-    """The arm's blobs among those found (N,candidates,FIELDS) at t (N,) s; None where the joints explain none."""
+def choose_arm_blobs(
+    t: Array, found: Array, joints: Series | None, width: float
+) -> BlobChoice | None:
+    """The arm's blobs among those found (N,candidates,FIELDS)
+    at t (N,) s; None where the joints explain none.
+    """
     q = joint_motion.moving_postures(joints, t)
     rows = _candidate_rows(found)
     if not q.shape[1] or len(np.unique(rows.frame)) < _FEWEST:
@@ -76,14 +82,23 @@ def choose_arm_blobs(t: Array, found: Array, joints: Series | None, width: float
     best = _empty_choice(q)
     if len(t) > _COMPARED:
         start = _start_of_part(t, found, q, width)
-        best = _follow_joints(t, rows, still, start, q, width) if len(start.frame) >= _FEWEST else best
+        best = (
+            _follow_joints(t, rows, still, start, q, width) if len(start.frame) >= _FEWEST else best
+        )
     if best.beyond_chance < EXPLAINED:
         best = _best_of_starts(t, found, still, q, width)
     if best.beyond_chance < EXPLAINED:
         return None
     late = _delay_of_choice(t, rows, best, joints, width)
     if late:
-        again = _follow_joints(t, rows, still, _chosen_rows(rows, best.number), joint_motion.moving_postures(joints, t, late), width)
+        again = _follow_joints(
+            t,
+            rows,
+            still,
+            _chosen_rows(rows, best.number),
+            joint_motion.moving_postures(joints, t, late),
+            width,
+        )
         best = max(best, again._replace(delay=late), key=_worth_of_choice)
     return best
 
@@ -93,7 +108,9 @@ def _start_of_part(t: Array, found: Array, q: Array, width: float) -> _Candidate
     stretches = np.linspace(0, len(t) - _STRETCH, _COMPARED // _STRETCH).astype(int)
     part = np.unique(stretches[:, None] + np.arange(_STRETCH))
     rows = _candidate_rows(found[part])
-    best = _best_of_starts(t[part], found[part], _still_places(rows, q[part], width), q[part], width)
+    best = _best_of_starts(
+        t[part], found[part], _still_places(rows, q[part], width), q[part], width
+    )
     start = _chosen_rows(rows, best.number)
     return start._replace(frame=part[start.frame])
 
@@ -126,9 +143,14 @@ def _worth_of_choice(choice: BlobChoice) -> float:
 
 
 def _still_places(rows: _CandidateRows, q: Array, width: float) -> Array:
-    """For each row the number of the place where something stands still while the joints move, else -1: (R,)."""
-    still, left, number = np.full(len(rows.frame), -1), np.ones(len(rows.frame), bool), 0
-    cell, most = max(3.0, _SAME_PLACE * width), max(5.0, _OFTEN * len(q))
+    """For each row the number of the place where something
+    stands still while the joints move, else -1: (R,).
+    """
+    still = np.full(len(rows.frame), -1)
+    left = np.ones(len(rows.frame), bool)
+    number = 0
+    cell = max(3.0, _SAME_PLACE * width)
+    most = max(5.0, _OFTEN * len(q))
     moved = np.sqrt(q.var(axis=0).sum())
     while left.any():
         column, line = np.floor(rows.place[left] / cell).astype(int).T
@@ -148,8 +170,12 @@ def _still_places(rows: _CandidateRows, q: Array, width: float) -> Array:
     return still
 
 
-def _rows_to_start_from(t: Array, found: Array, moving: _CandidateRows, q: Array, width: float) -> Iterator[_CandidateRows]:
-    """Rows to start from: runs through time that the joints explain, the best runs alone, then all that moves."""
+def _rows_to_start_from(
+    t: Array, found: Array, moving: _CandidateRows, q: Array, width: float
+) -> Iterator[_CandidateRows]:
+    """Rows to start from: runs through time that the joints
+    explain, the best runs alone, then all that moves.
+    """
     packed = np.full(found.shape, np.nan)
     rank = np.arange(len(moving.frame)) - np.searchsorted(moving.frame, moving.frame)
     packed[moving.frame, rank] = found[moving.frame, moving.which]
@@ -167,14 +193,20 @@ def _rows_to_start_from(t: Array, found: Array, moving: _CandidateRows, q: Array
     yield moving
 
 
-def _follow_joints(t: Array, rows: _CandidateRows, still: Array, start: _CandidateRows, q: Array, width: float) -> BlobChoice:
+def _follow_joints(
+    t: Array, rows: _CandidateRows, still: Array, start: _CandidateRows, q: Array, width: float
+) -> BlobChoice:
     """The nearest candidate in each image to a function of the angles, fitted from some rows on."""
-    allowed, chosen, last = rows.only(still < 0), start, -1
+    allowed = rows.only(still < 0)
+    chosen = start
+    last = -1
     usual = _usual_residual(q, chosen, width)
     for _ in range(_ROUNDS):
         place, spread = _predict_places(t, chosen, usual, q, width)
         reach = np.hypot(2 * usual, spread)
-        chosen = _nearest_rows(allowed, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0))
+        chosen = _nearest_rows(
+            allowed, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0)
+        )
         if len(chosen.frame) < _FEWEST:
             return _empty_choice(q)
         off = np.hypot(*(chosen.place - place[chosen.frame]).T)
@@ -189,7 +221,9 @@ def _follow_joints(t: Array, rows: _CandidateRows, still: Array, start: _Candida
         place, spread = _predict_places(t, chosen, usual, q, width)
         reach = np.hypot(2 * usual, spread)
         fitting = allowed.only(_of_predicted_size(allowed, radius))
-        chosen = _nearest_rows(fitting, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0))
+        chosen = _nearest_rows(
+            fitting, place, np.where(spread < max(_VAGUE * width, usual), reach, 0.0)
+        )
     number = np.full(len(q), -1)
     number[chosen.frame] = chosen.which
     share = joint_motion.explained_share(q[chosen.frame], chosen.place, width)
@@ -199,7 +233,9 @@ def _follow_joints(t: Array, rows: _CandidateRows, still: Array, start: _Candida
 
 
 def _rows_of_right_size(q: Array, chosen: _CandidateRows) -> tuple[Array, _CandidateRows]:
-    """The radius (N,) px predicted from the joints, and the rows that have it: larger ones are two things in one."""
+    """The radius (N,) px predicted from the joints, and the
+    rows that have it: larger ones are two things in one.
+    """
     radius = np.sqrt(chosen.area / np.pi)
     usual = float(np.median(radius))
     kept = np.flatnonzero(np.abs(radius / usual - 1) < 0.5)
@@ -207,7 +243,9 @@ def _rows_of_right_size(q: Array, chosen: _CandidateRows) -> tuple[Array, _Candi
     for _ in range(3):
         some = kept[joint_motion.thin_indices(len(kept), 300)]
         noise = np.full(len(some), 0.05 * usual)
-        fitted = joint_motion.Regression.fit(q[chosen.frame[some]], radius[some, None], noise, 0.5 * usual)
+        fitted = joint_motion.Regression.fit(
+            q[chosen.frame[some]], radius[some, None], noise, 0.5 * usual
+        )
         predicted = np.maximum(fitted.predict(q)[0][:, 0], 0.3 * usual)
         kept = np.flatnonzero(_of_predicted_size(chosen, predicted))
         if len(kept) < _FEWEST:
@@ -233,19 +271,26 @@ def _usual_residual(q: Array, start: _CandidateRows, width: float) -> float:
 
 def _empty_choice(q: Array) -> BlobChoice:
     unknown = np.full(len(q), np.nan)
-    return BlobChoice(np.full(len(q), -1), np.full((len(q), 2), np.nan), unknown, unknown, 0.0, 0.0, 0.0)
+    return BlobChoice(
+        np.full(len(q), -1), np.full((len(q), 2), np.nan), unknown, unknown, 0.0, 0.0, 0.0
+    )
 
 
-def _predict_places(t: Array, chosen: _CandidateRows, std: float, q: Array, width: float) -> tuple[Array, Array]:
+def _predict_places(
+    t: Array, chosen: _CandidateRows, std: float, q: Array, width: float
+) -> tuple[Array, Array]:
     """The place (N,2) px and spread (N,) px in each image, from the joints and nearby residuals."""
     noise = np.full(len(chosen.frame), std)
-    place, spread = joint_motion.fit_regression(q[chosen.frame], chosen.place, noise, width).predict(q)
+    place, spread = joint_motion.fit_regression(
+        q[chosen.frame], chosen.place, noise, width
+    ).predict(q)
     return place + _nearby_residuals(t, chosen.frame, chosen.place - place[chosen.frame]), spread
 
 
 def _nearby_residuals(t: Array, frame: Array, rest: Array) -> Array:
     """The median residual (n,2) px within _NEAR s of each image: (N,2); 0 where there are few."""
-    low, high = np.searchsorted(t[frame], t - _NEAR), np.searchsorted(t[frame], t + _NEAR, side="right")
+    low = np.searchsorted(t[frame], t - _NEAR)
+    high = np.searchsorted(t[frame], t + _NEAR, side="right")
     left = np.zeros((len(t), 2))
     count = high - low
     for number in np.unique(count[count >= 5]).tolist():
@@ -265,7 +310,9 @@ def _nearest_rows(rows: _CandidateRows, place: Array, spread: Array) -> _Candida
 
 
 def _rows_at_still_things(rows: _CandidateRows, still: Array, place: Array, width: float) -> Array:
-    """Which rows (R,) lie where something also stands while the arm's thing is predicted far away."""
+    """Which rows (R,) lie where something also stands
+    while the arm's thing is predicted far away.
+    """
     foreign = np.zeros(len(still), bool)
     for number in range(int(still.max(initial=-1)) + 1):
         there = still == number
@@ -280,6 +327,8 @@ def _chosen_rows(rows: _CandidateRows, number: Array) -> _CandidateRows:
     return rows.only(rows.which == number[rows.frame])
 
 
-def _delay_of_choice(t: Array, rows: _CandidateRows, choice: BlobChoice, joints: Series | None, width: float) -> float:
+def _delay_of_choice(
+    t: Array, rows: _CandidateRows, choice: BlobChoice, joints: Series | None, width: float
+) -> float:
     chosen = _chosen_rows(rows, choice.number)
     return joint_motion.camera_delay_s(joints, t[chosen.frame], chosen.place, width)

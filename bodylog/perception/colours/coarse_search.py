@@ -19,7 +19,8 @@ _MARGIN = 8
 
 
 class Window(NamedTuple):
-    """Pixels (h,w,3) BGR around one find: its image and colour, left and top px, the image's size (W,H) px.
+    """Pixels (h,w,3) BGR around one find: its image and
+    colour, left and top px, the image's size (W,H) px.
 
     `faint`: much smaller than the largest find, or surplus.
     """
@@ -45,7 +46,8 @@ def convert_to_gray(image: Array) -> Array:
 def find_windows(images: Mapping[int, Array], ranges: Sequence[HsvRange]) -> Iterator[Window]:
     """Windows around finds of each colour in images {number: (H,W,3) BGR}.
 
-    At most CANDIDATES and FAINT ones per colour and image; they are copies, so the images may be freed.
+    At most CANDIDATES and FAINT ones per colour and
+    image; they are copies, so the images may be freed.
     """
     of_shape: dict[tuple[tuple[int, ...], tuple[int, ...]], list[int]] = {}
     images = images if ranges else {}
@@ -55,16 +57,23 @@ def find_windows(images: Mapping[int, Array], ranges: Sequence[HsvRange]) -> Ite
         step = max(1, round(width / _COARSE_WIDTH))
         seen = _search_coarsely([images[picture] for picture in pictures], step, tuple(ranges))
         for index in range(len(ranges)):
-            for which, (x, y, w, h), faint in _component_boxes((seen & seen.dtype.type(1 << index) != 0).view(np.uint8)):
-                left, top = max(0, (x - 1) * step - _MARGIN), max(0, (y - 1) * step - _MARGIN)
+            for which, (x, y, w, h), faint in _component_boxes(
+                (seen & seen.dtype.type(1 << index) != 0).view(np.uint8)
+            ):
+                left = max(0, (x - 1) * step - _MARGIN)
+                top = max(0, (y - 1) * step - _MARGIN)
                 image = images[pictures[which]]
                 part = image[top : (y + h) * step + _MARGIN, left : (x + w) * step + _MARGIN]
-                yield Window(pictures[which], index, left, top, (width, height), _copy_as_bgr(part), faint)
+                yield Window(
+                    pictures[which], index, left, top, (width, height), _copy_as_bgr(part), faint
+                )
 
 
 @lru_cache
 def _range_bits_of_colours(ranges: tuple[HsvRange, ...]) -> Array:
-    """A bit for each range in which a colour of 16 bits (65536,) may lie: the middle or a corner of its cell of BGR."""
+    """A bit for each range in which a colour of 16 bits
+    (65536,) may lie: the middle or a corner of its cell of BGR.
+    """
     import cv2
 
     colours = np.arange(1 << 16, dtype=np.uint16).view(np.uint8).reshape(256, 256, 2)
@@ -78,18 +87,25 @@ def _range_bits_of_colours(ranges: tuple[HsvRange, ...]) -> Array:
 
 
 def _search_coarsely(images: Sequence[Array], step: int, ranges: tuple[HsvRange, ...]) -> Array:
-    """Every step-th pixel of every step-th row of images of one shape, a bit for each range: (n,H/step+1,W/step).
+    """Every step-th pixel of every step-th row of images of
+    one shape, a bit for each range: (n,H/step+1,W/step).
 
     The last row of each is empty, so that no component continues into the next image.
     """
     import cv2
 
     turned = _is_reversed_rgb(images[0])
-    some = np.stack([_every_nth_pixel(image[..., ::-1] if turned else image, step) for image in images])
+    some = np.stack(
+        [_every_nth_pixel(image[..., ::-1] if turned else image, step) for image in images]
+    )
     count, height, width = some.shape[:3]
     some = some.view(np.uint8).reshape(count * height, width, -1)
     code = getattr(cv2, _CODES[turned, some.shape[2]])
-    seen = _range_bits_of_colours(ranges).take(cv2.cvtColor(some, code).view(np.uint16)[..., 0]).reshape(count, height, width)
+    seen = (
+        _range_bits_of_colours(ranges)
+        .take(cv2.cvtColor(some, code).view(np.uint16)[..., 0])
+        .reshape(count, height, width)
+    )
     return np.concatenate([seen, np.zeros_like(seen[:, :1])], axis=1)
 
 
@@ -99,34 +115,53 @@ def _is_reversed_rgb(image: Array) -> bool:
 
 
 _CODES = {
-    (False, 3): "COLOR_BGR2BGR565", (False, 4): "COLOR_BGRA2BGR565",
-    (True, 3): "COLOR_RGB2BGR565", (True, 4): "COLOR_RGBA2BGR565",
-}  # fmt: skip
+    (False, 3): "COLOR_BGR2BGR565",
+    (False, 4): "COLOR_BGRA2BGR565",
+    (True, 3): "COLOR_RGB2BGR565",
+    (True, 4): "COLOR_RGBA2BGR565",
+}
 
 
 def _every_nth_pixel(image: Array, step: int) -> Array:
-    """Every step-th pixel of every step-th row: (H/step,W/step,3), or (H/step,W/step) of four bytes, the last idle."""
+    """Every step-th pixel of every step-th row: (H/step,W/step,3),
+    or (H/step,W/step) of four bytes, the last idle.
+    """
     height, width = max(1, image.shape[0] // step), image.shape[1] // step
     if step == 1 or not image.flags.c_contiguous:
         return image[::step, ::step][:height, :width]
-    # four bytes at a time is a third of the work; a further pixel follows the last one taken, as step is above 1
-    return np.ndarray((height, width), np.uint32, image.data, 0, (step * image.strides[0], step * image.strides[1]))
+    # four bytes at a time is a third of the work; a further
+    # pixel follows the last one taken, as step is above 1
+    return np.ndarray(
+        (height, width),
+        np.uint32,
+        image.data,
+        0,
+        (step * image.strides[0], step * image.strides[1]),
+    )
 
 
 def _copy_as_bgr(image: Array) -> Array:
     """A copy of an image's pixels in BGR, also where the image is a reversed view of RGB."""
     import cv2
 
-    return np.asarray(cv2.cvtColor(image[..., ::-1], cv2.COLOR_RGB2BGR)) if _is_reversed_rgb(image) else image.copy()
+    return (
+        np.asarray(cv2.cvtColor(image[..., ::-1], cv2.COLOR_RGB2BGR))
+        if _is_reversed_rgb(image)
+        else image.copy()
+    )
 
 
 def _component_boxes(seen: Array) -> Iterator[tuple[int, tuple[int, int, int, int], bool]]:
-    """The largest components of each mask (n,h,w), whose last rows are empty: mask; x, y, w, h; whether faint."""
+    """The largest components of each mask (n,h,w), whose
+    last rows are empty: mask; x, y, w, h; whether faint.
+    """
     import cv2
 
     rows = seen.shape[1]
     found: dict[int, list[Array]] = {}
-    for outline in cv2.findContours(seen.reshape(-1, seen.shape[2]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+    for outline in cv2.findContours(
+        seen.reshape(-1, seen.shape[2]), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE
+    )[0]:
         found.setdefault(int(outline[0, 0, 1]) // rows, []).append(outline)
     for which, outlines in found.items():
         largest = sorted(outlines, key=len, reverse=True)

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...errors import FormatError
 from ...types import Array, Recording
-from .hsv_ranges import SATURATION, VALUE, HsvRange, range_between, hue_histogram, nearest_hue_name
+from .hsv_ranges import SATURATION, VALUE, HsvRange, hue_histogram, nearest_hue_name, range_between
 
 _LOOKED_AT = 120
 _WIDTH = 9
@@ -14,7 +14,9 @@ _SHARE = 2e-4
 
 
 def pick_images(recording: Recording) -> Callable[[], Iterator[tuple[float, Array]]]:
-    """Times and images, at most _LOOKED_AT evenly spaced, decoded one by one; undecodable ones are left out."""
+    """Times and images, at most _LOOKED_AT evenly spaced,
+    decoded one by one; undecodable ones are left out.
+    """
     frames = recording.frames or (lambda: iter(()))
     every = -(-sum(1 for _ in frames()) // _LOOKED_AT)
 
@@ -40,12 +42,20 @@ def why_none(recording: Recording) -> str:
 
 
 def find_hue_peaks(images: Iterable[Array]) -> list[int]:
-    """The peaks of the pictures' hue histogram over saturated pixels, each holding a notable share of all pixels."""
-    counts, pixels = np.zeros(180), 0
+    """The peaks of the pictures' hue histogram over saturated
+    pixels, each holding a notable share of all pixels.
+    """
+    counts = np.zeros(180)
+    pixels = 0
     for image in images:
         some, of = hue_histogram(image)
-        counts, pixels = counts + some, pixels + of
-    smooth = np.convolve(np.concatenate([counts[-_WIDTH:], counts, counts[:_WIDTH]]), np.ones(2 * _WIDTH + 1), "valid")
+        counts = counts + some
+        pixels = pixels + of
+    smooth = np.convolve(
+        np.concatenate([counts[-_WIDTH:], counts, counts[:_WIDTH]]),
+        np.ones(2 * _WIDTH + 1),
+        "valid",
+    )
     found: list[int] = []
     for hue in np.argsort(-smooth, kind="stable").tolist():
         apart = all(abs((hue - other + 90) % 180 - 90) > 2 * _WIDTH for other in found)
@@ -56,7 +66,9 @@ def find_hue_peaks(images: Iterable[Array]) -> list[int]:
 
 def range_around_hue(hue: int) -> HsvRange:
     """The range about a hue 0..179."""
-    return range_between(((hue - _WIDTH) % 180, SATURATION, VALUE), ((hue + _WIDTH) % 180, 255, 255))
+    return range_between(
+        ((hue - _WIDTH) % 180, SATURATION, VALUE), ((hue + _WIDTH) % 180, 255, 255)
+    )
 
 
 def name_of_middle_hue(colour: HsvRange) -> str:

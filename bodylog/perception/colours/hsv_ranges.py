@@ -17,7 +17,8 @@ _NAMED: dict[str, tuple[int, int]] = {
     "blue": (98, 132),
     "magenta": (133, 172),
 }
-SATURATION, VALUE = 90, 50
+SATURATION = 90
+VALUE = 50
 """Least saturation and value of a coloured pixel."""
 
 Bound = tuple[int, int, int]
@@ -25,7 +26,9 @@ Bound = tuple[int, int, int]
 
 @dataclass(frozen=True)
 class HsvRange:
-    """A colour's range: one box of HSV (low, high), or two where the hue wraps around; both ends included."""
+    """A colour's range: one box of HSV (low, high), or
+    two where the hue wraps around; both ends included.
+    """
 
     parts: tuple[tuple[Bound, Bound], ...]
 
@@ -38,7 +41,9 @@ def range_between(low: Bound, high: Bound) -> HsvRange:
 
 
 def resolve_colour(colour: Colour, key: str) -> HsvRange:
-    """The HSV range of a setting `key`; raises ConfigError for a name not in the table or bounds out of range."""
+    """The HSV range of a setting `key`; raises ConfigError
+    for a name not in the table or bounds out of range.
+    """
     if isinstance(colour, str):
         return _range_by_name(colour, key)
     try:
@@ -47,7 +52,8 @@ def resolve_colour(colour: Colour, key: str) -> HsvRange:
         bounds = np.zeros(0, dtype=np.int64)
     if bounds.shape != (2, 3) or (bounds < 0).any() or (bounds > (180, 255, 255)).any():
         raise ConfigError(
-            f"colours.{key}: found {dict(colour)}; possible: low = [h, s, v] and high = [h, s, v] with h 0..180, "
+            f"colours.{key}: found {dict(colour)}; possible: low = [h, s, v] and high = [h, "
+            "s, v] with h 0..180, "
             f"s and v 0..255; type: {key} = {{low = [37, 90, 50], high = [85, 255, 255]}}"
         )
     low, high = bounds.tolist()
@@ -65,7 +71,9 @@ def mask_of_range(hsv: Array, colour: HsvRange) -> Array:
 
 
 def hue_histogram(image: Array) -> tuple[Array, int]:
-    """The hue histogram (180,) of an image's saturated pixels, one in 16, and the number of pixels counted."""
+    """The hue histogram (180,) of an image's saturated
+    pixels, one in 16, and the number of pixels counted.
+    """
     import cv2
 
     hsv = cv2.cvtColor(np.ascontiguousarray(image[::4, ::4]), cv2.COLOR_BGR2HSV)
@@ -79,10 +87,14 @@ def nearest_hue_name(hue: float) -> str:
 
 
 def covered_hue_names(colour: HsvRange) -> set[str]:
-    """The names of the hues in a range: those whose middle lies in it, and the one nearest its own middle."""
+    """The names of the hues in a range: those whose
+    middle lies in it, and the one nearest its own middle.
+    """
     low, high = colour.parts[0][0][0], colour.parts[-1][1][0]
     span = (high - low) % 180
-    return {nearest_hue_name(_middle_hue(low, high))} | {name for name in _NAMED if (_middle_hue(*_NAMED[name]) - low) % 180 <= span}
+    return {nearest_hue_name(_middle_hue(low, high))} | {
+        name for name in _NAMED if (_middle_hue(*_NAMED[name]) - low) % 180 <= span
+    }
 
 
 def _middle_hue(low: int, high: int) -> float:
@@ -92,7 +104,8 @@ def _middle_hue(low: int, high: int) -> float:
 def _range_by_name(colour: str, key: str) -> HsvRange:
     if colour not in _NAMED:
         raise ConfigError(
-            f"colours.{key}: found '{colour}'; possible: {', '.join(_NAMED)}, or low and high in HSV; "
+            f"colours.{key}: found '{colour}'; possible: {', '.join(_NAMED)}, or low and "
+            "high in HSV; "
             f'type: {key} = "{_closest_colour_name(colour)}"'
         )
     low, high = _NAMED[colour]

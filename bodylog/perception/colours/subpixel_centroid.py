@@ -1,8 +1,9 @@
 """The centres of blobs to a fraction of a pixel, and their standard deviations.
 
-The centre is that of the blob's mixing weight: how far each pixel lies from the surround's colour towards the blob's
-own, which an anti-aliased or blurred edge crosses linearly and a mask does not. K blobs are measured at once, each in
-a square of S×S px; the squares lie side by side on one sheet, whose rows are long enough for OpenCV to be fast.
+The centre is that of the blob's mixing weight: how far each pixel lies from the surround's colour
+towards the blob's own, which an anti-aliased or blurred edge crosses linearly and a mask does not.
+K blobs are measured at once, each in a square of S×S px; the squares lie side by side on one sheet,
+whose rows are long enough for OpenCV to be fast.
 """
 
 from functools import lru_cache
@@ -11,20 +12,26 @@ import numpy as np
 
 from ...types import Array
 
-_SOFT, _GUARD = 3, 2
-_DEADBAND, _FULL = 0.15, 0.97
+_SOFT = 3
+_GUARD = 2
+_DEADBAND = 0.15
+_FULL = 0.97
 _CORRELATED = 9.0
-_FEWEST, _MANY = 12, 1000
+_FEWEST = 12
+_MANY = 1000
 _QUIETEST = 0.001
 _ROUNDING = 1 / 12
 """Variance (grey levels²) of rounding to whole grey levels: no colour scatters less."""
 
-# share of a lit ball's shift that a plane leaves: rms over lights 15 to 75 degrees off the view, 30 to 70 % of the
-# light from everywhere, and radii of 6 to 14 px
+# share of a lit ball's shift that a plane leaves: rms over lights 15 to 75 degrees off the view, 30
+# to 70 % of the light from everywhere, and radii of 6 to 14 px
 _UNEVEN = 0.16
-# error of a lit ball's centre as a share of the shift between these levels: rms over 300 drawn ones, 6 to 14 px, under
-# one light or two 15 to 75 degrees off the view, with 30 to 70 % of the light from everywhere, noise and compression
-_LOW, _HIGH, _LEVELS = 0.3, 0.7, 0.6
+# error of a lit ball's centre as a share of the shift between these levels: rms over 300 drawn
+# ones, 6 to 14 px, under one light or two 15 to 75 degrees off the view, with 30 to 70 % of the
+# light from everywhere, noise and compression
+_LOW = 0.3
+_HIGH = 0.7
+_LEVELS = 0.6
 # shifts that noise makes on flat discs are 2 to 4 times what the outline's ripple says
 _SURE = 5.0
 _ERODE = np.ones((5, 5), dtype=np.uint8)
@@ -32,11 +39,14 @@ _GROW = np.ones((2 * _SOFT + 1, 2 * _SOFT + 1), dtype=np.uint8)
 _CLEAR = np.ones((2 * _GUARD + 1, 2 * _GUARD + 1), dtype=np.uint8)
 
 
-def measure_centroids(sheet: Array, core: Array, valid: Array) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """u, v, std_u, std_v (px, in each square), area (px²) and contrast (grey levels) of K blobs: (K,) each.
+def measure_centroids(
+    sheet: Array, core: Array, valid: Array
+) -> tuple[Array, Array, Array, Array, Array, Array]:
+    """u, v, std_u, std_v (px, in each square), area (px²)
+    and contrast (grey levels) of K blobs: (K,) each.
 
-    `sheet` is (S,K,S,3) BGR, `core` (S,K,S) uint8 is 1 where the pixel surely is the blob's, `valid` where there is a
-    pixel at all. NaN where no weight is left.
+    `sheet` is (S,K,S,3) BGR, `core` (S,K,S) uint8 is 1 where the pixel surely is the blob's,
+    `valid` where there is a pixel at all. NaN where no weight is left.
     """
     inner, grown, outer = _blob_zones(core, valid)
     ground = _mean_colour(_colour_planes(sheet, 2), _contiguous_squares(outer[::2, :, ::2]))
@@ -74,7 +84,9 @@ def _blob_zones(core: Array, valid: Array) -> tuple[Array, Array, Array]:
 
 
 def _bounding_square(where: Array) -> tuple[int, int, int]:
-    """Top, left and side (a multiple of 8) of the smallest square, of those in each (S,K,S), that holds all not 0."""
+    """Top, left and side (a multiple of 8) of the smallest
+    square, of those in each (S,K,S), that holds all not 0.
+    """
     down = np.flatnonzero(where.reshape(len(where), -1).max(axis=1))
     right = np.flatnonzero(where.max(axis=0).max(axis=0))
     side = -(-int(max(np.ptp(down), np.ptp(right)) + 1) // 8) * 8
@@ -100,30 +112,41 @@ def _powers_to_second(size: int) -> Array:
 
 
 def _mixing_ratio(sheet: Array, inner: Array, rim: Array, ground: Array) -> tuple[Array, Array]:
-    """0 at the surround's mean colour, 1 at the blob's, linear between and beyond (K,S,S); how far apart they are (K,).
+    """0 at the surround's mean colour, 1 at the blob's, linear
+    between and beyond (K,S,S); how far apart they are (K,).
 
-    Fisher's discriminant: the direction in colour that separates the two best given the scatter of the blob and the
-    rim around it, so that things beside the blob, and JPEG's bleeding colours, weigh little. Pixels
-    mixed by the edge lie on the line between the two colours; scatter along that line turns no direction.
+    Fisher's discriminant: the direction in colour that separates the two best given the scatter of
+    the blob and the rim around it, so that things beside the blob, and JPEG's bleeding colours,
+    weigh little. Pixels mixed by the edge lie on the line between the two colours; scatter along
+    that line turns no direction.
     """
-    colours, every = _colour_planes(sheet), 2 if inner[0].size > _MANY else 1
-    some, inner, rim = colours[:, :, ::every, ::every], inner[:, ::every, ::every], rim[:, ::every, ::every]
+    colours = _colour_planes(sheet)
+    every = 2 if inner[0].size > _MANY else 1
+    some = colours[:, :, ::every, ::every]
+    inner = inner[:, ::every, ::every]
+    rim = rim[:, ::every, ::every]
     blob = _mean_colour(some, inner)
     step = blob - ground
-    scatter = _colour_covariance(some, inner, blob) + _colour_covariance(some, rim, _mean_colour(some, rim))
+    scatter = _colour_covariance(some, inner, blob) + _colour_covariance(
+        some, rim, _mean_colour(some, rim)
+    )
     # as much white noise again keeps the direction stable where the colours hardly scatter
     white = np.maximum(np.trace(scatter, axis1=1, axis2=2) / 3, _ROUNDING)
     axis = np.linalg.solve(scatter + white[:, None, None] * np.eye(3), step[:, :, None])[:, :, 0]
     axis /= np.maximum((axis * step).sum(axis=1), 1e-6)[:, None]
     # eight lines at a time: too few for BLAS to start threads of its own
     lines = colours.reshape(len(colours), 3, -1, 8 * colours.shape[3]).swapaxes(1, 2)
-    mixing = (axis.astype(np.float32)[:, None, None] @ lines).reshape(len(colours), *colours.shape[2:])
+    mixing = (axis.astype(np.float32)[:, None, None] @ lines).reshape(
+        len(colours), *colours.shape[2:]
+    )
     mixing -= (ground * axis).sum(axis=1).astype(np.float32)[:, None, None]
     return mixing, np.sqrt(np.maximum((step * step).sum(axis=1), 1.0))
 
 
 def _colour_planes(sheet: Array, every: int = 1) -> Array:
-    """The channels of every `every`-th pixel of squares (s,K,t,3) uint8: (K,3,s/every,t/every) float32, one by one."""
+    """The channels of every `every`-th pixel of squares
+    (s,K,t,3) uint8: (K,3,s/every,t/every) float32, one by one.
+    """
     import cv2
 
     lines = np.ascontiguousarray(sheet[::every])
@@ -137,8 +160,9 @@ def _colour_planes(sheet: Array, every: int = 1) -> Array:
 def _colour_covariance(colours: Array, where: Array, mean: Array) -> Array:
     """Covariance (K,3,3) of colours (K,3,s,t), whose mean (K,3) is known, where 1; zeros of none.
 
-    Whole grey levels, counted from the one nearest to the mean, have sums that float64 holds exactly: they are alike
-    on every processor, in whatever order it adds them, and what is subtracted is at most a quarter.
+    Whole grey levels, counted from the one nearest to the mean, have sums that float64 holds
+    exactly: they are alike on every processor, in whatever order it adds them, and what is
+    subtracted is at most a quarter.
     """
     nearest = np.rint(mean).astype(np.float32)
     away = (colours - nearest[:, :, None, None]) * where[:, None]
@@ -155,37 +179,49 @@ def _mean_colour(colours: Array, where: Array) -> Array:
     return np.asarray(sums / np.maximum(chosen.sum(axis=1), 1), dtype=np.float64)
 
 
-def _fit_shading(mixing: Array, inner: Array, x: Array, rounding: Array) -> tuple[Array, Array, Array]:
+def _fit_shading(
+    mixing: Array, inner: Array, x: Array, rounding: Array
+) -> tuple[Array, Array, Array]:
     """Each blob's mean mixing (K,), its plane (K,S,S), and whether shading is significant (K,).
 
     `rounding` (K,) is the variance of mixing from whole grey levels alone.
     """
     n = inner.sum(axis=(1, 2), dtype=np.float64)
     columns, rows = inner.sum(axis=1, dtype=np.float64), inner.sum(axis=2, dtype=np.float64)
-    mid_x, mid_y = columns @ x[1] / n, rows @ x[1] / n
+    mid_x = columns @ x[1] / n
+    mid_y = rows @ x[1] / n
     mean = np.einsum("kij,kij->k", mixing, inner) / n
-    # everything from its own middle: sums of squares less the square of a sum lose the digits that matter
-    across, beneath = x[1] - mid_x[:, None], x[1] - mid_y[:, None]
+    # everything from its own middle: sums of squares less
+    # the square of a sum lose the digits that matter
+    across = x[1] - mid_x[:, None]
+    beneath = x[1] - mid_y[:, None]
     level = (mixing - mean.astype(np.float32)[:, None, None]) * inner
-    xx, yy = (columns * across**2).sum(axis=1), (rows * beneath**2).sum(axis=1)
+    xx = (columns * across**2).sum(axis=1)
+    yy = (rows * beneath**2).sum(axis=1)
     xy = ((inner @ across[:, :, None])[:, :, 0] * beneath).sum(axis=1)
-    xz, yz = (level.sum(axis=1) * across).sum(axis=1), (level.sum(axis=2) * beneath).sum(axis=1)
+    xz = (level.sum(axis=1) * across).sum(axis=1)
+    yz = (level.sum(axis=2) * beneath).sum(axis=1)
     determinant = np.maximum(xx * yy - xy * xy, 1e-9 * xx * yy + 1e-9)
-    slope_x, slope_y = (yy * xz - xy * yz) / determinant, (xx * yz - xy * xz) / determinant
+    slope_x = (yy * xz - xy * yz) / determinant
+    slope_y = (xx * yz - xy * xz) / determinant
     explained = slope_x * xz + slope_y * yz
     rest = np.maximum(np.einsum("kij,kij->k", level, level) - explained, n * rounding)
     chance = rest / np.maximum((n / _CORRELATED - 3) * explained, 1e-12)
     trust = np.where(n > 3 * _CORRELATED, np.maximum(1 - 6 * chance, 0), 0)
-    tilt_x, tilt_y = (trust * slope_x)[:, None], (trust * slope_y)[:, None]
-    along, down = tilt_x * across, tilt_y * beneath + mean[:, None]
+    tilt_x = (trust * slope_x)[:, None]
+    tilt_y = (trust * slope_y)[:, None]
+    along = tilt_x * across
+    down = tilt_y * beneath + mean[:, None]
     plane = along.astype(np.float32)[:, None, :] + down.astype(np.float32)[:, :, None]
     return mean.astype(np.float32), np.clip(plane, 0.4, 2.0, out=plane), trust > 0
 
 
 def _shift_between_levels(share: Array, grown: Array, x: Array) -> Array:
-    """The shift (px, K) of the centre from the part whose share (K,S,S) is above a low level to that above a high one.
+    """The shift (px, K) of the centre from the part whose share
+    (K,S,S) is above a low level to that above a high one.
 
-    An edge that only blur softens is cut symmetrically at every level; light that fades towards a side is not.
+    An edge that only blur softens is cut symmetrically at
+    every level; light that fades towards a side is not.
     """
     low, high = (_weighted_centroid((share > level) * grown, x)[1:] for level in (_LOW, _HIGH))
     return np.asarray(np.hypot(*(high - low)))
@@ -206,21 +242,26 @@ def _covered_share(mixing: Array, grown: Array) -> Array:
 
 
 def _weighted_centroid(weight: Array, x: Array) -> Array:
-    """Sum of the weights of each square and their centre u, v: (3,K); NaN for squares without weight."""
+    """Sum of the weights of each square and their
+    centre u, v: (3,K); NaN for squares without weight.
+    """
     sums = _moment_sums(weight, x[:2])
     mass = np.where(sums[:, 0, 0] > 0, sums[:, 0, 0], np.nan)
     return np.stack([mass, sums[:, 0, 1] / mass, sums[:, 1, 0] / mass])
 
 
 def _variance_by_outline(weight: Array, mass: Array, u: Array, v: Array) -> Array:
-    """Variance (px², K) of one coordinate of each centre, from the waves of orders 3 and 5 round the blob's outline.
+    """Variance (px², K) of one coordinate of each centre,
+    from the waves of orders 3 and 5 round the blob's outline.
 
-    A wave of order 1 is a shift of the centre. An outline that is its own mirror image through the centre has no waves
-    of odd order, so noise, compression and the pixel grid make those; order 1 gets as much as they do.
+    A wave of order 1 is a shift of the centre. An outline that is its own
+    mirror image through the centre has no waves of odd order, so noise,
+    compression and the pixel grid make those; order 1 gets as much as they do.
     """
     x, y = (np.arange(weight.shape[1]) - np.stack([u, v])[:, :, None]).astype(np.float32)
     square = (y * y)[:, :, None] + (x * x)[:, None, :] + np.float32(1e-6)
-    across, down = _powers_to_fifth(x), _powers_to_fifth(y)
+    across = _powers_to_fifth(x)
+    down = _powers_to_fifth(y)
     # a wave of order n is the sum of weight r (e^iφ)^n, with r e^iφ = x + iy
     weight = weight / square
     third = down[:, :4] @ (weight @ across[:, :4].transpose(0, 2, 1))

@@ -1,4 +1,6 @@
-"""A patch of one image aligned with other images: an affine map, by least squares, with its covariance."""
+"""A patch of one image aligned with other images: an
+affine map, by least squares, with its covariance.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -8,18 +10,24 @@ import numpy as np
 from ...types import Array
 from ..tags.quads import sample_gray
 
-_TURNS, _STILL = 15, 0.01
+_TURNS = 15
+_STILL = 0.01
 _EXCESS = 2.5
 """Factor on the variance of independent pixels: errors of neighbouring pixels are correlated."""
-_FLOOR, _STRETCHED = 0.015, 0.08
-"""px of the first image: the error shared by all pixels of a patch, and its increase per factor e of stretch
-or shrinkage."""
+_FLOOR = 0.015
+_STRETCHED = 0.08
+"""px of the first image: the error shared by all pixels of a
+patch, and its increase per factor e of stretch or shrinkage."""
 _LEAST_EDGE = 20.0
-"""Least sum of squared gradients across the patch's weakest direction, per px and gray level squared."""
+"""Least sum of squared gradients across the patch's
+weakest direction, per px and gray level squared.
+"""
 
 
 class Laid(NamedTuple):
-    """A patch's placement: map (2,3) from px around its middle to px · correlation 0..1 · cov (2,2) px²."""
+    """A patch's placement: map (2,3) from px around its
+    middle to px · correlation 0..1 · cov (2,2) px².
+    """
 
     map: Array
     correlation: float
@@ -33,7 +41,9 @@ class Laid(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """The pixels within `half` px of a place: grid (n,2) px around it · levels (n,) · solve (8,n): least squares."""
+    """The pixels within `half` px of a place: grid (n,2) px
+    around it · levels (n,) · solve (8,n): least squares.
+    """
 
     half: int
     grid: Array
@@ -57,9 +67,14 @@ def cut_patch(gray: Array, uv: Array, half: int) -> Patch | None:
     if not np.isfinite(about).all():
         return None
     down, across = np.gradient(about)
-    x, y, levels = grid[..., 0].ravel(), grid[..., 1].ravel(), about.ravel()
-    gu, gv = across.ravel(), down.ravel()
-    columns = np.stack([gu * x, gu * y, gv * x, gv * y, gu, gv, levels, np.ones_like(levels)], axis=1)
+    x = grid[..., 0].ravel()
+    y = grid[..., 1].ravel()
+    levels = about.ravel()
+    gu = across.ravel()
+    gv = down.ravel()
+    columns = np.stack(
+        [gu * x, gu * y, gv * x, gv * y, gu, gv, levels, np.ones_like(levels)], axis=1
+    )
     inverse = np.linalg.pinv(columns.T @ columns)
     return Patch(half, grid.reshape(-1, 2), levels, columns, np.linalg.pinv(columns), inverse)
 
@@ -70,9 +85,11 @@ def map_at_place(uv: Array) -> Array:
 
 
 def align_patch(gray: Array, patch: Patch, begin: Array) -> Laid | None:
-    """Align the patch with the image near a map (2,3), in any light; None where it leaves the image.
+    """Align the patch with the image near a map (2,3),
+    in any light; None where it leaves the image.
 
-    None also where it would turn too far from the camera. Inverse compositional Gauss-Newton (Baker & Matthews
+    None also where it would turn too far from the camera.
+    Inverse compositional Gauss-Newton (Baker & Matthews
     2004) with gain and offset of the light.
     """
     map_ = begin
@@ -93,7 +110,9 @@ def align_patch(gray: Array, patch: Patch, begin: Array) -> Laid | None:
     apart = levels - levels.mean()
     correlation = 1 - (rest @ rest) / max(float(apart @ apart), 1e-9)
     variance = _EXCESS * (rest @ rest) / (len(rest) - 8) / found[6] ** 2
-    shared = _FLOOR + _STRETCHED * float(np.abs(np.log(np.linalg.svd(map_[:, :2], compute_uv=False))).max())
+    shared = _FLOOR + _STRETCHED * float(
+        np.abs(np.log(np.linalg.svd(map_[:, :2], compute_uv=False))).max()
+    )
     cov = map_[:, :2] @ (variance * patch.inverse[4:6, 4:6] + shared**2 * np.eye(2)) @ map_[:, :2].T
     return Laid(map_, float(np.sqrt(max(correlation, 0.0))), cov)
 
@@ -106,7 +125,9 @@ def draw_patch(patch: Patch, map_: Array) -> Array:
     turned = map_[:, :2]
     whole = np.column_stack([turned, patch.half - turned @ (patch.half, patch.half)])
     levels = patch.levels.reshape(size, size).astype(np.float32)
-    seen = cv2.warpAffine(levels, whole, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    seen = cv2.warpAffine(
+        levels, whole, (size, size), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+    )
     return np.asarray(np.clip(np.rint(seen), 0, 255).astype(np.uint8))
 
 
@@ -118,6 +139,8 @@ def _compose_with_inverse(map_: Array, by: Array) -> Array:
 
 
 def _is_sound_map(map_: Array) -> bool:
-    """Whether the map neither mirrors the patch nor stretches it more than a view from the side does."""
+    """Whether the map neither mirrors the patch nor
+    stretches it more than a view from the side does.
+    """
     wide, thin = np.linalg.svd(map_[:, :2], compute_uv=False)
     return bool(np.linalg.det(map_[:, :2]) > 0 and thin > 0.3 and wide < 3.0 and wide / thin < 3.0)

@@ -1,4 +1,6 @@
-"""Points given once: the patch around each is tracked, always compared with the first, and found again."""
+"""Points given once: the patch around each is tracked,
+always compared with the first, and found again.
+"""
 
 from collections.abc import Callable, Iterator, Mapping
 
@@ -14,11 +16,16 @@ from .patch import Laid, Patch
 
 _HALF = 1 / 50
 """Half a patch's side, in the image's width."""
-_FOLLOWED, _FOUND = 0.8, 0.9
+_FOLLOWED = 0.8
+_FOUND = 0.9
 """Least correlation of patch and image, where the patch is expected, and anywhere."""
-_CANDIDATE, _APART = 0.6, 0.05
-"""Least correlation of a candidate, and least lead over the second best: else the two are ambiguous."""
-_MARGIN, _FARTHEST = 12.0, 96.0
+_CANDIDATE = 0.6
+_APART = 0.05
+"""Least correlation of a candidate, and least lead
+over the second best: else the two are ambiguous.
+"""
+_MARGIN = 12.0
+_FARTHEST = 96.0
 """px searched around the expected place, in addition to twice the last motion; at most."""
 _LATE = 1.0
 """s between `at` and the nearest frame, at most."""
@@ -27,10 +34,17 @@ RIVAL = "two candidates"
 
 
 def track_points(
-    frames: Callable[[], Iterator[LazyImage]], points: Mapping[str, PointSource], where: str = "image"
+    frames: Callable[[], Iterator[LazyImage]],
+    points: Mapping[str, PointSource],
+    where: str = "image",
 ) -> list[Tracked]:
-    """Track each point through all frames, which are read twice; EvidenceError where one cannot be tracked."""
-    firsts = {name: _patch_about_point(frames, point, f"{where}: features.{name}") for name, point in points.items()}
+    """Track each point through all frames, which are read
+    twice; EvidenceError where one cannot be tracked.
+    """
+    firsts = {
+        name: _patch_about_point(frames, point, f"{where}: features.{name}")
+        for name, point in points.items()
+    }
     trackers = [PointTracker(name, *first) for name, first in firsts.items()]
     for frame in frames() if trackers else ():
         try:
@@ -47,7 +61,8 @@ class PointTracker:
 
     def __init__(self, name: str, first: Patch, uv: Array) -> None:
         """`uv` (2,) px is where the patch was cut out."""
-        self._name, self._patch = name, first
+        self._name = name
+        self._patch = first
         self._shown: Laid = Laid(patch.map_at_place(uv), 1.0, np.eye(2))
         self._step: Array | None = None
         self._rows: list[Array] = []
@@ -85,7 +100,11 @@ class PointTracker:
         high = np.ceil(middle + reach).astype(int) + 1
         part = image[low[1] : high[1], low[0] : high[0]]
         places, _ = _best_matches(part, patch.draw_patch(self._patch, self._shown.map))
-        return self._fitted(image, places[0] + low, self._shown.map, _FOLLOWED) if len(places) else None
+        return (
+            self._fitted(image, places[0] + low, self._shown.map, _FOLLOWED)
+            if len(places)
+            else None
+        )
 
     def _anywhere(self, image: Array) -> tuple[Laid | None, str]:
         """The patch in the whole image, searched at half size, as last seen and as first seen."""
@@ -95,12 +114,22 @@ class PointTracker:
             return None, HIDDEN
         small = cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
         for map_ in (self._shown.map, self._turned()):
-            shown = cv2.resize(patch.draw_patch(self._patch, map_), None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+            shown = cv2.resize(
+                patch.draw_patch(self._patch, map_),
+                None,
+                fx=0.5,
+                fy=0.5,
+                interpolation=cv2.INTER_AREA,
+            )
             places, correlation = _best_matches(small, np.asarray(shown))
             if len(places) and correlation[0] >= _CANDIDATE:
                 fits = [self._fitted(image, 2 * place + 0.5, map_, _FOUND) for place in places]
                 good = sorted((fit for fit in fits if fit), key=lambda fit: -fit.correlation)
-                if len(good) > 1 and good[0].correlation - good[1].correlation < _APART and _are_far_apart(good[0], good[1]):
+                if (
+                    len(good) > 1
+                    and good[0].correlation - good[1].correlation < _APART
+                    and _are_far_apart(good[0], good[1])
+                ):
                     return None, RIVAL
                 if good:
                     return good[0], ""
@@ -130,23 +159,32 @@ def _best_matches(image: Array, shown: Array) -> tuple[Array, Array]:
     height, width = shown.shape
     if image.shape[0] < height or image.shape[1] < width:
         return np.empty((0, 2)), np.empty(0)
-    correlation = np.array(cv2.matchTemplate(np.ascontiguousarray(image), shown, cv2.TM_CCOEFF_NORMED))
-    places, values = [], []
+    correlation = np.array(
+        cv2.matchTemplate(np.ascontiguousarray(image), shown, cv2.TM_CCOEFF_NORMED)
+    )
+    places = []
+    values = []
     for _ in range(2):
         v, u = np.unravel_index(np.argmax(correlation), correlation.shape)
         places.append((u + (width - 1) / 2, v + (height - 1) / 2))
         values.append(float(correlation[v, u]))
-        correlation[max(0, v - height // 2) : v + height // 2 + 1, max(0, u - width // 2) : u + width // 2 + 1] = -1
+        correlation[
+            max(0, v - height // 2) : v + height // 2 + 1,
+            max(0, u - width // 2) : u + width // 2 + 1,
+        ] = -1
     return np.array(places), np.array(values)
 
 
-def _patch_about_point(frames: Callable[[], Iterator[LazyImage]], point: PointSource, key: str) -> tuple[Patch, Array]:
+def _patch_about_point(
+    frames: Callable[[], Iterator[LazyImage]], point: PointSource, key: str
+) -> tuple[Patch, Array]:
     """The patch about a point in the frame nearest its time."""
     frame = min(frames(), key=lambda frame: abs(frame.t - point.at), default=None)
     if frame is None or abs(frame.t - point.at) > _LATE:
         nearest = "the log has no image" if frame is None else f"the nearest is at {frame.t:.3f} s"
         raise EvidenceError(f"{key}.at is {point.at:g} s, but no image was taken then: {nearest}")
-    image, uv = convert_to_gray(frame.decode(1)), np.array(point.point)
+    image = convert_to_gray(frame.decode(1))
+    uv = np.array(point.point)
     height, width = image.shape
     half = max(6, round(_HALF * width))
     found = patch.cut_patch(image, uv, half)
@@ -154,5 +192,7 @@ def _patch_about_point(frames: Callable[[], Iterator[LazyImage]], point: PointSo
         possible = f"{half} to {width - 1 - half}, {half} to {height - 1 - half} px"
         raise EvidenceError(f"{key}.point is {list(point.point)}; possible: {possible}")
     if found.edge < 1:
-        raise EvidenceError(f"{key}.point is {list(point.point)}: too plain to follow; take a corner or a pattern")
+        raise EvidenceError(
+            f"{key}.point is {list(point.point)}: too plain to follow; take a corner or a pattern"
+        )
     return found, uv

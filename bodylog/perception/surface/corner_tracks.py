@@ -1,4 +1,6 @@
-"""Corners of whatever moves, tracked in pieces of a few seconds: pyramidal KLT with a check backwards in time."""
+"""Corners of whatever moves, tracked in pieces of a few
+seconds: pyramidal KLT with a check backwards in time.
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
@@ -37,7 +39,8 @@ _SEED = 7
 
 @dataclass(frozen=True, eq=False)
 class CornerTracks:
-    """Pieces of tracks: piece (R,) the number of each row's piece, ascending · frame (R,) index into t · uv (R,2) px.
+    """Pieces of tracks: piece (R,) the number of each row's
+    piece, ascending · frame (R,) index into t · uv (R,2) px.
 
     t (N,) s of the frames, repeats left out · size (width, height) px.
     """
@@ -58,12 +61,16 @@ class CornerTracks:
         number = np.full(self.count, -1)
         number[pieces] = np.arange(len(pieces))
         rows = number[self.piece] >= 0
-        return CornerTracks(self.t, number[self.piece[rows]], self.frame[rows], self.uv[rows], self.size)
+        return CornerTracks(
+            self.t, number[self.piece[rows]], self.frame[rows], self.uv[rows], self.size
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class PictureSurvey:
-    """A first look at a film: its repeats, and the median of its shrunken grey images (h,w), None without any."""
+    """A first look at a film: its repeats, and the median
+    of its shrunken grey images (h,w), None without any.
+    """
 
     repeats: FrameRepeats
     median: Array | None
@@ -71,22 +78,27 @@ class PictureSurvey:
 
 def survey_pictures(frames: Callable[[], Iterable[LazyImage]]) -> PictureSurvey:
     """Look at all frames once, shrunken; memory for images does not grow with the film."""
-    search, samples, every = RepeatSearch(), list[Array](), 1
+    search = RepeatSearch()
+    samples = list[Array]()
+    every = 1
     for n, (t, small) in enumerate(shrunken_frames(frames())):
         search.add(t, small)
         if n % every == 0 and (not samples or small.shape == samples[0].shape):
             samples.append(small)
         if len(samples) == 2 * _MOST_SAMPLES:
-            samples, every = samples[::2], 2 * every
+            samples = samples[::2]
+            every = 2 * every
     median = np.median(samples, axis=0).astype(np.uint8) if samples else None
     return PictureSurvey(search.repeats(), median)
 
 
-def track_corners(frames: Callable[[], Iterable[LazyImage]], most_pieces: int = 1200) -> tuple[CornerTracks, PictureSurvey]:
+def track_corners(
+    frames: Callable[[], Iterable[LazyImage]], most_pieces: int = 1200
+) -> tuple[CornerTracks, PictureSurvey]:
     """Track the corners of a camera's frames, which are read twice.
 
-    Of more than `most_pieces` pieces a fixed random choice is kept, so that memory does not grow with the film. Frames
-    that repeat their predecessor, or cannot be decoded, are left out.
+    Of more than `most_pieces` pieces a fixed random choice is kept, so that memory does not grow
+    with the film. Frames that repeat their predecessor, or cannot be decoded, are left out.
     """
     survey = survey_pictures(frames)
     repeated = {float(t) for t in survey.repeats.t[survey.repeats.repeated]}
@@ -114,7 +126,9 @@ class CornerTracker:
     """Tracks corners through grey images, given one by one."""
 
     def __init__(self, median: Array | None, most_pieces: int = 1200) -> None:
-        """Median: the scene's shrunken picture (h,w); corners are looked for where an image differs from it."""
+        """Median: the scene's shrunken picture (h,w); corners
+        are looked for where an image differs from it.
+        """
         self._median = median
         self._most = most_pieces
         self._t: list[float] = []
@@ -161,7 +175,8 @@ class CornerTracker:
         inside = (after > 0).all(axis=1) & (after[:, 0] < width - 1) & (after[:, 1] < height - 1)
         close = np.linalg.norm(back - before, axis=1) <= _BACKWARD_PX
         sound = found & found_back & inside & close
-        alive, ended = list[_CornerPiece](), list[_CornerPiece]()
+        alive = list[_CornerPiece]()
+        ended = list[_CornerPiece]()
         for piece, place, good in zip(self._alive, after.tolist(), sound.tolist(), strict=True):
             if good:
                 piece.frames.append(number)
@@ -193,7 +208,9 @@ class CornerTracker:
             self._alive += [_CornerPiece([number], [(float(u), float(v))]) for u, v in refined]
 
     def _moving(self, image: Array) -> Array | None:
-        """Where an image differs from the median picture (H,W) 0 or 255; None where there is none to compare."""
+        """Where an image differs from the median picture
+        (H,W) 0 or 255; None where there is none to compare.
+        """
         import cv2
 
         small = shrink_grey(image)
@@ -225,15 +242,27 @@ def _flow_of_corners(image: Array, other: Array, places: Array) -> tuple[Array, 
     import cv2
 
     moved, found, _ = cv2.calcOpticalFlowPyrLK(
-        image, other, places, places.copy(), winSize=(_WINDOW_PX, _WINDOW_PX), maxLevel=_PYRAMID_LEVELS,
+        image,
+        other,
+        places,
+        places.copy(),
+        winSize=(_WINDOW_PX, _WINDOW_PX),
+        maxLevel=_PYRAMID_LEVELS,
         criteria=(cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01),
-    )  # fmt: skip
+    )
     return np.asarray(moved), np.asarray(found)[:, 0] > 0
 
 
 def moving_pieces(tracks: CornerTracks, least_px: float = LEAST_MOTION_PX) -> Array:
     """Numbers of the pieces that cover at least a rectangle of this diagonal, px."""
-    return np.array([k for k, uv in enumerate(places_by_piece(tracks)) if np.linalg.norm(np.ptp(uv, axis=0)) >= least_px], int)
+    return np.array(
+        [
+            k
+            for k, uv in enumerate(places_by_piece(tracks))
+            if np.linalg.norm(np.ptp(uv, axis=0)) >= least_px
+        ],
+        int,
+    )
 
 
 def places_by_piece(tracks: CornerTracks) -> Iterator[Array]:

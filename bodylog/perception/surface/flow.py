@@ -1,4 +1,6 @@
-"""Optical flow between frames, averaged over a grid of cells: how the picture moves, wherever the arm may be."""
+"""Optical flow between frames, averaged over a grid of
+cells: how the picture moves, wherever the arm may be.
+"""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -13,25 +15,30 @@ from ..colours.coarse_search import convert_to_gray
 from .repeats import SHRINK, FrameRepeats, RepeatSearch, shrink_grey
 
 FLOW_WIDTH_PX = 320
-"""Width at which flow is computed: twice that changes delays by less than their σ and costs four times as much."""
+"""Width at which flow is computed: twice that changes
+delays by less than their σ and costs four times as much.
+"""
 PICTURES = 6
 """Pictures of a film that are kept for people."""
 WHITE_GREY = 250
 """Grey level from which a pixel is saturated: white in video is 235 to 255."""
-GRID_ROWS, GRID_COLUMNS = 6, 8
-"""Cells of the grid: each is wider than the features that flow needs, and narrower than a forearm."""
+GRID_ROWS = 6
+GRID_COLUMNS = 8
+"""Cells of the grid: each is wider than the features
+that flow needs, and narrower than a forearm.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class GridFlow:
     """Flow of a camera between its distinct frames.
 
-    times (N,2) s: stamps of the earlier and the later frame · flow (N,rows,columns,2) pixels at FLOW_WIDTH_PX, along
-    u and v · brightness (M,) 99th percentile of each stored frame, grey levels · sharpness (M,) variance of its
-    Laplacian, grey levels² · saturated (M,) share of its pixels that are white · block_change (M,)
-    largest change of a block's mean against the frame before, grey levels, infinite of the first ·
-    pictures: a few frames (h,w) uint8, evenly spread · repeats: which stored frames repeat their
-    predecessor · size (width, height) px.
+    times (N,2) s: stamps of the earlier and the later frame · flow (N,rows,columns,2) pixels at
+    FLOW_WIDTH_PX, along u and v · brightness (M,) 99th percentile of each stored frame, grey levels
+    · sharpness (M,) variance of its Laplacian, grey levels² · saturated (M,) share of its pixels
+    that are white · block_change (M,) largest change of a block's mean against the frame before,
+    grey levels, infinite of the first · pictures: a few frames (h,w) uint8, evenly spread ·
+    repeats: which stored frames repeat their predecessor · size (width, height) px.
     """
 
     times: Array
@@ -46,7 +53,8 @@ class GridFlow:
 
 
 def measure_grid_flow(frames: Iterable[LazyImage]) -> GridFlow | None:
-    """Decode frames once, find repeats, and measure flow between distinct ones; None without two frames.
+    """Decode frames once, find repeats, and measure
+    flow between distinct ones; None without two frames.
 
     A frame may decode to a grey image (H,W) as well.
 
@@ -158,9 +166,11 @@ def _cell_means(estimator: Any, before: Array, after: Array) -> Array:
 
 
 def _distinct_intervals(repeats: FrameRepeats) -> Array:
-    """Indices (N,2) of stored frames: the first copy of each distinct frame and that of the next one.
+    """Indices (N,2) of stored frames: the first copy
+    of each distinct frame and that of the next one.
 
-    The flow into a distinct frame is measured from the last copy of its predecessor, which shows the same picture.
+    The flow into a distinct frame is measured from the last
+    copy of its predecessor, which shows the same picture.
     """
     first_copies = np.flatnonzero(~repeats.repeated)
     return np.column_stack([first_copies[:-1], first_copies[1:]])

@@ -1,4 +1,6 @@
-"""Small pictures of landmarks, looked for in images where they are foretold, turned and scaled as they would look."""
+"""Small pictures of landmarks, looked for in images where
+they are foretold, turned and scaled as they would look.
+"""
 
 from dataclasses import dataclass
 
@@ -25,7 +27,9 @@ _BEYOND_PX = 2.0
 
 @dataclass(frozen=True, eq=False)
 class PatchMatches:
-    """Where templates (n,) were found in an image: uv (n,2) px · score (n,), correlation · sure (n,)."""
+    """Where templates (n,) were found in an image: uv
+    (n,2) px · score (n,), correlation · sure (n,).
+    """
 
     uv: Array
     score: Array
@@ -33,7 +37,9 @@ class PatchMatches:
 
 
 def cut_patch(image: Array, uv: Array) -> Array | None:
-    """The picture (PATCH_PX,PATCH_PX) uint8 around uv (2,) px of a grey image; None at its rim, or without contrast."""
+    """The picture (PATCH_PX,PATCH_PX) uint8 around uv (2,)
+    px of a grey image; None at its rim, or without contrast.
+    """
     import cv2
 
     half = PATCH_PX / 2.0
@@ -45,13 +51,15 @@ def cut_patch(image: Array, uv: Array) -> Array | None:
 
 
 def warp_patches(patches: Array, maps: Array) -> tuple[Array, Array]:
-    """Templates (n,s,s) uint8 of pictures (n,S,S) as an image would show them, and whether each can be made (n,).
+    """Templates (n,s,s) uint8 of pictures (n,S,S) as an
+    image would show them, and whether each can be made (n,).
 
     maps (n,2,2): the derivative of a place in the image by its place in the picture.
     """
     import cv2
 
-    count, half = len(patches), _TEMPLATE_PX // 2
+    count = len(patches)
+    half = _TEMPLATE_PX // 2
     scale = np.sqrt(np.abs(np.linalg.det(maps)))
     fit = (scale < _MOST_STRETCH) & (scale > 1.0 / _MOST_STRETCH)
     inverse = np.linalg.inv(np.where(fit[:, None, None], maps, np.eye(2)))
@@ -70,21 +78,26 @@ def warp_patches(patches: Array, maps: Array) -> tuple[Array, Array]:
 
 
 def match_templates(image: Array, templates: Array, uv: Array, reach_px: int) -> PatchMatches:
-    """Look for templates (n,s,s) in a grey image (H,W) within reach_px of uv (n,2) px, to a part of a pixel."""
+    """Look for templates (n,s,s) in a grey image (H,W)
+    within reach_px of uv (n,2) px, to a part of a pixel.
+    """
     import cv2
 
     half = _TEMPLATE_PX // 2
-    found, score = uv.astype(float), np.full(len(uv), -1.0)
+    found = uv.astype(float)
+    score = np.full(len(uv), -1.0)
     sure = np.zeros(len(uv), bool)
     height, width = image.shape
     for number, (u, v) in enumerate(np.rint(uv).astype(int).tolist()):
-        left, top = u - reach_px - half, v - reach_px - half
-        right, bottom = u + reach_px + half + 1, v + reach_px + half + 1
+        left = u - reach_px - half
+        top = v - reach_px - half
+        right = u + reach_px + half + 1
+        bottom = v + reach_px + half + 1
         if left < 0 or top < 0 or right > width or bottom > height:
             continue
         alike = cv2.matchTemplate(
             image[top:bottom, left:right], templates[number], cv2.TM_CCOEFF_NORMED
-        )  # fmt: skip
+        )
         row, column = divmod(int(np.argmax(alike)), alike.shape[1])
         best = float(alike[row, column])
         score[number] = best
@@ -94,8 +107,9 @@ def match_templates(image: Array, templates: Array, uv: Array, reach_px: int) ->
         dv = _vertex(alike[row - 1, column], best, alike[row + 1, column])
         found[number] = column + left + half + du, row + top + half + dv
         alike[
-            max(row - _APART_PX, 0) : row + _APART_PX + 1, max(column - _APART_PX, 0) : column + _APART_PX + 1
-        ] = -1.0  # fmt: skip
+            max(row - _APART_PX, 0) : row + _APART_PX + 1,
+            max(column - _APART_PX, 0) : column + _APART_PX + 1,
+        ] = -1.0
         sure[number] = best - float(alike.max()) >= LEAST_LEAD
     return PatchMatches(found, score, sure)
 

@@ -1,4 +1,6 @@
-"""Frames that repeat their predecessor: a recorder that is faster than its camera stores images twice."""
+"""Frames that repeat their predecessor: a recorder
+that is faster than its camera stores images twice.
+"""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -12,27 +14,39 @@ from ..colours.coarse_search import convert_to_gray
 SHRINK = 4
 """Images are compared at this fraction of their size."""
 _WINDOW_PX = 5
-"""Side, in shrunken pixels, of the window over which differences are averaged: a moving thing, not noise."""
+"""Side, in shrunken pixels, of the window over which
+differences are averaged: a moving thing, not noise.
+"""
 _BUSY_PERCENT = 99.0
 """Percentile of the windows' differences that stands for an image: a small moving part counts."""
 _REPEAT_SHARE = 0.3
-"""Largest change of a repeat, as a share of the lesser change beside it, both above the noise of coding."""
+"""Largest change of a repeat, as a share of the lesser
+change beside it, both above the noise of coding.
+"""
 _LEAST_MOTION_GREY = 1.5
-"""Grey levels above the noise that the images beside a repeat change at least; less is no motion."""
+"""Grey levels above the noise that the images
+beside a repeat change at least; less is no motion.
+"""
 _MOST_NOISE_GREY = 3.0
-"""Grey levels that coding changes in a still scene, at most: 0.7 to 2.2 in real films. More is motion."""
+"""Grey levels that coding changes in a still scene,
+at most: 0.7 to 2.2 in real films. More is motion.
+"""
 _REVERSAL_SHARE = 0.75
-"""Changes that fall to this share towards an instant from both sides: a motion that stops or reverses, no repeat."""
+"""Changes that fall to this share towards an instant from
+both sides: a motion that stops or reverses, no repeat.
+"""
 _LEAST_JUDGED = 20
-"""Moving frames that suffice for a share; with fewer, frames that are equal in every pixel count as well."""
+"""Moving frames that suffice for a share; with fewer,
+frames that are equal in every pixel count as well.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameRepeats:
     """Which frames of a camera repeat the one before.
 
-    t (N,) s · repeated (N,) · judged (N,): frames for which the images can tell, those in which something moves ·
-    change (N,) grey levels against the frame before, NaN of the first.
+    t (N,) s · repeated (N,) · judged (N,): frames for which the images can tell, those in which
+    something moves · change (N,) grey levels against the frame before, NaN of the first.
     """
 
     t: Array
@@ -71,10 +85,13 @@ class RepeatSearch:
         self._equal: list[bool] = []
 
     def add(self, t: float, small: Array) -> None:
-        """Take the next frame at t (s) as a shrunken grey image (h,w) uint8; its shape must not change."""
+        """Take the next frame at t (s) as a shrunken grey
+        image (h,w) uint8; its shape must not change.
+        """
         import cv2
 
-        change, equal = float("nan"), False
+        change = float("nan")
+        equal = False
         if self._before is not None and self._before.shape == small.shape:
             difference = cv2.absdiff(small, self._before)
             equal = not difference.any()
@@ -88,7 +105,8 @@ class RepeatSearch:
 
     def repeats(self) -> FrameRepeats:
         """Judge the frames so far."""
-        change, equal = np.array(self._change), np.array(self._equal, bool)
+        change = np.array(self._change)
+        equal = np.array(self._equal, bool)
         repeated, judged = _judge_repeats(change, equal)
         return FrameRepeats(np.array(self._t), repeated, judged, change)
 
@@ -111,7 +129,9 @@ def shrunken_frames(frames: Iterable[LazyImage]) -> Iterator[tuple[float, Array]
 
 
 def shrink_frame(frame: LazyImage) -> Array:
-    """A frame in grey, shrunken by means of pixels, (h,w) uint8. InputError where it cannot be decoded."""
+    """A frame in grey, shrunken by means of pixels,
+    (h,w) uint8. InputError where it cannot be decoded.
+    """
     if frame.shrinks:
         return convert_to_gray(frame.decode(SHRINK))
     return shrink_grey(convert_to_gray(frame.decode(1)))
@@ -135,7 +155,12 @@ def _judge_repeats(change: Array, equal: Array) -> tuple[Array, Array]:
     before, slows = _motion_before_frames(motion)
     after, quickens = (part[::-1] for part in _motion_before_frames(motion[::-1]))
     beside = np.minimum(before, after)
-    between_motion = (beside >= _LEAST_MOTION_GREY) & (motion <= _REPEAT_SHARE * beside) & ~(slows & quickens) & ~first
+    between_motion = (
+        (beside >= _LEAST_MOTION_GREY)
+        & (motion <= _REPEAT_SHARE * beside)
+        & ~(slows & quickens)
+        & ~first
+    )
     repeated = (equal & ~first) | between_motion
     moving = between_motion | (motion >= _LEAST_MOTION_GREY)
     judged = moving if moving.sum() >= _LEAST_JUDGED else moving | repeated
@@ -143,7 +168,9 @@ def _judge_repeats(change: Array, equal: Array) -> tuple[Array, Array]:
 
 
 def _motion_before_frames(motion: Array) -> tuple[Array, Array]:
-    """The greater motion of the two frames before each, and whether the motion was falling before it, both (N,)."""
+    """The greater motion of the two frames before each, and
+    whether the motion was falling before it, both (N,).
+    """
     padded = np.pad(motion, (4, 0))
     last = np.arange(len(motion)) + 3
     greater = np.maximum(padded[last], padded[last - 1])

@@ -1,6 +1,7 @@
 """Counts and marker size of a ChArUco board, from the numbers and places of its markers in images.
 
-Markers are numbered row by row over the white squares: which numbers stand above one another tells the columns.
+Markers are numbered row by row over the white squares:
+which numbers stand above one another tells the columns.
 """
 
 from collections.abc import Sequence
@@ -20,7 +21,9 @@ _CLEARER = 0.5
 
 
 class BoardShape(NamedTuple):
-    """Columns and rows of squares, from the rows that were seen · marker: its side in sides of a square."""
+    """Columns and rows of squares, from the rows that
+    were seen · marker: its side in sides of a square.
+    """
 
     columns: int
     rows: int
@@ -28,7 +31,9 @@ class BoardShape(NamedTuple):
 
 
 def recognise_board(images: Sequence[search.Tags]) -> BoardShape | None:
-    """The board whose markers are seen in some images, by tags of one dictionary; None where they are on none."""
+    """The board whose markers are seen in some images, by
+    tags of one dictionary; None where they are on none.
+    """
     seen = [tags for tags in images if len(np.unique(tags.number)) >= _FEWEST_MARKERS]
     if not seen:
         return None
@@ -37,7 +42,9 @@ def recognise_board(images: Sequence[search.Tags]) -> BoardShape | None:
     for columns in range(2, _MOST_COLUMNS + 1):
         for parity in (1, 0):
             middles = _middles_of_markers(columns, parity, last + 1)
-            fitted = [one for tags in seen if (one := _misfit_to_squares(middles, tags)) is not None]
+            fitted = [
+                one for tags in seen if (one := _misfit_to_squares(middles, tags)) is not None
+            ]
             if fitted:
                 off = float(np.median([distance for distance, _ in fitted]))
                 marker = float(np.median([side for _, side in fitted]))
@@ -55,14 +62,17 @@ def recognise_board(images: Sequence[search.Tags]) -> BoardShape | None:
 
 
 def _middles_of_markers(columns: int, parity: int, count: int) -> Array:
-    """Middles (count,2) of the first markers, in squares; parity: x + y of white squares, modulo 2."""
+    """Middles (count,2) of the first markers, in
+    squares; parity: x + y of white squares, modulo 2.
+    """
     rows = 2 * count // columns + 2
     white = [(x, y) for y in range(rows) for x in range(columns) if (x + y) % 2 == parity]
     return np.array(white[:count]) + 0.5
 
 
 def _misfit_to_squares(middles: Array, tags: search.Tags) -> tuple[float, float] | None:
-    """How far markers are from squares at their places (90th percentile), and their side, in sides of a square.
+    """How far markers are from squares at their places
+    (90th percentile), and their side, in sides of a square.
 
     None where no plane holds them.
     """
@@ -74,10 +84,15 @@ def _misfit_to_squares(middles: Array, tags: search.Tags) -> tuple[float, float]
     pose, _ = cv2.findHomography(tags.centres, plane, 0)
     if pose is None:
         return None
-    corners = quads.apply_homographies(np.asarray(pose)[None], tags.quads.reshape(-1, 2))[0].reshape(-1, 4, 2)
+    corners = quads.apply_homographies(np.asarray(pose)[None], tags.quads.reshape(-1, 2))[
+        0
+    ].reshape(-1, 4, 2)
     square = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])
     about = corners - plane[:, None]
-    # markers are squares along the board's sides: a sheared board has places for all middles, but not for these
-    side = float(np.median(about.reshape(len(plane), -1) @ square.ravel()) / np.square(square).sum())
+    # markers are squares along the board's sides: a sheared
+    # board has places for all middles, but not for these
+    side = float(
+        np.median(about.reshape(len(plane), -1) @ square.ravel()) / np.square(square).sum()
+    )
     away = np.linalg.norm(about - side * square, axis=2).max(axis=1)
     return float(np.percentile(away, 90)), side

@@ -1,4 +1,6 @@
-"""ChArUco boards: the markers locate the board, then the chessboard's corners are measured one by one."""
+"""ChArUco boards: the markers locate the board, then
+the chessboard's corners are measured one by one.
+"""
 
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -10,12 +12,15 @@ from ...types import Array, Finding
 from ..tracking.contract import HIDDEN, UNDECODABLE, Tracked, Tracker
 from . import quads, saddle, search
 from .board_shape import recognise_board
-from .codes import load_codes, decode_cells
+from .codes import decode_cells, load_codes
 
-_LEAST_MARKERS, _MOST_OF = 3, 0.5
+_LEAST_MARKERS = 3
+_MOST_OF = 0.5
 _OFF = 3.0
 _OFF_SIDE = 0.2
-"""Largest distance of a marker's corner from its place on a flat board without lens distortion: px, sides."""
+"""Largest distance of a marker's corner from its place
+on a flat board without lens distortion: px, sides.
+"""
 _REACH = 0.7
 """Half a corner's window, as a share of the gap to the nearest marker."""
 _SQUARE = 0.12
@@ -42,7 +47,9 @@ class BoardLayout(NamedTuple):
 
 
 class SeenBoard(NamedTuple):
-    """A board in a frame: H (3,3) from squares to px · corners (K,2) px, NaN where not seen · cov (K,2,2) px²."""
+    """A board in a frame: H (3,3) from squares to px ·
+    corners (K,2) px, NaN where not seen · cov (K,2,2) px².
+    """
 
     pose: Array
     uv: Array
@@ -58,7 +65,12 @@ def lay_out_board(source: CharucoSource, legacy: bool) -> BoardLayout:
     """Where corners and markers lie on a board."""
     columns, rows = source.shape
     corners = np.array(board_points(source))[:, :2] / source.square
-    white = [(x, y) for y in range(rows) for x in range(columns) if (x + y) % 2 == (rows % 2 == 0 and legacy) ^ 1]
+    white = [
+        (x, y)
+        for y in range(rows)
+        for x in range(columns)
+        if (x + y) % 2 == (rows % 2 == 0 and legacy) ^ 1
+    ]
     middle = np.array(white) + 0.5
     half = source.marker / source.square / 2
     square = half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
@@ -74,10 +86,13 @@ class CharucoTracker:
 
     def __init__(self, name: str, source: CharucoSource) -> None:
         """Load no library before the first frame."""
-        self._name, self._source = name, source
+        self._name = name
+        self._source = source
         # an odd number of rows begins and ends with a black square in both patterns
         same_pattern = source.shape[1] % 2 == 1
-        kinds = (False, True) if source.legacy is None and not same_pattern else (bool(source.legacy),)
+        kinds = (
+            (False, True) if source.legacy is None and not same_pattern else (bool(source.legacy),)
+        )
         self._layouts = {legacy: lay_out_board(source, legacy) for legacy in kinds}
         self._votes = dict.fromkeys(self._layouts, 0)
         self._frames: list[SeenBoard | None] = []
@@ -115,12 +130,22 @@ class CharucoTracker:
         if self._read:
             found = recognise_board(self._tags)
             columns, rows = self._source.shape
-            hint = "" if found is None else f"; they are numbered as on a board of {found.columns} columns"
+            hint = (
+                ""
+                if found is None
+                else f"; they are numbered as on a board of {found.columns} columns"
+            )
             if found is not None and found.columns == rows:
                 hint += f': type: charuco = "{rows}x{columns}"'
             elif found is not None:
-                hint += f' and at least {found.rows} rows: type: charuco = "{found.columns}x{found.rows}"'
-            text = f"{self._name}: {self._read} markers were read, but not as on a {self._source.charuco} board{hint}"
+                hint += (
+                    f" and at least {found.rows} rows: type: charuco = "
+                    f'"{found.columns}x{found.rows}"'
+                )
+            text = (
+                f"{self._name}: {self._read} markers were read, but not as on a "
+                f"{self._source.charuco} board{hint}"
+            )
             return (Finding("warning", text),)
         return ()
 
@@ -133,13 +158,17 @@ class CharucoTracker:
     def _anywhere(self, gray: Array) -> SeenBoard | None:
         """The board, from its markers in the whole image."""
         count = len(self._layout().markers)
-        tags = search.search_whole_image(gray, load_codes(self._source.dictionary), np.arange(count))
+        tags = search.search_whole_image(
+            gray, load_codes(self._source.dictionary), np.arange(count)
+        )
         self._read += len(tags.number)
         if len(self._tags) < _REMEMBERED:
             self._tags.append(tags)
         if len(tags.number) < _LEAST_MARKERS:
             return None
-        poses = {legacy: _homography_of_markers(board, tags) for legacy, board in self._layouts.items()}
+        poses = {
+            legacy: _homography_of_markers(board, tags) for legacy, board in self._layouts.items()
+        }
         for legacy, (_, count) in poses.items():
             self._votes[legacy] += count
         pose, _ = poses[self._legacy()]
@@ -154,7 +183,8 @@ class CharucoTracker:
         before = self._frames[-1]
         if seen is None or before is None:
             return None
-        count, kept = np.isfinite(before.uv[:, 0]).sum(), np.isfinite(seen.uv[:, 0]).sum()
+        count = np.isfinite(before.uv[:, 0]).sum()
+        kept = np.isfinite(seen.uv[:, 0]).sum()
         return seen if kept >= _KEPT * count else None
 
     def _expected(self) -> Array | None:
@@ -187,7 +217,9 @@ class CharucoTracker:
     def _near_read(self, gray: Array, pose: Array, board: BoardLayout) -> Array | None:
         """Corners (K,) bool near markers that read as their own; None where fewer than a few do."""
         known = load_codes(self._source.dictionary)
-        places = quads.apply_homographies(pose[None], board.markers.reshape(-1, 2))[0].reshape(-1, 4, 2)
+        places = quads.apply_homographies(pose[None], board.markers.reshape(-1, 2))[0].reshape(
+            -1, 4, 2
+        )
         bits, _ = quads.sample_cells(gray, places, known.side)
         there = np.flatnonzero(np.isfinite(bits).all(axis=1))
         if not there.size:
@@ -205,13 +237,18 @@ def _homography_of_markers(board: BoardLayout, tags: search.Tags) -> tuple[Array
     """H (3,3) from squares to px of most markers, and how many agree."""
     import cv2
 
-    plane, image = board.markers[tags.number].reshape(-1, 2), tags.quads.reshape(-1, 2)
+    plane = board.markers[tags.number].reshape(-1, 2)
+    image = tags.quads.reshape(-1, 2)
     side = float(np.median(np.linalg.norm(tags.quads[:, 0] - tags.quads[:, 1], axis=1)))
     pose, inside = cv2.findHomography(plane, image, cv2.RANSAC, max(_OFF, _OFF_SIDE * side))
     if pose is None:
         return None, 0
     count = int(inside.reshape(-1, 4).all(axis=1).sum())
-    return (np.asarray(pose), count) if count >= max(_LEAST_MARKERS, _MOST_OF * len(tags.number)) else (None, 0)
+    return (
+        (np.asarray(pose), count)
+        if count >= max(_LEAST_MARKERS, _MOST_OF * len(tags.number))
+        else (None, 0)
+    )
 
 
 def _fit_homography(plane: Array, image: Array) -> Array | None:
@@ -227,15 +264,23 @@ def _fit_homography(plane: Array, image: Array) -> Array | None:
 
 def _side_of_square_px(pose: Array, points: Array) -> Array:
     """The shortest side of a square, px, at points (K,2) of the plane: (K,)."""
-    here, right, down = (quads.apply_homographies(pose[None], points + by)[0] for by in ((0, 0), (0.5, 0), (0, 0.5)))
-    return np.asarray(2 * np.minimum(np.linalg.norm(right - here, axis=1), np.linalg.norm(down - here, axis=1)))
+    here, right, down = (
+        quads.apply_homographies(pose[None], points + by)[0] for by in ((0, 0), (0.5, 0), (0, 0.5))
+    )
+    return np.asarray(
+        2 * np.minimum(np.linalg.norm(right - here, axis=1), np.linalg.norm(down - here, axis=1))
+    )
 
 
-def _drop_corners_off_board(gray: Array, pose: Array, board: BoardLayout, found: saddle.Corners) -> saddle.Corners:
+def _drop_corners_off_board(
+    gray: Array, pose: Array, board: BoardLayout, found: saddle.Corners
+) -> saddle.Corners:
     """Corners with white and black squares around them as on the board."""
     about = _SQUARE * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
     expected = quads.apply_homographies(pose[None], board.corners)[0]
-    points = quads.apply_homographies(pose[None], (board.corners[:, None] + about).reshape(-1, 2))[0].reshape(-1, 4, 2)
+    points = quads.apply_homographies(pose[None], (board.corners[:, None] + about).reshape(-1, 2))[
+        0
+    ].reshape(-1, 4, 2)
     levels = quads.sample_gray(gray, points + np.nan_to_num(found.uv - expected)[:, None])
     light = np.where(board.white, levels, np.inf).min(axis=1)
     dark = np.where(board.white, -np.inf, levels).max(axis=1)

@@ -1,4 +1,6 @@
-"""Corners where two dark and two light squares meet, to a fraction of a pixel, with their covariance."""
+"""Corners where two dark and two light squares meet,
+to a fraction of a pixel, with their covariance.
+"""
 
 from typing import NamedTuple
 
@@ -26,9 +28,11 @@ class Corners(NamedTuple):
 def refine_saddles(gray: Array, uv: Array, reach: Array) -> Corners:
     """Corners near uv (K,2) px, each within a window of half its `reach` (K,) px to every side.
 
-    Least squares: every gradient in the window is perpendicular to its line to the corner (Förstner & Gülch 1987).
+    Least squares: every gradient in the window is perpendicular
+    to its line to the corner (Förstner & Gülch 1987).
     """
-    place, cov = uv.copy(), np.full((len(uv), 2, 2), np.nan)
+    place = uv.copy()
+    cov = np.full((len(uv), 2, 2), np.nan)
     offsets = np.linspace(-1, 1, 2 * _HALF + 1)
     grid = np.stack(np.meshgrid(offsets, offsets), axis=-1)
     weight = np.exp(-(grid**2).sum(axis=2))[1:-1, 1:-1]
@@ -39,8 +43,12 @@ def refine_saddles(gray: Array, uv: Array, reach: Array) -> Corners:
     return Corners(np.where(far[:, None], np.nan, place), cov)
 
 
-def _step_to_saddle(gray: Array, place: Array, reach: Array, grid: Array, weight: Array) -> tuple[Array, Array]:
-    """The step from each place (K,2) px to the crossing of the gradients around it, and its covariance (K,2,2) px²."""
+def _step_to_saddle(
+    gray: Array, place: Array, reach: Array, grid: Array, weight: Array
+) -> tuple[Array, Array]:
+    """The step from each place (K,2) px to the crossing of
+    the gradients around it, and its covariance (K,2,2) px².
+    """
     points = place[:, None, None] + reach[:, None, None, None] * grid
     levels = sample_gray(gray, points)
     spacing = (reach / _HALF)[:, None, None]
@@ -62,7 +70,12 @@ def _step_to_saddle(gray: Array, place: Array, reach: Array, grid: Array, weight
 
 def _invert_symmetric(matrix: Array) -> Array:
     """Inverse of symmetric (K,2,2); NaN where one is singular."""
-    a, b, c = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]
+    a = matrix[:, 0, 0]
+    b = matrix[:, 0, 1]
+    c = matrix[:, 1, 1]
     det = a * c - b * b
     det = np.where(det > 1e-6 * (a + c) ** 2, det, np.nan)
-    return np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=1) / det[:, None, None]
+    return (
+        np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=1)
+        / det[:, None, None]
+    )

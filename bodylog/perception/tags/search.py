@@ -16,15 +16,19 @@ _HALF = 7.0
 _BORDER = 0.65
 """Share of the border's cells that must be dark: OpenCV's 1 - maxErroneousBitsInBorderRate."""
 _SIMILAR = 0.6
-"""Least correlation of bits and pattern, -1..1; of two patterns 3 of 16 bits apart the wrong one reaches 0.63."""
+"""Least correlation of bits and pattern, -1..1; of two
+patterns 3 of 16 bits apart the wrong one reaches 0.63.
+"""
 _LIKELY = 0.5
 """The same before a quad is refined to its edges."""
 
 
 class Tags(NamedTuple):
-    """M tags: numbers (M,) · corners (M,4,2) px, as printed from top left clockwise · centres (M,2) px · score (M,).
+    """M tags: numbers (M,) · corners (M,4,2) px, as printed
+    from top left clockwise · centres (M,2) px · score (M,).
 
-    corner_cov (M,4,2,2) and centre_cov (M,2,2) px²; the score is the correlation with the pattern, -1..1.
+    corner_cov (M,4,2,2) and centre_cov (M,2,2) px²; the
+    score is the correlation with the pattern, -1..1.
     """
 
     number: Array
@@ -40,11 +44,15 @@ class Tags(NamedTuple):
 
 
 def search_whole_image(gray: Array, known: Codes, only: Array | None = None) -> Tags:
-    """Tags anywhere in the image (H,W) uint8: at half size first, then at full size those not found yet."""
+    """Tags anywhere in the image (H,W) uint8: at half
+    size first, then at full size those not found yet.
+    """
     found = verify_quads(gray, _at_half_size(gray), known, only)
     if only is not None and np.isin(only, found.number).all():
         return found
-    return _distinct_tags(join_tags(found, verify_quads(gray, quads.find_quads(gray, _SHORTEST), known, only)))
+    return _distinct_tags(
+        join_tags(found, verify_quads(gray, quads.find_quads(gray, _SHORTEST), known, only))
+    )
 
 
 def find_candidate_quads(gray: Array) -> Array:
@@ -71,13 +79,21 @@ def search_window(gray: Array, middle: Array, reach: float, known: Codes, only: 
 
 
 def verify_quads(gray: Array, found: Array, known: Codes, only: Array | None = None) -> Tags:
-    """The tags among quads (M,4,2) px, clockwise from any corner, that lie within some px of their edges."""
+    """The tags among quads (M,4,2) px, clockwise from
+    any corner, that lie within some px of their edges.
+    """
     found = _likely_quads(gray, found, known, only)
-    return recognise_tags(gray, refine_candidates(gray, found, known.side), known, only) if len(found) else no_tags()
+    return (
+        recognise_tags(gray, refine_candidates(gray, found, known.side), known, only)
+        if len(found)
+        else no_tags()
+    )
 
 
 def refine_candidates(gray: Array, found: Array, side: int) -> Refined:
-    """Refine quads (M,4,2) px of tags of side² bits to their edges; those without four edges are left out."""
+    """Refine quads (M,4,2) px of tags of side² bits to
+    their edges; those without four edges are left out.
+    """
     shortest = np.linalg.norm(found - np.roll(found, -1, axis=1), axis=2).min(axis=1)
     moved = edges.refine_quads(gray, found, shortest / (side + 2))
     sound = moved.sides.all(axis=1) & np.isfinite(moved.quads).all(axis=(1, 2))
@@ -95,15 +111,22 @@ def recognise_tags(gray: Array, found: Refined, known: Codes, only: Array | None
     middle = (bits[rows].max(axis=1) + bits[rows].min(axis=1)) / 2
     dark = (border[rows] < middle[:, None]).mean(axis=1)
     good = (seen.wrong <= known.correctable) & (dark >= _BORDER) & (seen.score >= _SIMILAR)
-    rows, tag, turn, score = rows[good], seen.tag[good], seen.turn[good], seen.score[good]
+    rows = rows[good]
+    tag = seen.tag[good]
+    turn = seen.turn[good]
+    score = seen.score[good]
     order = (np.arange(4) - turn[:, None]) % 4
     corners = np.take_along_axis(found.quads[rows], order[..., None], 1)
     cov = np.take_along_axis(found.corner_cov[rows], order[..., None, None], 1)
-    return _distinct_tags(Tags(tag, corners, quads.centres_of_quads(corners), cov, found.centre_cov[rows], score))
+    return _distinct_tags(
+        Tags(tag, corners, quads.centres_of_quads(corners), cov, found.centre_cov[rows], score)
+    )
 
 
 def _likely_quads(gray: Array, found: Array, known: Codes, only: Array | None) -> Array:
-    """Quads (M,4,2) px whose cells resemble a tag before refinement, which costs ten times as much."""
+    """Quads (M,4,2) px whose cells resemble a tag
+    before refinement, which costs ten times as much.
+    """
     if not len(found):
         return found
     bits, border = quads.sample_cells(gray, found, known.side, fine=False)
@@ -114,7 +137,14 @@ def _likely_quads(gray: Array, found: Array, known: Codes, only: Array | None) -
 def no_tags() -> Tags:
     """No tags."""
     empty = np.empty
-    return Tags(np.empty(0, int), empty((0, 4, 2)), empty((0, 2)), empty((0, 4, 2, 2)), empty((0, 2, 2)), empty(0))
+    return Tags(
+        np.empty(0, int),
+        empty((0, 4, 2)),
+        empty((0, 2)),
+        empty((0, 4, 2, 2)),
+        empty((0, 2, 2)),
+        empty(0),
+    )
 
 
 def join_tags(first: Tags, second: Tags) -> Tags:

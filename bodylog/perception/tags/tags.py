@@ -1,4 +1,6 @@
-"""Tags tracked from frame to frame: at the expected place, then around it, then in the whole image."""
+"""Tags tracked from frame to frame: at the expected
+place, then around it, then in the whole image.
+"""
 
 from collections.abc import Mapping
 
@@ -19,7 +21,10 @@ _FORGOTTEN = 3
 def tag_trackers(features: Mapping[str, TagSource]) -> list[Tracker]:
     """One per dictionary."""
     dictionaries = sorted({source.dictionary for source in features.values()})
-    return [TagTracker({n: s for n, s in features.items() if s.dictionary == one}) for one in dictionaries]
+    return [
+        TagTracker({n: s for n, s in features.items() if s.dictionary == one})
+        for one in dictionaries
+    ]
 
 
 class TagTracker:
@@ -41,15 +46,25 @@ class TagTracker:
         found = self._found(gray)
         for number, quad in zip(found.number.tolist(), found.quads, strict=True):
             before = self._last.get(number)
-            step = quad - before[1] if before and before[0] == len(self._frames) - 1 else np.zeros((4, 2))
+            step = (
+                quad - before[1]
+                if before and before[0] == len(self._frames) - 1
+                else np.zeros((4, 2))
+            )
             self._last[number] = len(self._frames), quad, step
         self._frames.append(found)
 
     def tracked(self) -> Tracked:
         """Centres, or corners, of all tags."""
-        names = [name for feature, source in self._features.items() for name in track_names(feature, source)]
+        names = [
+            name
+            for feature, source in self._features.items()
+            for name in track_names(feature, source)
+        ]
         values = np.full((len(self._frames), len(names), 4), np.nan)
-        reasons = np.array([UNDECODABLE if found is None else HIDDEN for found in self._frames], dtype=object)
+        reasons = np.array(
+            [UNDECODABLE if found is None else HIDDEN for found in self._frames], dtype=object
+        )
         at = {name: k for k, name in enumerate(names)}
         for row, found in enumerate(self._frames):
             if found is None:
@@ -61,13 +76,18 @@ class TagTracker:
         return Tracked(tuple(names), values, reasons)
 
     def _found(self, gray: Array) -> search.Tags:
-        known, found = load_codes(self._dictionary), search.no_tags()
+        known = load_codes(self._dictionary)
+        found = search.no_tags()
         for expected in (self._followed, self._nearby):
             left = self._left(found)
             if left.size:
                 found = search.join_tags(found, expected(gray, left))
         left = self._left(found)
-        return search.join_tags(found, search.search_whole_image(gray, known, left)) if left.size else found
+        return (
+            search.join_tags(found, search.search_whole_image(gray, known, left))
+            if left.size
+            else found
+        )
 
     def _left(self, found: search.Tags) -> Array:
         return np.setdiff1d(self._wanted, found.number)
@@ -75,7 +95,9 @@ class TagTracker:
     def _followed(self, gray: Array, left: Array) -> search.Tags:
         """Tags whose edges are at their expected places."""
         quads = [quad for number in left.tolist() if (quad := self._expected(number)) is not None]
-        return search.verify_quads(gray, np.array(quads).reshape(-1, 4, 2), load_codes(self._dictionary), left)
+        return search.verify_quads(
+            gray, np.array(quads).reshape(-1, 4, 2), load_codes(self._dictionary), left
+        )
 
     def _nearby(self, gray: Array, left: Array) -> search.Tags:
         """Tags around their expected places."""
@@ -84,12 +106,16 @@ class TagTracker:
             if (quad := self._expected(number)) is not None:
                 side = float(np.linalg.norm(quad - np.roll(quad, 1, axis=0), axis=1).max())
                 one = np.array([number])
-                about = search.search_window(gray, quad.mean(axis=0), _ABOUT * side, load_codes(self._dictionary), one)
+                about = search.search_window(
+                    gray, quad.mean(axis=0), _ABOUT * side, load_codes(self._dictionary), one
+                )
                 found = search.join_tags(found, about)
         return found
 
     def _expected(self, number: int) -> Array | None:
-        """Corners (4,2) px in the next frame, by their last motion; None where the tag was not seen lately."""
+        """Corners (4,2) px in the next frame, by their last
+        motion; None where the tag was not seen lately.
+        """
         if number not in self._last:
             return None
         seen, quad, step = self._last[number]

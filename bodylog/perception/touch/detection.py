@@ -1,4 +1,6 @@
-"""Skin readings to touches: cells above a threshold with hysteresis, grouped where they neighbour in time and index."""
+"""Skin readings to touches: cells above a threshold with
+hysteresis, grouped where they neighbour in time and index.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -18,7 +20,9 @@ Felt = tuple[tuple[Touch, ...] | None, Health, tuple[Finding, ...]]
 
 @dataclass(frozen=True)
 class _Press:
-    """One cell above the threshold: onset, offset (s) by interpolation, and the samples first..last (last included)."""
+    """One cell above the threshold: onset, offset (s) by
+    interpolation, and the samples first..last (last included).
+    """
 
     cell: int
     onset: float
@@ -28,7 +32,9 @@ class _Press:
 
 
 def detect_touches(skin: Series, settings: SkinSettings) -> Felt:
-    """Touches in order of onset, health and findings; None where no cell can feel (all dead or stuck, no sample)."""
+    """Touches in order of onset, health and findings; None
+    where no cell can feel (all dead or stuck, no sample).
+    """
     readable = np.isfinite(skin.values)
     # zero first: casting a signalling NaN gives a RuntimeWarning
     level = np.where(readable, skin.values, 0.0).astype(np.float32)
@@ -37,12 +43,15 @@ def detect_touches(skin: Series, settings: SkinSettings) -> Felt:
         return None, health, (Finding("warning", "skin: no readings; touch cannot be used"),)
     gap = _after_gaps(skin.t)
     active = _active_cells(level, settings, gap)
-    dead, held = _dead_cells(level), _cells_always_touched(active)
+    dead = _dead_cells(level)
+    held = _cells_always_touched(active)
     findings = (*_unreadable_findings(readable), *_broken_cell_findings(level, dead, held))
     if (dead | held).all():
         return None, health, findings
     presses = _find_presses(skin.t, level, active & ~held, settings, gap)
-    found = [_touch_of_presses(skin, level, group) for group in _group_presses(presses, settings.columns)]
+    found = [
+        _touch_of_presses(skin, level, group) for group in _group_presses(presses, settings.columns)
+    ]
     return tuple(sorted(found, key=lambda touch: (touch.onset, touch.strongest))), health, findings
 
 
@@ -53,12 +62,17 @@ def _after_gaps(t: Array) -> Array:
 
 
 def _active_cells(level: Array, settings: SkinSettings, gap: Array) -> Array:
-    """(N,C) bool: at or above the threshold, or since then neither below release nor across a gap."""
+    """(N,C) bool: at or above the threshold, or since
+    then neither below release nor across a gap.
+    """
     active = np.zeros(level.shape, dtype=bool)
     touched = np.flatnonzero((level >= settings.threshold).any(axis=0))
-    felt, order = level[:, touched], np.arange(len(level), dtype=np.int32)[:, None]
+    felt = level[:, touched]
+    order = np.arange(len(level), dtype=np.int32)[:, None]
     risen = np.maximum.accumulate(np.where(felt >= settings.threshold, order, -1), axis=0)
-    fallen = np.maximum.accumulate(np.where((felt < settings.release) | gap[:, None], order, -1), axis=0)
+    fallen = np.maximum.accumulate(
+        np.where((felt < settings.release) | gap[:, None], order, -1), axis=0
+    )
     active[:, touched] = (risen >= fallen) & (risen >= 0)
     return active
 
@@ -73,7 +87,9 @@ def _cells_always_touched(active: Array) -> Array:
     return np.asarray(active.all(axis=0) & (len(active) > 1))
 
 
-def _find_presses(t: Array, level: Array, active: Array, settings: SkinSettings, gap: Array) -> list[_Press]:
+def _find_presses(
+    t: Array, level: Array, active: Array, settings: SkinSettings, gap: Array
+) -> list[_Press]:
     """Every cell's active stretches of at least `shortest` s, in order of onset."""
     before = np.vstack([np.zeros_like(active[:1]), active[:-1]]) & ~gap[:, None]
     starts = np.argwhere((active & ~before).T)
@@ -82,7 +98,9 @@ def _find_presses(t: Array, level: Array, active: Array, settings: SkinSettings,
     found = []
     for (cell, first), (_, last) in zip(starts.tolist(), ends.tolist(), strict=True):
         last = first + int(np.flatnonzero(level[first : last + 1, cell] >= settings.threshold)[-1])
-        onset = _threshold_crossing(t, level[:, cell], first - 1, first, settings.threshold, gap[first])
+        onset = _threshold_crossing(
+            t, level[:, cell], first - 1, first, settings.threshold, gap[first]
+        )
         ended = last + 1 < len(t) and bool(gap[last + 1])
         offset = _threshold_crossing(t, level[:, cell], last + 1, last, settings.threshold, ended)
         if offset - onset >= settings.shortest:
@@ -90,8 +108,12 @@ def _find_presses(t: Array, level: Array, active: Array, settings: SkinSettings,
     return sorted(found, key=lambda press: (press.onset, press.cell))
 
 
-def _threshold_crossing(t: Array, level: Array, outside: int, inside: int, threshold: float, alone: bool) -> float:
-    """When a line from the sample outside to the one inside crosses the threshold; at the inside one if it is alone."""
+def _threshold_crossing(
+    t: Array, level: Array, outside: int, inside: int, threshold: float, alone: bool
+) -> float:
+    """When a line from the sample outside to the one inside
+    crosses the threshold; at the inside one if it is alone.
+    """
     if alone or not 0 <= outside < len(t):
         return float(t[inside])
     share = (threshold - level[outside]) / (level[inside] - level[outside])
@@ -104,9 +126,16 @@ def _group_presses(presses: Sequence[_Press], columns: int | None) -> list[list[
     recent: list[tuple[_Press, int]] = []
     for number, press in enumerate(presses):
         recent = [(other, group) for other, group in recent if press.onset <= other.offset + _PAUSE]
-        joined = {group for other, group in recent if _are_neighbours(press.cell, other.cell, columns)}
-        groups[number] = [press, *(other for group in sorted(joined) for other in groups.pop(group))]
-        recent = [(other, number if group in joined else group) for other, group in recent] + [(press, number)]
+        joined = {
+            group for other, group in recent if _are_neighbours(press.cell, other.cell, columns)
+        }
+        groups[number] = [
+            press,
+            *(other for group in sorted(joined) for other in groups.pop(group)),
+        ]
+        recent = [(other, number if group in joined else group) for other, group in recent] + [
+            (press, number)
+        ]
     return list(groups.values())
 
 
@@ -118,7 +147,9 @@ def _are_neighbours(cell: int, other: int, columns: int | None) -> bool:
 
 
 def _touch_of_presses(skin: Series, level: Array, group: Sequence[_Press]) -> Touch:
-    """One touch from its presses; the strongest cell is the one with the highest mean while pressed."""
+    """One touch from its presses; the strongest cell
+    is the one with the highest mean while pressed.
+    """
     first = min(group, key=lambda press: (press.onset, press.cell))
     means: dict[int, float] = {}
     for press in group:
@@ -140,30 +171,53 @@ def _skin_health(t: Array, readable: Array) -> Health:
     used = readable.any(axis=1) if readable.size else np.zeros(len(t), dtype=bool)
     lost = int(len(t) - used.sum())
     gaps = np.diff(t[used])
-    return Health(len(t), int(used.sum()), {"not a number": lost} if lost else {}, float(gaps.max(initial=0.0)))
+    return Health(
+        len(t),
+        int(used.sum()),
+        {"not a number": lost} if lost else {},
+        float(gaps.max(initial=0.0)),
+    )
 
 
 def _unreadable_findings(readable: Array) -> tuple[Finding, ...]:
     if readable.all():
         return ()
     share = 1 - float(readable.mean())
-    return (Finding("warning", f"skin: {share:.1%} of the readings are not numbers, taken as untouched"),)
+    return (
+        Finding(
+            "warning", f"skin: {share:.1%} of the readings are not numbers, taken as untouched"
+        ),
+    )
 
 
 def _broken_cell_findings(level: Array, dead: Array, held: Array) -> tuple[Finding, ...]:
     """Warnings about cells that cannot feel."""
     cells = level.shape[1]
     if dead.all() and (level == level[0, 0]).all():
-        text = f"skin: all {cells} cells read {level[0, 0]:g} from first to last; touch cannot be used"
+        text = (
+            f"skin: all {cells} cells read {level[0, 0]:g} from first to last; touch cannot be used"
+        )
         return (Finding("warning", f"{text}; type: --without touch"),)
     if (dead | held).all():
-        text = f"skin: none of {cells} cells ever changes between touched and not; touch cannot be used"
+        text = (
+            f"skin: none of {cells} cells ever changes between touched and not; touch cannot be "
+            "used"
+        )
         return (Finding("warning", f"{text}; type: --without touch"),)
     found = []
     if (dead & ~held).any():
-        found.append(Finding("warning", f"skin: {_list_cells(dead & ~held)} never change their reading: dead"))
+        found.append(
+            Finding(
+                "warning", f"skin: {_list_cells(dead & ~held)} never change their reading: dead"
+            )
+        )
     if held.any():
-        found.append(Finding("warning", f"skin: {_list_cells(held)} read touched from first to last: stuck, left out"))
+        found.append(
+            Finding(
+                "warning",
+                f"skin: {_list_cells(held)} read touched from first to last: stuck, left out",
+            )
+        )
     return tuple(found)
 
 

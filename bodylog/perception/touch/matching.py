@@ -1,4 +1,6 @@
-"""Match touches with strokes: one-to-one pairs, their delays, and the weight of each as one event."""
+"""Match touches with strokes: one-to-one pairs,
+their delays, and the weight of each as one event.
+"""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -9,7 +11,9 @@ from ...errors import ConfigError
 from ...types import Array, Finding, Stroke, Synchrony, Touch
 
 B2 = float(np.log(2.0) / 0.12**2)
-"""b2 (1/s²) of f_t = exp(−b2 δ²), which halves at 0.12 s: vision captures touch up to a delay of about 0.1 s."""
+"""b2 (1/s²) of f_t = exp(−b2 δ²), which halves at 0.12
+s: vision captures touch up to a delay of about 0.1 s.
+"""
 
 _FARTHEST = 1.5
 _ALONE = _FARTHEST / 2
@@ -21,12 +25,17 @@ _ENOUGH = 3
 Matches = tuple[tuple[Synchrony, ...], tuple[Finding, ...]]
 
 
-def match_touches(touches: Sequence[Touch], strokes: Sequence[Stroke], clock_offset: float | str = 0.0) -> Matches:
+def match_touches(
+    touches: Sequence[Touch], strokes: Sequence[Stroke], clock_offset: float | str = 0.0
+) -> Matches:
     """One Synchrony per touch, in order, with f_t of the delay minus the clocks' offset (s).
 
-    `clock_offset` "auto" subtracts the log's own median delay where its spread is small; ConfigError for other texts.
+    `clock_offset` "auto" subtracts the log's own median delay where its spread is small;
+    ConfigError for other texts.
     """
-    partners = _assign_strokes(touches, strokes, 0.0 if clock_offset == "auto" else _parse_clock_offset(clock_offset))
+    partners = _assign_strokes(
+        touches, strokes, 0.0 if clock_offset == "auto" else _parse_clock_offset(clock_offset)
+    )
     paired = [(i, j) for i, j in enumerate(partners) if j is not None]
     delays = np.array([_delay_of_stroke(touches[i], strokes[j]) for i, j in paired])
     offset, findings = _offset_between_clocks(delays, clock_offset)
@@ -41,7 +50,8 @@ def _parse_clock_offset(offset: float | str) -> float:
         return float(offset)
     except ValueError:
         raise ConfigError(
-            f"synchrony.clock_offset: found '{offset}'; possible: auto, or seconds; type: clock_offset = 0.0"
+            f"synchrony.clock_offset: found '{offset}'; possible: auto, or seconds; type: "
+            "clock_offset = 0.0"
         ) from None
 
 
@@ -50,7 +60,9 @@ def _delay_of_stroke(touch: Touch, stroke: Stroke) -> float:
     return 0.5 * ((stroke.start - touch.onset) + (stroke.end - touch.offset))
 
 
-def _assign_strokes(touches: Sequence[Touch], strokes: Sequence[Stroke], offset: float) -> list[int | None]:
+def _assign_strokes(
+    touches: Sequence[Touch], strokes: Sequence[Stroke], offset: float
+) -> list[int | None]:
     """Each touch's stroke or None: in order, each stroke at most once, the total cost least.
 
     Leaving a touch and a stroke unpaired costs as much as a pair _FARTHEST s apart: only strokes
@@ -86,7 +98,8 @@ class _Row(NamedTuple):
 
 def _next_row(before: _Row, first: int, costs: list[float]) -> _Row:
     """The row of one more touch, whose costs with the strokes first, first + 1, … are given."""
-    total, step = [before.at(first) + _ALONE], [_TOUCH_ALONE]
+    total = [before.at(first) + _ALONE]
+    step = [_TOUCH_ALONE]
     for stroke, cost in enumerate(costs, first):
         ends = (before.at(stroke) + cost, before.at(stroke + 1) + _ALONE, total[-1] + _ALONE)
         total.append(min(ends))
@@ -97,7 +110,8 @@ def _next_row(before: _Row, first: int, costs: list[float]) -> _Row:
 def _trace_partners(rows: list[_Row], strokes: int) -> list[int | None]:
     """Each touch's stroke or None, read backwards from the last touch with all strokes."""
     partners: list[int | None] = [None] * (len(rows) - 1)
-    touch, stroke = len(rows) - 1, strokes
+    touch = len(rows) - 1
+    stroke = strokes
     while touch:
         row = rows[touch]
         stroke = min(stroke, row.first + len(row.total) - 1)
@@ -110,10 +124,13 @@ def _trace_partners(rows: list[_Row], strokes: int) -> list[int | None]:
 
 
 def _offset_between_clocks(delays: Array, wanted: float | str) -> tuple[float, tuple[Finding, ...]]:
-    """The offset to subtract from the delays (s), and findings: the median of at least three steady ones, or 0."""
+    """The offset to subtract from the delays (s), and
+    findings: the median of at least three steady ones, or 0.
+    """
     if not delays.size:
         return (0.0 if wanted == "auto" else _parse_clock_offset(wanted)), ()
-    middle, spread = float(np.median(delays)), _robust_std(delays)
+    middle = float(np.median(delays))
+    spread = _robust_std(delays)
     order = "after" if middle >= 0 else "before"
     text = f"synchrony: the camera shows touches {abs(middle):.3f} s {order} the skin feels them"
     text += f" (spread {spread:.3f} s, {delays.size} pairs)"
@@ -124,7 +141,11 @@ def _offset_between_clocks(delays: Array, wanted: float | str) -> tuple[float, t
         return _parse_clock_offset(wanted), (Finding("info", text),)
     if steady:
         return middle, (Finding("info", f"{text}; subtracted as the clocks' offset"),)
-    return 0.0, (Finding("warning", f"{text}; too few or too unsteady for a clocks' offset: none subtracted"),)
+    return 0.0, (
+        Finding(
+            "warning", f"{text}; too few or too unsteady for a clocks' offset: none subtracted"
+        ),
+    )
 
 
 def _robust_std(delays: Array) -> float:

@@ -1,8 +1,10 @@
-"""Contact strokes of the other's hand: where its path slows down and turns between an approach and a retreat.
+"""Contact strokes of the other's hand: where its path
+slows down and turns between an approach and a retreat.
 
-The path is cut into straight, even pieces by dynamic programming; a stroke is the slow stretch between two faster
-ones, without the pieces in which the hand still comes the way of the approach, or already leaves the way of the
-retreat. Its start and end are where neighbouring pieces meet, which is finer than a frame.
+The path is cut into straight, even pieces by dynamic programming; a stroke is the slow stretch
+between two faster ones, without the pieces in which the hand still comes the way of the approach,
+or already leaves the way of the retreat. Its start and end are where neighbouring pieces meet,
+which is finer than a frame.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,7 +30,9 @@ _AT_ONCE = 32
 
 @dataclass(frozen=True, eq=False)
 class _PathPiece:
-    """Even motion from start to end (s): at `place` (2,) px when t = middle, moving with `velocity` (2,) px/s."""
+    """Even motion from start to end (s): at `place` (2,)
+    px when t = middle, moving with `velocity` (2,) px/s.
+    """
 
     start: float
     end: float
@@ -45,9 +49,12 @@ class _PathPiece:
 
 
 def find_strokes(hand: Series) -> tuple[Stroke, ...]:
-    """The contact strokes in a hand's track (N,2) px, in order; a stroke never spans a gap in the track."""
+    """The contact strokes in a hand's track (N,2) px,
+    in order; a stroke never spans a gap in the track.
+    """
     seen = np.isfinite(hand.values).all(axis=1)
-    t, place = hand.t[seen], hand.values[seen]
+    t = hand.t[seen]
+    place = hand.values[seen]
     found: list[Stroke] = []
     for part in _tracked_stretches(t, place):
         if len(t[part]) >= 3 * _FEWEST:
@@ -69,7 +76,8 @@ def _tracked_stretches(t: Array, place: Array) -> list[slice]:
 def _fit_path_pieces(t: Array, place: Array) -> list[_PathPiece]:
     """The path as the fewest straight, even pieces its noise allows."""
     edges = np.array(_choose_cuts(t, place))
-    begins, count = edges[:-1], np.diff(edges)
+    begins = edges[:-1]
+    count = np.diff(edges)
     middle = np.add.reduceat(t, begins) / count
     where = np.add.reduceat(place, begins) / count[:, None]
     away = t - np.repeat(middle, count)
@@ -80,10 +88,13 @@ def _fit_path_pieces(t: Array, place: Array) -> list[_PathPiece]:
 
 
 def _choose_cuts(t: Array, place: Array) -> list[int]:
-    """Edges of the pieces (0 … n) that minimise squared error over noise plus a price per piece (Bayes' criterion)."""
+    """Edges of the pieces (0 … n) that minimise squared error
+    over noise plus a price per piece (Bayes' criterion).
+    """
     count = len(t)
     longest = max(2 * _FEWEST, int(np.searchsorted(t - t[0], _LONGEST)))
-    price, came = _path_noise_px(place) ** 2 * 5.0 * np.log(count), np.zeros(count + 1, dtype=int)
+    price = _path_noise_px(place) ** 2 * 5.0 * np.log(count)
+    came = np.zeros(count + 1, dtype=int)
     # the cost up to each edge, padded with impossible edges for one longest piece
     cost = np.full(longest + count + 1, np.inf)
     cost[longest] = 0.0
@@ -105,10 +116,12 @@ def _running_sums(t: Array, place: Array) -> Array:
 
 
 def _squared_errors_by_end(t: Array, place: Array, longest: int) -> Iterator[Array]:
-    """For each end from _FEWEST on, the squared errors of the lines from `longest` points before it to _FEWEST before.
+    """For each end from _FEWEST on, the squared errors of the
+    lines from `longest` points before it to _FEWEST before.
 
-    Those that would begin before the first point begin there. Sums run over the points of a few ends alone, counted
-    from the middle one: sums since the start of a long track would drown the differences between them in rounding.
+    Those that would begin before the first point begin there. Sums run over the points of a few
+    ends alone, counted from the middle one: sums since the start of a long track would drown the
+    differences between them in rounding.
     """
     for first in range(_FEWEST, len(t) + 1, _AT_ONCE):
         end = min(first + _AT_ONCE, len(t) + 1)
@@ -130,7 +143,9 @@ def _squared_error(sums: Array) -> Array:
 
 
 def _path_noise_px(place: Array) -> float:
-    """Standard deviation (px) of one coordinate about a smooth path: third differences have 20 times its variance."""
+    """Standard deviation (px) of one coordinate about a
+    smooth path: third differences have 20 times its variance.
+    """
     third = np.diff(place, n=3, axis=0)
     return max(0.1, 1.4826 * float(np.median(np.abs(third))) / np.sqrt(20.0)) if third.size else 0.1
 
@@ -149,7 +164,9 @@ def _contact_times(pieces: Sequence[_PathPiece]) -> list[tuple[float, float]]:
                 steady = max(pieces[first : last + 1], key=lambda piece: piece.end - piece.start)
                 limit = min(_SLOW * fast, (steady.speed * fast) ** 0.5)
                 first, last = _pieces_below_limit(speeds, index, max(1.01 * speeds[index], limit))
-                found.append((_time_between_pieces(pieces, first), _time_between_pieces(pieces, last + 1)))
+                found.append(
+                    (_time_between_pieces(pieces, first), _time_between_pieces(pieces, last + 1))
+                )
     return found
 
 
@@ -164,7 +181,9 @@ def _peaks_beside_valley(speeds: Sequence[float], valley: int) -> tuple[int, int
 
 
 def _pieces_below_limit(speeds: Sequence[float], valley: int, limit: float) -> tuple[int, int]:
-    """First and last piece around a valley below a speed limit; last < first where the valley itself is above it."""
+    """First and last piece around a valley below a speed
+    limit; last < first where the valley itself is above it.
+    """
     if speeds[valley] >= limit:
         return valley, valley - 1
     first = last = valley
@@ -179,7 +198,9 @@ def _time_between_pieces(pieces: Sequence[_PathPiece], second: int) -> float:
     return 0.5 * (pieces[second - 1].end + pieces[second].start)
 
 
-def _measure_stroke(t: Array, place: Array, about: tuple[float, float], reach: float) -> list[Stroke]:
+def _measure_stroke(
+    t: Array, place: Array, about: tuple[float, float], reach: float
+) -> list[Stroke]:
     """The stroke around these times, both ends found to less than a frame; empty if too short."""
     middle = 0.5 * (about[0] + about[1])
     start, start_px = _find_corner(t, place, about[0], middle, reach)
@@ -187,13 +208,24 @@ def _measure_stroke(t: Array, place: Array, about: tuple[float, float], reach: f
     end = -end
     if end - start < _SHORTEST or float(np.hypot(*(end_px - start_px))) < _STEP:
         return []
-    return [Stroke(start, end, (float(start_px[0]), float(start_px[1])), (float(end_px[0]), float(end_px[1])))]
+    return [
+        Stroke(
+            start,
+            end,
+            (float(start_px[0]), float(start_px[1])),
+            (float(end_px[0]), float(end_px[1])),
+        )
+    ]
 
 
-def _find_corner(t: Array, place: Array, about: float, until: float, reach: float) -> tuple[float, Array]:
-    """When (s) and where (2,) px the path turns from accelerated motion to an even one, within `reach` of `about`.
+def _find_corner(
+    t: Array, place: Array, about: float, until: float, reach: float
+) -> tuple[float, Array]:
+    """When (s) and where (2,) px the path turns from accelerated
+    motion to an even one, within `reach` of `about`.
 
-    Least squares of a path that is continuous, of second order before the corner and of first order after it.
+    Least squares of a path that is continuous, of second
+    order before the corner and of first order after it.
     """
     for width in (reach, reach, reach / 30):
         first, even = np.searchsorted(t, (about - reach, min(until, about + _EVEN))).tolist()
@@ -206,7 +238,8 @@ def _find_corner(t: Array, place: Array, about: float, until: float, reach: floa
 def _errors_of_corners(t: Array, place: Array, corners: Array) -> Array:
     """Squared error (K,) of the best path with its corner at each of these times (K,)."""
     away = (t - corners[:, None]) / (t[-1] - t[0])
-    before, after = np.minimum(away, 0.0), np.maximum(away, 0.0)
+    before = np.minimum(away, 0.0)
+    after = np.maximum(away, 0.0)
     curved = (np.searchsorted(t, corners) > _APPROACH)[:, None]
     each = np.full(len(t), 1.0 / len(t))
     directions: list[Array] = []
@@ -224,7 +257,8 @@ def _errors_of_corners(t: Array, place: Array, corners: Array) -> Array:
 
 def _place_of_corner(t: Array, place: Array, corner: float) -> Array:
     """The corner (2,) px of the best path with its corner at that time."""
-    before, after = np.minimum(t - corner, 0.0), np.maximum(t - corner, 0.0)
+    before = np.minimum(t - corner, 0.0)
+    after = np.maximum(t - corner, 0.0)
     columns = [np.ones_like(t), before, after]
     if np.count_nonzero(before) > _APPROACH:
         columns.append(before**2)

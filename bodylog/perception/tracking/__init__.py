@@ -1,4 +1,6 @@
-"""Sources that track something through a camera's frames in order: their table, and the tracks they give."""
+"""Sources that track something through a camera's
+frames in order: their table, and the tracks they give.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -10,13 +12,15 @@ from ...types import Array, Finding, Health, Series
 from ..tags import charuco, tags
 from .contract import HIDDEN, Tracked, Tracker
 
-__all__ = ["FRAME_SOURCES", "Tracked", "Tracker", "series_of_tracked", "make_trackers"]
+__all__ = ["FRAME_SOURCES", "Tracked", "Tracker", "make_trackers", "series_of_tracked"]
 
 FRAME_SOURCES: Mapping[type[Source], Callable[[Mapping[str, Any]], list[Tracker]]] = {
     TagSource: tags.tag_trackers,
     CharucoSource: charuco.charuco_trackers,
 }
-"""The kinds of source that need frames in the order of the file: features {name: source} -> trackers."""
+"""The kinds of source that need frames in the order
+of the file: features {name: source} -> trackers.
+"""
 
 
 def make_trackers(features: Mapping[str, Source]) -> list[Tracker]:
@@ -31,12 +35,15 @@ def make_trackers(features: Mapping[str, Source]) -> list[Tracker]:
 def series_of_tracked(
     tracked: Sequence[Tracked], t: Array, source_ns: Array, numbers: Array
 ) -> tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]:
-    """Series (u, v, std px; NaN where not seen), Health by reason, and findings; `numbers` (n,): which frames."""
+    """Series (u, v, std px; NaN where not seen), Health
+    by reason, and findings; `numbers` (n,): which frames.
+    """
     tracks: dict[str, Series] = {}
     health: dict[str, Health] = {}
     findings: list[Finding] = []
     for one in tracked:
-        rows, why = one.values[numbers], one.reasons[numbers]
+        rows = one.values[numbers]
+        why = one.reasons[numbers]
         for k, name in enumerate(one.names):
             tracks[name] = Series(t, rows[:, k, :2], ("u", "v"), "px", source_ns, rows[:, k, 2:])
             health[name] = _health_of_tracked(t, np.isfinite(rows[:, k, 0]), why)

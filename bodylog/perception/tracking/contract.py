@@ -4,14 +4,15 @@ from typing import NamedTuple, Protocol
 
 from ...types import Array, Finding
 
-HIDDEN, UNDECODABLE = "hidden", "undecodable picture"
+HIDDEN = "hidden"
+UNDECODABLE = "undecodable picture"
 
 
 class Tracked(NamedTuple):
     """What one tracker found in N frames, in the order they were added.
 
-    values (N,K,4): u, v, std_u, std_v px of K tracks, NaN where not seen · reasons (N,) str: why nothing was seen in a
-    frame, "" where something was.
+    values (N,K,4): u, v, std_u, std_v px of K tracks, NaN where not seen · reasons (N,) str: why
+    nothing was seen in a frame, "" where something was.
     """
 
     names: tuple[str, ...]

@@ -1,4 +1,6 @@
-"""Images to blobs on several threads: each takes a few images in order, searches them and frees them."""
+"""Images to blobs on several threads: each takes a
+few images in order, searches them and frees them.
+"""
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -19,18 +21,21 @@ from ..colours.hsv_ranges import HsvRange
 from .contract import Tracked, Tracker
 from .in_order import InOrder
 
-# images a thread takes at once; takes that wait; takes measured together: with more, the working memory
-# outgrows what a process keeps, and its pages are faulted in again
-_TAKEN, _AHEAD, _SHEET = 4, 4, 8
+# images a thread takes at once; takes that wait; takes measured together: with more, the working
+# memory outgrows what a process keeps, and its pages are faulted in again
+_TAKEN = 4
+_AHEAD = 4
+_SHEET = 8
 _AT_ONCE = 1 << 23
 """Bytes of images searched together."""
 
 
 class SearchedFrames(NamedTuple):
-    """t (N,) · source_ns (N,) · blobs (N,colours,CANDIDATES,FIELDS) px · undecodable (N,) bool · greatest width, px.
+    """t (N,) · source_ns (N,) · blobs (N,colours,CANDIDATES,FIELDS)
+    px · undecodable (N,) bool · greatest width, px.
 
-    size: width and height (px) of the log's first image; None where it cannot be read. tracked: what each tracker
-    found in all images consumed; number (N,): the frames' places among those.
+    size: width and height (px) of the log's first image; None where it cannot be read. tracked:
+    what each tracker found in all images consumed; number (N,): the frames' places among those.
     """
 
     t: Array
@@ -47,15 +52,19 @@ Take = tuple[int, list[LazyImage]]
 """Images in order, and the number of lists before this one."""
 
 SearchResult = tuple[list[Window], list[tuple[int, int, int]]]
-"""The windows found in some images, and each image's width and height in px as searched (0: undecodable) and scale."""
+"""The windows found in some images, and each image's width
+and height in px as searched (0: undecodable) and scale.
+"""
 
 
 class FrameSearcher:
-    """Consumes images one by one, within a `with`: this thread and `threads` - 1 others search them.
+    """Consumes images one by one, within a `with`:
+    this thread and `threads` - 1 others search them.
 
-    Only a few images wait, and the result is the same whichever thread takes which: what is measured together
-    depends on their order alone. A caller that brings one too many searches some itself. `progress` may be called by
-    any thread. `trackers` get every image, whole, in the order of the file.
+    Only a few images wait, and the result is the same whichever thread takes which:
+    what is measured together depends on their order alone. A caller that brings one too
+    many searches some itself. `progress` may be called by any thread. `trackers` get
+    every image, whole, in the order of the file.
     """
 
     def __init__(
@@ -67,11 +76,18 @@ class FrameSearcher:
         trackers: Sequence[Tracker] = (),
     ) -> None:
         """No library is loaded and no thread starts before the first image."""
-        self._ranges, self._progress, self._threads = ranges, progress, threads
-        self._fast, self._trackers, self._in_order = fast and not trackers, trackers, InOrder(trackers)
+        self._ranges = ranges
+        self._progress = progress
+        self._threads = threads
+        self._fast, self._trackers, self._in_order = (
+            fast and not trackers,
+            trackers,
+            InOrder(trackers),
+        )
         self._begun, self._others = ExitStack(), list[Future[None]]()
         self._ready, self._told, self._over = Condition(), list[LazyImage](), False
-        self._waiting, self._takes = deque[Take](), 0
+        self._waiting = deque[Take]()
+        self._takes = 0
         self._sheets: dict[int, dict[int, SearchResult]] = {}
         self._measured: dict[int, tuple[Array, Array]] = {}
 
@@ -103,17 +119,25 @@ class FrameSearcher:
         """The search results of the consumed images that are frames."""
         for sheet, results in self._sheets.items():
             self._measured[sheet] = _measure_results(results, self._ranges)
-        parts = [_measure_results({}, self._ranges), *(part for _, part in sorted(self._measured.items()))]
+        parts = [
+            _measure_results({}, self._ranges),
+            *(part for _, part in sorted(self._measured.items())),
+        ]
         found, sizes = (np.concatenate(each) for each in zip(*parts, strict=True))
         first = next(((width, height) for width, height, _ in sizes[:1].tolist() if width), None)
         wide, _, scale = sizes[consumed.number].T
         whole = blobs.enlarge_blobs(found[consumed.number], scale)
-        width, tracked = float((wide * scale).max(initial=0)), tuple(tracker.tracked() for tracker in self._trackers)
-        return SearchedFrames(consumed.t, consumed.source_ns, whole, wide == 0, width, first, tracked, consumed.number)
+        width = float((wide * scale).max(initial=0))
+        tracked = tuple(tracker.tracked() for tracker in self._trackers)
+        return SearchedFrames(
+            consumed.t, consumed.source_ns, whole, wide == 0, width, first, tracked, consumed.number
+        )
 
     def _begin(self) -> None:
         self._begun.enter_context(one_opencv())
-        pool = self._begun.enter_context(ThreadPoolExecutor(self._threads, initializer=lower_priority))
+        pool = self._begun.enter_context(
+            ThreadPoolExecutor(self._threads, initializer=lower_priority)
+        )
         self._others += [pool.submit(self._work) for _ in range(self._threads - 1)]
 
     def _hand_out(self) -> None:
@@ -121,7 +145,8 @@ class FrameSearcher:
             self._begin()
         with self._ready:
             self._waiting.append((self._takes, self._told))
-            self._takes, self._told = self._takes + 1, []
+            self._takes = self._takes + 1
+            self._told = []
             mine = self._waiting.popleft() if len(self._waiting) > _AHEAD else None
             self._ready.notify()
         for other in self._others:
@@ -157,9 +182,15 @@ class FrameSearcher:
 
 
 def _search_images(
-    frames: Sequence[LazyImage], ranges: Sequence[HsvRange], fast: bool, whole: int, grays: list[Array | None] | None
+    frames: Sequence[LazyImage],
+    ranges: Sequence[HsvRange],
+    fast: bool,
+    whole: int,
+    grays: list[Array | None] | None,
 ) -> SearchResult:
-    """Search some images, the first few at full size even when `fast`; `grays` gets them in gray."""
+    """Search some images, the first few at full size
+    even when `fast`; `grays` gets them in gray.
+    """
     found: list[Window] = []
     images: dict[int, Array] = {}
     sizes: list[tuple[int, int, int]] = []
@@ -183,11 +214,15 @@ def _decode_or_none(frame: LazyImage, scale: int) -> Array | None:
     return None
 
 
-def _measure_results(results: Mapping[int, SearchResult], ranges: Sequence[HsvRange]) -> tuple[Array, Array]:
+def _measure_results(
+    results: Mapping[int, SearchResult], ranges: Sequence[HsvRange]
+) -> tuple[Array, Array]:
     """Blobs (n,colours,CANDIDATES,FIELDS) and sizes (n,3) of search results by number."""
     found: list[Window] = []
     sizes: list[tuple[int, int, int]] = []
     for _, (windows, measured) in sorted(results.items()):
         found += [window._replace(picture=window.picture + len(sizes)) for window in windows]
         sizes += measured
-    return blobs.blob_tables(found, len(sizes), ranges), np.array(sizes, dtype=np.int64).reshape(-1, 3)
+    return blobs.blob_tables(found, len(sizes), ranges), np.array(sizes, dtype=np.int64).reshape(
+        -1, 3
+    )

@@ -10,14 +10,17 @@ _AT_ONCE = 1024
 
 
 def smooth_std(t: Array, std: Array) -> Array:
-    """The usual std (N,2) px within half a second, or a point's own where that is far larger; NaN rows stay NaN.
+    """The usual std (N,2) px within half a second, or a
+    point's own where that is far larger; NaN rows stay NaN.
 
-    The usual variance is the mean without values far above the median: outlines that differ from image to
-    image average out, and those of a still target keep their one value.
+    The usual variance is the mean without values far above the median: outlines that differ from
+    image to image average out, and those of a still target keep their one value.
     """
     seen = np.isfinite(std[:, 0])
-    times, own = t[seen], std[seen]
-    low, high = np.searchsorted(times, times - _NEAR), np.searchsorted(times, times + _NEAR, side="right")
+    times = t[seen]
+    own = std[seen]
+    low = np.searchsorted(times, times - _NEAR)
+    high = np.searchsorted(times, times + _NEAR, side="right")
     usual = np.sqrt(_windowed_means(own**2, low, high))
     steadied = np.full(std.shape, np.nan)
     steadied[seen] = np.where(own > _FAR_MORE * usual, own, usual)
@@ -25,7 +28,9 @@ def smooth_std(t: Array, std: Array) -> Array:
 
 
 def _windowed_means(values: Array, low: Array, high: Array) -> Array:
-    """Means of values[low:high] up to _FAR_MORE² medians, by column: (N,2) of (N,2), a thousand rows at once."""
+    """Means of values[low:high] up to _FAR_MORE² medians,
+    by column: (N,2) of (N,2), a thousand rows at once.
+    """
     count = high - low
     means = np.empty(values.shape[::-1])
     for start in range(0, len(values), _AT_ONCE):

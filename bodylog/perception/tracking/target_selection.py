@@ -1,4 +1,6 @@
-"""Select the target's blob: blobs are linked to runs through time, runs compared by size and motion."""
+"""Select the target's blob: blobs are linked to
+runs through time, runs compared by size and motion.
+"""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -24,15 +26,13 @@ _CHANGE = 0.05
 _NEAR = 0.5
 _AT_ONCE = 1024
 
-HIDDEN, EDGE, RIVAL, SIZE, JUMP, PARTLY, FOREIGN = (
-    "hidden",
-    "at the border",
-    "two candidates",
-    "wrong size",
-    "too far away",
-    "partly hidden",
-    "not where the joints put it",
-)
+HIDDEN = "hidden"
+EDGE = "at the border"
+RIVAL = "two candidates"
+SIZE = "wrong size"
+JUMP = "too far away"
+PARTLY = "partly hidden"
+FOREIGN = "not where the joints put it"
 
 
 @dataclass
@@ -62,7 +62,9 @@ class _BlobRun:
 
 
 def select_target(t: Array, found: Array, width: float) -> tuple[Array, Array]:
-    """u, v, std_u, std_v (N,4) px of the target among found (N,candidates,FIELDS), NaN where unsure; why (N,) str."""
+    """u, v, std_u, std_v (N,4) px of the target among found
+    (N,candidates,FIELDS), NaN where unsure; why (N,) str.
+    """
     track = np.full((len(t), 4), np.nan)
     why = np.full(len(t), HIDDEN, dtype=object)
     runs = _link_into_runs(t, found, _REACH * width)
@@ -83,17 +85,24 @@ def select_target(t: Array, found: Array, width: float) -> tuple[Array, Array]:
 
 
 def link_blobs(t: Array, found: Array, width: float) -> list[tuple[Array, Array]]:
-    """Blobs found (N,candidates,FIELDS) joined through time: of each run its frames (n,) and rows (n,FIELDS)."""
+    """Blobs found (N,candidates,FIELDS) joined through
+    time: of each run its frames (n,) and rows (n,FIELDS).
+    """
     return [(run.index, run.table) for run in _link_into_runs(t, found, _REACH * width)]
 
 
 def _link_into_runs(t: Array, found: Array, reach: float) -> list[_BlobRun]:
-    """Blobs joined to the nearest open run that is close enough and of like size; others open a run."""
+    """Blobs joined to the nearest open run that is
+    close enough and of like size; others open a run.
+    """
     open_runs: list[_BlobRun] = []
     closed: list[_BlobRun] = []
     seen = np.isfinite(found[:, :, U])
     some = np.flatnonzero(seen[:, 0])
-    times, frames, ends, at = t[some].tolist(), some.tolist(), _last_single_frames(t[some], found[some], reach), 0
+    times = t[some].tolist()
+    frames = some.tolist()
+    ends = _last_single_frames(t[some], found[some], reach)
+    at = 0
     while at < len(frames):
         index = frames[at]
         closed += [run for run in open_runs if times[at] - t[run.frames[-1]] > _PATIENCE]
@@ -108,7 +117,8 @@ def _link_into_runs(t: Array, found: Array, reach: float) -> list[_BlobRun]:
             run.frames.append(index)
             run.rows.append(row)
         at, end = at + 1, ends[at]
-        if len(open_runs) == 1 and at < end:  # nothing else that any of these frames could belong to
+        if len(open_runs) == 1 and at < end:
+            # nothing else that any of these frames could belong to
             open_runs[0].frames += frames[at:end]
             open_runs[0].rows += found[some[at:end], 0].tolist()
             at = end
@@ -116,9 +126,14 @@ def _link_into_runs(t: Array, found: Array, reach: float) -> list[_BlobRun]:
 
 
 def _last_single_frames(t: Array, found: Array, reach: float) -> list[int]:
-    """For each frame (n,), up to which one each shows a single blob that goes on where the one before was."""
-    place, mass, border = found[:, 0, [U, V]], found[:, 0, MASS], found[:, 0, BORDER] == 1
-    step, grown = np.hypot(*np.diff(place, axis=0).T), mass[1:] / mass[:-1]
+    """For each frame (n,), up to which one each shows a
+    single blob that goes on where the one before was.
+    """
+    place = found[:, 0, [U, V]]
+    mass = found[:, 0, MASS]
+    border = found[:, 0, BORDER] == 1
+    step = np.hypot(*np.diff(place, axis=0).T)
+    grown = mass[1:] / mass[:-1]
     similar = border[1:] | border[:-1] | (grown > 1 / _RESIZED) & (grown < _RESIZED)
     single = np.isfinite(found[:, :, U]).sum(axis=1) == 1
     follows = single[1:] & single[:-1] & similar & (step <= reach) & (np.diff(t) <= _PATIENCE)
@@ -126,19 +141,25 @@ def _last_single_frames(t: Array, found: Array, reach: float) -> list[int]:
     return list(breaks[np.searchsorted(breaks, np.arange(len(t)), side="right")].tolist())
 
 
-def _nearest_open_run(runs: list[_BlobRun], taken: set[int], row: list[float], reach: float) -> _BlobRun | None:
-    best_run, best_distance = None, reach
+def _nearest_open_run(
+    runs: list[_BlobRun], taken: set[int], row: list[float], reach: float
+) -> _BlobRun | None:
+    best_run = None
+    best_distance = reach
     for run in runs:
         last = run.rows[-1]
         distance = hypot(row[U] - last[U], row[V] - last[V])
         similar = row[BORDER] or last[BORDER] or 1 / _RESIZED < row[MASS] / last[MASS] < _RESIZED
         if distance <= best_distance and similar and id(run) not in taken:
-            best_run, best_distance = run, distance
+            best_run = run
+            best_distance = distance
     return best_run
 
 
 def _undominated_runs(runs: list[_BlobRun], why: Array) -> list[_BlobRun]:
-    """Runs that lose to no run they share frames with; where two tie, those frames are marked RIVAL."""
+    """Runs that lose to no run they share frames with;
+    where two tie, those frames are marked RIVAL.
+    """
     beaten: set[int] = set()
     for first in range(len(runs)):
         for second in range(first + 1, len(runs)):
@@ -163,7 +184,9 @@ def _shared_frames(first: Array, second: Array) -> Array:
 
 
 def _stronger_run(first: _BlobRun, second: _BlobRun) -> int | None:
-    """0 or 1 for the stronger run, or else for the moving one beside a still one; None when neither is clear."""
+    """0 or 1 for the stronger run, or else for the moving
+    one beside a still one; None when neither is clear.
+    """
     ratio = first.strength / second.strength
     if ratio >= _LARGER or ratio <= 1 / _LARGER:
         return 0 if ratio > 1 else 1
@@ -219,7 +242,8 @@ def _runs_within_reach(ends: _Ends, number: int, reach: float, speed: float) -> 
     """Whether the target gets from one run to each other (R,), or back, at that speed (px/s)."""
     sooner = ends.start[number] < ends.start
     gap = np.where(sooner, ends.start - ends.end[number], ends.start[number] - ends.end)
-    there, back = ends.first - ends.last[number], ends.first[number] - ends.last
+    there = ends.first - ends.last[number]
+    back = ends.first[number] - ends.last
     step = np.where(sooner[:, None], there, back)
     return np.asarray((gap < 0) | (np.hypot(*step.T) <= reach + speed * gap))
 
@@ -229,11 +253,17 @@ def _fastest_speed(t: Array, run: _BlobRun) -> float:
     if len(run.frames) < 3:
         return 0.0
     step = np.diff(run.table[:, [U, V]], axis=0)
-    return float(np.quantile(np.hypot(step[:, 0], step[:, 1]) / np.maximum(np.diff(t[run.frames]), 1e-3), 0.95))
+    return float(
+        np.quantile(
+            np.hypot(step[:, 0], step[:, 1]) / np.maximum(np.diff(t[run.frames]), 1e-3), 0.95
+        )
+    )
 
 
 def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None:
-    """Rows where area is missing against the views around them go; a little missing area widens their std."""
+    """Rows where area is missing against the views around
+    them go; a little missing area widens their std.
+    """
     seen = np.flatnonzero(np.isfinite(mass))
     if not seen.size:
         return
@@ -249,12 +279,17 @@ def _drop_partly_hidden(t: Array, track: Array, mass: Array, why: Array) -> None
 
 
 def _indices_of_vanishing(mass: Array, most: float) -> Array:
-    """Indices beside unseen frames whose area is a share `most` below that of the two seen frames next to them."""
-    mass, found = mass.copy(), []
+    """Indices beside unseen frames whose area is a share
+    `most` below that of the two seen frames next to them.
+    """
+    mass = mass.copy()
+    found = []
     for _ in range(3):
         padded = np.pad(mass, 2, constant_values=np.nan)
-        forward, backward = 2 * padded[1:-3] - padded[:-4], 2 * padded[3:-1] - padded[4:]
-        last, first = np.isnan(padded[3:-1]) & (forward > 0), np.isnan(padded[1:-3]) & (backward > 0)
+        forward = 2 * padded[1:-3] - padded[:-4]
+        backward = 2 * padded[3:-1] - padded[4:]
+        last = np.isnan(padded[3:-1]) & (forward > 0)
+        first = np.isnan(padded[1:-3]) & (backward > 0)
         short = (last & (mass < (1 - most) * forward)) | (first & (mass < (1 - most) * backward))
         found.append(np.flatnonzero(short))
         mass[short] = np.nan
@@ -262,9 +297,12 @@ def _indices_of_vanishing(mass: Array, most: float) -> Array:
 
 
 def _expected_area(t: Array, mass: Array) -> tuple[Array, float]:
-    """The area expected at each time from lines through the whole views around it, and the share it scatters by."""
+    """The area expected at each time from lines through the
+    whole views around it, and the share it scatters by.
+    """
     whole = np.ones(len(t))
-    expected, spread = mass, 0.0
+    expected = mass
+    spread = 0.0
     for _ in range(3):
         expected = _values_on_local_lines(t, mass, whole)
         missing = 1 - mass / expected
@@ -274,10 +312,11 @@ def _expected_area(t: Array, mass: Array) -> tuple[Array, float]:
 
 
 def _values_on_local_lines(t: Array, values: Array, weight: Array) -> Array:
-    """At each time, the weighted line through the values within _NEAR s: (N,); the value itself if none count.
+    """At each time, the weighted line through the values
+    within _NEAR s: (N,); the value itself if none count.
 
-    Running sums restart every _AT_ONCE rows, with times and values from there on: those of a whole log are so
-    large that what one window adds drowns in their rounding.
+    Running sums restart every _AT_ONCE rows, with times and values from there on: those of a whole
+    log are so large that what one window adds drowns in their rounding.
     """
     low, high = np.searchsorted(t, t - _NEAR), np.searchsorted(t, t + _NEAR, side="right")
     expected = np.empty(len(t))
@@ -286,15 +325,21 @@ def _values_on_local_lines(t: Array, values: Array, weight: Array) -> Array:
         near = slice(int(low[some][0]), int(high[some][-1]))
         windows = low[some] - near.start, high[some] - near.start
         origin = t[first], values[first]
-        lines = _line_fits_of_windows(t[near] - origin[0], values[near] - origin[1], weight[near], *windows)
+        lines = _line_fits_of_windows(
+            t[near] - origin[0], values[near] - origin[1], weight[near], *windows
+        )
         n, middle, mean, slope = lines
         line = origin[1] + mean + slope * (t[some] - origin[0] - middle)
         expected[some] = np.where(n > 0.5, np.maximum(line, 1.0), values[some])
     return expected
 
 
-def _line_fits_of_windows(t: Array, values: Array, weight: Array, low: Array, high: Array) -> tuple[Array, Array, Array, Array]:
-    """Weight, mean time, mean value and slope of the rows low to high (K,) of each window: (K,) each."""
+def _line_fits_of_windows(
+    t: Array, values: Array, weight: Array, low: Array, high: Array
+) -> tuple[Array, Array, Array, Array]:
+    """Weight, mean time, mean value and slope of the
+    rows low to high (K,) of each window: (K,) each.
+    """
     columns = weight[:, None] * np.column_stack([np.ones_like(t), t, t * t, values, t * values])
     running = np.vstack([np.zeros(5), np.cumsum(columns, axis=0)])
     n, s, ss, v, sv = (running[high] - running[low]).T

@@ -1,4 +1,6 @@
-"""What to track when nothing is configured and the default colour is not on the arm: what moves with the joints."""
+"""What to track when nothing is configured and the default
+colour is not on the arm: what moves with the joints.
+"""
 
 from typing import NamedTuple
 
@@ -10,7 +12,8 @@ from ...types import Features, Recording, Series
 from . import candidates, joint_motion
 from .candidates import FeatureSurvey
 
-_ENOUGH, _FEWEST = 200, 50
+_ENOUGH = 200
+_FEWEST = 50
 _RARELY = 0.05
 _CLEARLY = 0.5
 
@@ -22,13 +25,27 @@ class Alternative(NamedTuple):
     survey: FeatureSurvey
 
 
-def find_alternative(recording: Recording, features: Features, settings: Settings) -> Alternative | None:
-    """What else a recording shows when the effector's track is not on the arm; None when it may be."""
-    effector, size = features.effector, features.picture_size
-    if effector is None or size is None or not (why := _reason_not_on_arm(recording, effector, size[0])):
+def find_alternative(
+    recording: Recording, features: Features, settings: Settings
+) -> Alternative | None:
+    """What else a recording shows when the effector's
+    track is not on the arm; None when it may be.
+    """
+    effector = features.effector
+    size = features.picture_size
+    if (
+        effector is None
+        or size is None
+        or not (why := _reason_not_on_arm(recording, effector, size[0]))
+    ):
         return None
     try:
-        return Alternative(why, candidates.survey_features(recording, hand_colour(settings, recording.skin is not None)))
+        return Alternative(
+            why,
+            candidates.survey_features(
+                recording, hand_colour(settings, recording.skin is not None)
+            ),
+        )
     except InputError:
         return None
 
@@ -42,6 +59,9 @@ def _reason_not_on_arm(recording: Recording, track: Series, width: float) -> str
     if len(frames) < max(1.0, _RARELY * len(track.t)):
         return f"seen in {len(frames)} of {len(track.t)} images"
     some = frames[joint_motion.thin_indices(len(frames), _ENOUGH)]
-    if len(some) < _FEWEST or joint_motion.explained_share(q[some], track.values[some], width) > _CLEARLY:
+    if (
+        len(some) < _FEWEST
+        or joint_motion.explained_share(q[some], track.values[some], width) > _CLEARLY
+    ):
         return ""
     return candidates.why_not_arm(q, some, track.values[some], width)

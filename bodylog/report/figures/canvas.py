@@ -1,4 +1,6 @@
-"""A blank matplotlib figure, saved atomically, without a display, and with the same bytes for the same drawing."""
+"""A blank matplotlib figure, saved atomically, without
+a display, and with the same bytes for the same drawing.
+"""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -15,7 +17,9 @@ FORMATS = {
 }
 """Suffix -> arguments for matplotlib that leave out dates and version stamps."""
 
-INK, FELT, SEEN = "#20262e", "#e07b1f", "#7a52c7"
+INK = "#20262e"
+FELT = "#e07b1f"
+SEEN = "#7a52c7"
 LINES = ("#1f77d0", "#d1495b", "#2a9d68", "#b5862a", "#7a52c7", "#159aa8", "#d267b0", "#6b7280")
 
 _STYLE = {
@@ -54,7 +58,8 @@ def open_figure(out: Path, width: float, height: float, more: Sequence[str] = ()
         for path in (out, *(out.with_suffix(suffix) for suffix in more)):
             with replace_atomically(path) as beside:
                 _save_figure(drawing, beside, path.suffix.lower())
-            drawing.set_layout_engine("none")  # what was laid out once stays; it takes half of the time
+            # what was laid out once stays; it takes half of the time
+            drawing.set_layout_engine("none")
 
 
 def printable_label(name: str, longest: int = 40) -> str:
@@ -90,5 +95,7 @@ def _save_figure(drawing: Any, path: Path, suffix: str) -> None:
 
     with warnings.catch_warnings():
         # a name in a script the font lacks is drawn as boxes, without a warning
-        warnings.filterwarnings("ignore", message="(Glyph|Matplotlib currently does not support)", category=UserWarning)
+        warnings.filterwarnings(
+            "ignore", message="(Glyph|Matplotlib currently does not support)", category=UserWarning
+        )
         drawing.savefig(path, **FORMATS[suffix])

@@ -1,4 +1,6 @@
-"""A contact sheet: a few images of a log with every candidate outlined and numbered, and a line about each below."""
+"""A contact sheet: a few images of a log with every
+candidate outlined and numbered, and a line about each below.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,8 +10,10 @@ import numpy as np
 from ...types import Array
 
 _WIDTH = 480
-_LINE, _MARGIN = 22, 10
-_ARM, _OTHER = (80, 230, 80), (190, 190, 190)
+_LINE = 22
+_MARGIN = 10
+_ARM = (80, 230, 80)
+_OTHER = (190, 190, 190)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,16 +32,24 @@ def draw_contact_sheet(images: Mapping[int, Array], marks: Sequence[Mark]) -> Ar
     tiles = [_pad_to_size(tile, size) for tile in tiles]
     tiles += [np.zeros(size, np.uint8)] * (len(tiles) % 2)
     half = len(tiles) // 2
-    pictures = np.vstack([np.hstack(tiles[:half]), np.hstack(tiles[half:])]) if half > 1 else np.hstack(tiles)
+    pictures = (
+        np.vstack([np.hstack(tiles[:half]), np.hstack(tiles[half:])])
+        if half > 1
+        else np.hstack(tiles)
+    )
     return np.vstack([pictures, _draw_mark_legend(marks, pictures.shape[1])])
 
 
 def _draw_numbered_tile(image: Array, number: int, marks: Sequence[Mark]) -> Array:
-    """One image at the sheet's scale, with a numbered circle about each candidate; the arm's is drawn last."""
+    """One image at the sheet's scale, with a numbered
+    circle about each candidate; the arm's is drawn last.
+    """
     import cv2
 
     scale = _WIDTH / image.shape[1]
-    tile = np.ascontiguousarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
+    tile = np.ascontiguousarray(
+        cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    )
     for index in sorted(range(len(marks)), key=lambda index: marks[index].arm):
         place = marks[index].track[number]
         if np.isfinite(place).all():
@@ -45,7 +57,9 @@ def _draw_numbered_tile(image: Array, number: int, marks: Sequence[Mark]) -> Arr
             colour = _ARM if marks[index].arm else _OTHER
             cv2.circle(tile, (u, v), 14, (0, 0, 0), 3, cv2.LINE_AA)
             cv2.circle(tile, (u, v), 14, colour, 1 + marks[index].arm, cv2.LINE_AA)
-            _write_caption(tile, str(index + 1), (min(u + 17, tile.shape[1] - 20), max(v, 12)), colour)
+            _write_caption(
+                tile, str(index + 1), (min(u + 17, tile.shape[1] - 20), max(v, 12)), colour
+            )
     return tile
 
 
@@ -53,14 +67,22 @@ def _draw_mark_legend(marks: Sequence[Mark], width: int) -> Array:
     strip = np.full((2 * _MARGIN + _LINE * max(1, len(marks)), width, 3), 24, np.uint8)
     for row, mark in enumerate(marks):
         text = f"{row + 1}  {mark.text}".encode("ascii", "replace").decode()
-        _write_caption(strip, text, (_MARGIN, _MARGIN + _LINE * row + 15), _ARM if mark.arm else _OTHER)
+        _write_caption(
+            strip, text, (_MARGIN, _MARGIN + _LINE * row + 15), _ARM if mark.arm else _OTHER
+        )
     return strip
 
 
-def _write_caption(image: Array, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:
+def _write_caption(
+    image: Array, text: str, at: tuple[int, int], colour: tuple[int, int, int]
+) -> None:
     import cv2
 
-    size = min(0.48, 0.48 * (image.shape[1] - at[0]) / max(1, 8.6 * len(text))) if len(text) > 3 else 0.5
+    size = (
+        min(0.48, 0.48 * (image.shape[1] - at[0]) / max(1, 8.6 * len(text)))
+        if len(text) > 3
+        else 0.5
+    )
     if len(text) <= 3:  # upon an image
         cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, (0, 0, 0), 3, cv2.LINE_AA)
     cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)

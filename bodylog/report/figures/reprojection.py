@@ -1,4 +1,6 @@
-"""The reprojection sheet: each track in the image plane, as measured, by kinematics alone and with the process."""
+"""The reprojection sheet: each track in the image plane,
+as measured, by kinematics alone and with the process.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,11 +14,16 @@ from ...types import Array, Estimate, Features
 from ..page.tables import escape_text, html_table
 from .canvas import LINES, printable_label
 
-TRACKS, POINTS = 12, 300
+TRACKS = 12
+POINTS = 300
 """Most tracks that are drawn, and points of each."""
 _ZEROS = 64
-_ALONE, _BOTH, _RULE = LINES[4], PREDICTED.plot, "#6b7280"
-_WIDTH, _HEIGHT, _SIDE = 460.0, 345.0, 345.0
+_ALONE = LINES[4]
+_BOTH = PREDICTED.plot
+_RULE = "#6b7280"
+_WIDTH = 460.0
+_HEIGHT = 345.0
+_SIDE = 345.0
 _LONG = 0.06
 """Length of a large residual as drawn, as a share of the tracks' extent."""
 
@@ -32,8 +39,14 @@ class ReprojectionSheet:
 
     def some(self) -> "ReprojectionSheet":
         """At most POINTS of it, evenly spaced."""
-        rows = np.unique(np.linspace(0, len(self.measured) - 1, min(len(self.measured), POINTS)).round().astype(int))
-        return ReprojectionSheet(self.name, self.measured[rows], self.kinematics[rows], self.both[rows])
+        rows = np.unique(
+            np.linspace(0, len(self.measured) - 1, min(len(self.measured), POINTS))
+            .round()
+            .astype(int)
+        )
+        return ReprojectionSheet(
+            self.name, self.measured[rows], self.kinematics[rows], self.both[rows]
+        )
 
     @property
     def errors(self) -> tuple[float, float]:
@@ -44,7 +57,9 @@ class ReprojectionSheet:
     def magnified(self) -> float:
         """Magnification of drawn residuals: 1, 2, 5, 10, …"""
         extent = float(np.ptp(self.measured, axis=0).max(initial=1.0))
-        size = max(float(np.quantile(np.linalg.norm(self.measured - self.kinematics, axis=1), 0.9)), 1e-6)
+        size = max(
+            float(np.quantile(np.linalg.norm(self.measured - self.kinematics, axis=1), 0.9)), 1e-6
+        )
         most = max(_LONG * extent / size, 1.0)
         power = 10.0 ** np.floor(np.log10(most))
         return float(power * max(step for step in (1, 2, 5) if step * power <= most))
@@ -52,7 +67,9 @@ class ReprojectionSheet:
 
 @dataclass(frozen=True)
 class JointZero:
-    """One joint's zero: value ± std in `unit` (rad or m); value is None where it is not identifiable, and why."""
+    """One joint's zero: value ± std in `unit` (rad or m);
+    value is None where it is not identifiable, and why.
+    """
 
     joint: str
     value: float | None
@@ -76,36 +93,63 @@ def build_sheets(features: Features, estimate: Estimate) -> tuple[ReprojectionSh
     """For every track that kinematics predicts: measurements and predictions."""
     found = []
     for name, alone in estimate.kinematic.items():
-        track, both = features.tracks.get(name), estimate.predicted.get(name)
-        if track is None or both is None or alone.values.shape != both.values.shape or not len(track.t):
+        track = features.tracks.get(name)
+        both = estimate.predicted.get(name)
+        if (
+            track is None
+            or both is None
+            or alone.values.shape != both.values.shape
+            or not len(track.t)
+        ):
             continue
         rows = np.clip(np.searchsorted(track.t, alone.t - 1e-6), 0, len(track.t) - 1)
         measured = track.values[rows]
         sound = (np.abs(track.t[rows] - alone.t) < 1e-6) & np.isfinite(measured).all(axis=1)
         sound &= np.isfinite(alone.values).all(axis=1) & np.isfinite(both.values).all(axis=1)
         if sound.any():
-            found.append(ReprojectionSheet(name, measured[sound], alone.values[sound], both.values[sound]))
+            found.append(
+                ReprojectionSheet(name, measured[sound], alone.values[sound], both.values[sound])
+            )
     return tuple(found)
 
 
 def parse_zeros(entries: Any) -> tuple[JointZero, ...]:
-    """The zeros in a file's mapping {joint: {value, std, unit, confused_with}}; invalid entries are left out."""
+    """The zeros in a file's mapping {joint: {value, std,
+    unit, confused_with}}; invalid entries are left out.
+    """
     found = []
     for joint, one in list(entries.items())[:_ZEROS] if isinstance(entries, Mapping) else ():
-        value, std = (one.get("value"), one.get("std")) if isinstance(one, Mapping) else (None, None)
-        if isinstance(std, int | float) and isfinite(std) and (value is None or _is_finite_number(value)):
+        value, std = (
+            (one.get("value"), one.get("std")) if isinstance(one, Mapping) else (None, None)
+        )
+        if (
+            isinstance(std, int | float)
+            and isfinite(std)
+            and (value is None or _is_finite_number(value))
+        ):
             others = one.get("confused_with")
             names = tuple(str(name) for name in others[:4]) if isinstance(others, list) else ()
             known = None if value is None else float(value)
-            found.append(JointZero(str(joint), known, float(std), "m" if one.get("unit") == "m" else "rad", names))
+            found.append(
+                JointZero(
+                    str(joint), known, float(std), "m" if one.get("unit") == "m" else "rad", names
+                )
+            )
     return tuple(found)
 
 
 def render_section(drawn: Sequence[ReprojectionSheet], offsets: Sequence[JointZero]) -> str:
     """The sheets as part of a page, every name escaped; "" where there is nothing to show."""
     body = "\n".join(_render_sheet_figure(sheet.some()) for sheet in drawn[:TRACKS])
-    left = f'<p class="soft">Drawn: the first {TRACKS} of {len(drawn)} tracks.</p>' if len(drawn) > TRACKS else ""
-    key = "dot: measured · violet: by kinematics alone · yellow: with the process; lines lead from measured to expected"
+    left = (
+        f'<p class="soft">Drawn: the first {TRACKS} of {len(drawn)} tracks.</p>'
+        if len(drawn) > TRACKS
+        else ""
+    )
+    key = (
+        "dot: measured · violet: by kinematics alone · yellow: with the process; lines lead from "
+        "measured to expected"
+    )
     shown = f'<h2>Reprojection</h2>\n<p class="soft">{key}</p>\n<div>\n{body}\n</div>{left}'
     rows = [(zero.joint, *zero.shown) for zero in offsets]
     listed = html_table("Zeros of the joints", ("joint", "offset", ""), rows)
@@ -115,7 +159,10 @@ def render_section(drawn: Sequence[ReprojectionSheet], offsets: Sequence[JointZe
 def _render_sheet_figure(sheet: ReprojectionSheet) -> str:
     alone, both = sheet.errors
     times = sheet.magnified
-    text = f"{sheet.name}: {alone:.2f} px by kinematics alone, {both:.2f} px with the process (RMS); lines {times:g} ×"
+    text = (
+        f"{sheet.name}: {alone:.2f} px by kinematics alone, {both:.2f} px with the process "
+        f"(RMS); lines {times:g} ×"
+    )
     width = _WIDTH + _SIDE + 10
     return (
         f'<figure><svg viewBox="0 0 {width:g} {_HEIGHT:g}" width="{width:g}" role="img">'
@@ -126,14 +173,20 @@ def _render_sheet_figure(sheet: ReprojectionSheet) -> str:
 
 def _render_image_plane(sheet: ReprojectionSheet, times: float) -> Iterator[str]:
     """The image plane with magnified residuals."""
-    low, span = sheet.measured.min(axis=0), np.maximum(np.ptp(sheet.measured, axis=0), 1.0)
+    low = sheet.measured.min(axis=0)
+    span = np.maximum(np.ptp(sheet.measured, axis=0), 1.0)
     scale = float(0.84 * min(_WIDTH / span[0], _HEIGHT / span[1]))
     corner = 0.5 * (np.array([_WIDTH, _HEIGHT]) - scale * span)
     places = (sheet.measured - low) * scale + corner
-    yield f'<rect width="{_WIDTH:g}" height="{_HEIGHT:g}" fill="none" stroke="{_RULE}" stroke-opacity="0.4"/>'
+    yield (
+        f'<rect width="{_WIDTH:g}" height="{_HEIGHT:g}" fill="none" stroke="{_RULE}" '
+        'stroke-opacity="0.4"/>'
+    )
     for expected, ink in ((sheet.kinematics, _ALONE), (sheet.both, _BOTH)):
         ends = places + times * scale * (expected - sheet.measured)
-        lines = "".join(f"M{_svg_point(a)}L{_svg_point(b)}" for a, b in zip(places, ends, strict=True))
+        lines = "".join(
+            f"M{_svg_point(a)}L{_svg_point(b)}" for a, b in zip(places, ends, strict=True)
+        )
         yield f'<path d="{lines}" stroke="{ink}" fill="none"/>'
     ink = measurement_ink(sheet.name).plot
     yield from (f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" fill="{ink}"/>' for x, y in places)
@@ -141,16 +194,27 @@ def _render_image_plane(sheet: ReprojectionSheet, times: float) -> Iterator[str]
 
 def _render_residuals(sheet: ReprojectionSheet) -> Iterator[str]:
     """Residuals around zero, px, with a ring at a round distance."""
-    left, reach = [sheet.kinematics - sheet.measured, sheet.both - sheet.measured], _residual_reach_px(sheet)
-    scale, centre = 0.45 * _SIDE / reach, np.array([_WIDTH + 10 + _SIDE / 2, _HEIGHT / 2])
+    left = [sheet.kinematics - sheet.measured, sheet.both - sheet.measured]
+    reach = _residual_reach_px(sheet)
+    scale = 0.45 * _SIDE / reach
+    centre = np.array([_WIDTH + 10 + _SIDE / 2, _HEIGHT / 2])
     ring = 10.0 ** np.floor(np.log10(reach))
     x, y = centre
-    yield f'<circle cx="{x:g}" cy="{y:g}" r="{ring * scale:.1f}" fill="none" stroke="{_RULE}" stroke-opacity="0.5"/>'
-    yield f'<text x="{x + ring * scale:.1f}" y="{y - 4:g}" font-size="11" fill="{_RULE}">{ring:g} px</text>'
+    yield (
+        f'<circle cx="{x:g}" cy="{y:g}" r="{ring * scale:.1f}" fill="none" stroke="{_RULE}" '
+        'stroke-opacity="0.5"/>'
+    )
+    yield (
+        f'<text x="{x + ring * scale:.1f}" y="{y - 4:g}" font-size="11" fill="{_RULE}">{ring:g} '
+        "px</text>"
+    )
     for part, ink in zip(left, (_ALONE, _BOTH), strict=True):
         near = part[np.linalg.norm(part, axis=1) <= reach]
         dots = (centre + scale * one for one in near)
-        yield from (f'<circle cx="{u:.1f}" cy="{v:.1f}" r="1.8" fill="{ink}" fill-opacity="0.6"/>' for u, v in dots)
+        yield from (
+            f'<circle cx="{u:.1f}" cy="{v:.1f}" r="1.8" fill="{ink}" fill-opacity="0.6"/>'
+            for u, v in dots
+        )
 
 
 def _svg_point(place: Array) -> str:
@@ -159,13 +223,29 @@ def _svg_point(place: Array) -> str:
 
 def draw_image_plane(sheet: ReprojectionSheet, ax: Any) -> None:
     """The image plane of one track with magnified residuals, in a figure."""
-    some, times = sheet.some(), sheet.magnified
-    for expected, ink, what in ((some.kinematics, _ALONE, "kinematics"), (some.both, _BOTH, "with process")):
+    some = sheet.some()
+    times = sheet.magnified
+    for expected, ink, what in (
+        (some.kinematics, _ALONE, "kinematics"),
+        (some.both, _BOTH, "with process"),
+    ):
         off = times * (expected - some.measured)
-        arrows = {"angles": "xy", "scale_units": "xy", "scale": 1, "headwidth": 1, "headlength": 0, "width": 0.003}
+        arrows = {
+            "angles": "xy",
+            "scale_units": "xy",
+            "scale": 1,
+            "headwidth": 1,
+            "headlength": 0,
+            "width": 0.003,
+        }
         ax.quiver(*some.measured.T, *off.T, color=ink, label=what, **arrows)
     ax.plot(*some.measured.T, ".", color=measurement_ink(sheet.name).plot, ms=2, label="measured")
-    ax.set(aspect="equal", title=f"{printable_label(sheet.name)}: residuals {times:g} ×", xlabel="u, pixels", ylabel="v, pixels")
+    ax.set(
+        aspect="equal",
+        title=f"{printable_label(sheet.name)}: residuals {times:g} ×",
+        xlabel="u, pixels",
+        ylabel="v, pixels",
+    )
     ax.invert_yaxis()
     ax.legend(loc="best")
 
@@ -174,8 +254,9 @@ def draw_residuals(sheet: ReprojectionSheet, ax: Any) -> None:
     """The residuals of one track, px, in a figure."""
     alone, both = sheet.errors
     for expected, ink, what in (
-        (sheet.kinematics, _ALONE, f"kinematics: {alone:.2f} px RMS"), (sheet.both, _BOTH, f"with process: {both:.2f}"),
-    ):  # fmt: skip
+        (sheet.kinematics, _ALONE, f"kinematics: {alone:.2f} px RMS"),
+        (sheet.both, _BOTH, f"with process: {both:.2f}"),
+    ):
         ax.plot(*(expected - sheet.measured).T, ".", color=ink, ms=3, alpha=0.6, label=what)
     reach = _residual_reach_px(sheet)
     ax.set(aspect="equal", title="expected minus measured", xlabel="u, pixels", ylabel="v, pixels")
@@ -184,13 +265,17 @@ def draw_residuals(sheet: ReprojectionSheet, ax: Any) -> None:
 
 
 def draw_zero_offsets(found: Sequence[JointZero], ax: Any) -> None:
-    """Each joint's zero with its standard deviation, in a figure; the name alone where it is not identifiable."""
+    """Each joint's zero with its standard deviation, in a
+    figure; the name alone where it is not identifiable.
+    """
     for row, zero in enumerate(found):
         factor = degrees(1.0) if zero.unit == "rad" else 1e3
         if zero.value is None:
             ax.text(0.0, row, " not identifiable", va="center", color=_RULE, fontsize=8)
         else:
-            ax.errorbar(factor * zero.value, row, xerr=factor * zero.std, fmt="o", color=LINES[0], capsize=3)
+            ax.errorbar(
+                factor * zero.value, row, xerr=factor * zero.std, fmt="o", color=LINES[0], capsize=3
+            )
     ax.axvline(0.0, color=_RULE, lw=0.8)
     ax.set_yticks(range(len(found)), [printable_label(zero.joint, 22) for zero in found])
     ax.set_ylim(len(found) - 0.5, -0.5)

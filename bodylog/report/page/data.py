@@ -8,26 +8,36 @@ from typing import Any
 import numpy as np
 
 from ...types import Array, Estimate, Features
-from .decimate import thin_band, extreme_indices
+from .decimate import extreme_indices, thin_band
 from .traces import EVENTS, Panel, PlotTrace
 
 POINT_BUDGET = 130_000
 """Points kept on a whole page; each costs 11 characters, of a band 16."""
 
-_MOST, _LEAST = 4000, 60
+_MOST = 4000
+_LEAST = 60
 _TICKS = 2**32 - 1
 _DANGEROUS = str.maketrans({"<": "\\u003c", ">": "\\u003e", "&": "\\u0026"})
 
 
 def most_points(panels: Sequence[Panel]) -> int:
     """How many points each trace may keep so that the page stays within its budget."""
-    return min(_MOST, max(_LEAST, POINT_BUDGET // max(1, sum(len(panel.traces) for panel in panels))))
+    return min(
+        _MOST, max(_LEAST, POINT_BUDGET // max(1, sum(len(panel.traces) for panel in panels)))
+    )
 
 
-def panels_as_json(panels: Sequence[Panel], marks: Sequence[dict[str, Any]], duration: float) -> dict[str, Any]:
+def panels_as_json(
+    panels: Sequence[Panel], marks: Sequence[dict[str, Any]], duration: float
+) -> dict[str, Any]:
     """{span (2,) s · marks over every panel · panels} with every number finite."""
-    span, points = _time_span(duration, panels), most_points(panels)
-    return {"span": span, "marks": list(marks), "panels": [_panel_as_json(panel, span, points) for panel in panels]}
+    span = _time_span(duration, panels)
+    points = most_points(panels)
+    return {
+        "span": span,
+        "marks": list(marks),
+        "panels": [_panel_as_json(panel, span, points) for panel in panels],
+    }
 
 
 def background_marks(features: Features, estimate: Estimate) -> list[dict[str, Any]]:
@@ -41,7 +51,9 @@ def background_marks(features: Features, estimate: Estimate) -> list[dict[str, A
 
 def embed_json(values: Any) -> str:
     """JSON without characters that HTML treats as tags, entities or line ends; deterministic."""
-    text = json.dumps(values, ensure_ascii=True, allow_nan=False, sort_keys=True, separators=(",", ":"))
+    text = json.dumps(
+        values, ensure_ascii=True, allow_nan=False, sort_keys=True, separators=(",", ":")
+    )
     return text.translate(_DANGEROUS)
 
 
@@ -53,7 +65,10 @@ def _time_span(duration: float, panels: Sequence[Panel]) -> list[float]:
 
 
 def _panel_as_json(panel: Panel, span: list[float], points: int) -> dict[str, Any]:
-    rows = [{"name": x.name, "ink": x.ink, "spans": [[round(t, 4) for t in s] for s in x.spans]} for x in panel.rows]
+    rows = [
+        {"name": x.name, "ink": x.ink, "spans": [[round(t, 4) for t in s] for s in x.spans]}
+        for x in panel.rows
+    ]
     traces = [_trace_as_json(trace, span, points) for trace in panel.traces if len(trace.t)]
     look = {"half": panel.half, "limits": panel.limits, "floor": panel.floor, "shade": panel.shade}
     return look | {"title": panel.title, "rows": rows, "traces": traces}
@@ -64,7 +79,11 @@ def _trace_as_json(trace: PlotTrace, span: list[float], points: int) -> dict[str
     look = {"name": trace.name, "ink": trace.ink, "kind": trace.kind}
     if trace.high is not None:
         t, low, high = thin_band(trace.t, trace.y, trace.high, points)
-        return look | {"t": _encode_times(t, span), "y": _encode_floats(low), "high": _encode_floats(high)}
+        return look | {
+            "t": _encode_times(t, span),
+            "y": _encode_floats(low),
+            "high": _encode_floats(high),
+        }
     keep = extreme_indices(trace.y, points)
     return look | {"t": _encode_times(trace.t[keep], span), "y": _encode_floats(trace.y[keep])}
 

@@ -10,7 +10,8 @@ from .template import render_document
 
 MAX_WORST_EPISODES = 6
 """Episodes whose pictures are shown."""
-_WIDTH, _HEIGHT = 220, 90
+_WIDTH = 220
+_HEIGHT = 90
 """Size of a small multiple, px."""
 _MOST_JOINTS = 60
 _FIGURES = (
@@ -30,9 +31,11 @@ _SVG = '<svg viewBox="0 0 {w} {h}" width="{w}" height="{h}" role="img" aria-labe
 
 
 def dataset_page(
-    rows: Sequence[Mapping[str, Any]], evidence: Mapping[str, Mapping[str, Any]],
-    verdict: Sequence[str], outliers: Sequence[tuple[str, str]],
-) -> str:  # fmt: skip
+    rows: Sequence[Mapping[str, Any]],
+    evidence: Mapping[str, Mapping[str, Any]],
+    verdict: Sequence[str],
+    outliers: Sequence[tuple[str, str]],
+) -> str:
     """The page as text, without script and network: the same bytes for the same rows.
 
     evidence {row's name: as dataset.examination.evidence} · outliers: (name, sentence), the
@@ -112,7 +115,9 @@ def _joint_section(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]
         joints = one["joints"]
         for joint, curve in zip(joints["names"], joints["curves"], strict=True) if joints else ():
             curves.setdefault(joint, []).append((name, curve))
-    parts = [_curve_multiple(joint, found, odd) for joint, found in list(curves.items())[:_MOST_JOINTS]]
+    parts = [
+        _curve_multiple(joint, found, odd) for joint, found in list(curves.items())[:_MOST_JOINTS]
+    ]
     more = (
         f'<p class="soft">and {len(curves) - _MOST_JOINTS} more joints</p>'
         if len(curves) > _MOST_JOINTS
@@ -141,7 +146,10 @@ def _dot_multiple(
         ink = _episode_ink(name, odd)
         y = _y_position(value, low, high)
         if std:
-            ends = (_y_position(value - 2.0 * std, low, high), _y_position(value + 2.0 * std, low, high))
+            ends = (
+                _y_position(value - 2.0 * std, low, high),
+                _y_position(value + 2.0 * std, low, high),
+            )
             marks.append(f'<path d="M{x:.1f} {ends[0]:.1f}V{ends[1]:.1f}" stroke="{ink}"/>')
         marks.append(
             f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.2" fill="{ink}">'
@@ -150,7 +158,9 @@ def _dot_multiple(
     return _small_multiple(title, low, high, marks)
 
 
-def _curve_multiple(title: str, curves: Sequence[tuple[str, list[float | None]]], odd: Sequence[str]) -> str:
+def _curve_multiple(
+    title: str, curves: Sequence[tuple[str, list[float | None]]], odd: Sequence[str]
+) -> str:
     known = [value for _, curve in curves for value in curve if value is not None]
     if not known:
         return ""
@@ -167,7 +177,8 @@ def _curve_multiple(title: str, curves: Sequence[tuple[str, list[float | None]]]
 
 def _curve_path(curve: Sequence[float | None], low: float, high: float) -> str:
     """The points of a curve as an SVG path with gaps."""
-    text, drawing = [], False
+    text = []
+    drawing = False
     for number, value in enumerate(curve):
         if value is None or not isfinite(value):
             drawing = False

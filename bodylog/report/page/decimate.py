@@ -1,4 +1,6 @@
-"""Decimation that keeps a plot's look: every bin keeps its lowest and highest value, and its gaps."""
+"""Decimation that keeps a plot's look: every bin
+keeps its lowest and highest value, and its gaps.
+"""
 
 import numpy as np
 
@@ -6,14 +8,19 @@ from ...types import Array
 
 
 def thin_curve(t: Array, values: Array, points: int) -> tuple[Array, Array]:
-    """t, values (n,) with at most about `points` kept: the extremes of each bin, and one NaN where a bin has a gap."""
+    """t, values (n,) with at most about `points` kept: the
+    extremes of each bin, and one NaN where a bin has a gap.
+    """
     keep = extreme_indices(values, points)
     return t[keep], values[keep]
 
 
 def extreme_indices(values: Array, points: int) -> Array:
-    """Indices, ascending, of the lowest, highest and first missing value of each of points / 3 bins."""
-    n, bins = len(values), max(1, points // 3)
+    """Indices, ascending, of the lowest, highest and
+    first missing value of each of points / 3 bins.
+    """
+    n = len(values)
+    bins = max(1, points // 3)
     if n <= points:
         return np.arange(n)
     blocks, index = _split_into_bins(values, bins)
@@ -22,7 +29,9 @@ def extreme_indices(values: Array, points: int) -> Array:
     high = np.where(np.isfinite(blocks), blocks, -np.inf).argmax(axis=1)
     rows = np.arange(len(blocks))
     gaps = missing.argmax(axis=1)[missing.any(axis=1)], rows[missing.any(axis=1)]
-    kept = np.concatenate([index[rows, low], index[rows, high], index[gaps[1], gaps[0]], [0, n - 1]])
+    kept = np.concatenate(
+        [index[rows, low], index[rows, high], index[gaps[1], gaps[0]], [0, n - 1]]
+    )
     return np.unique(kept[kept < n])
 
 

@@ -10,8 +10,17 @@ from ...types import Estimate, Features, Recording, Score
 from ..figures import reprojection
 from ..viewers.image_overlay import OverlayPicture
 from .data import background_marks, most_points, panels_as_json
-from .tables import escape_text, fault_table, page_header, list_thinning_notes, score_tables, settings_section, finding_tables, page_title
-from .template import render_document, plots_placeholder
+from .tables import (
+    escape_text,
+    fault_table,
+    finding_tables,
+    list_thinning_notes,
+    page_header,
+    page_title,
+    score_tables,
+    settings_section,
+)
+from .template import plots_placeholder, render_document
 from .traces import list_panels
 
 _QUALITY = 82
@@ -33,13 +42,19 @@ def write_report_page(
     verdict: sentences at the top · headline: the main figures by name, each a card.
     """
     drawn = list_panels(recording, features, estimate)
-    groups = [panels_as_json(drawn, background_marks(features, estimate), recording.duration_s)] if drawn else []
+    groups = (
+        [panels_as_json(drawn, background_marks(features, estimate), recording.duration_s)]
+        if drawn
+        else []
+    )
     zeros = reprojection.parse_zeros(estimate.settings.get("offsets"))
     name = page_title(recording, provenance)
     body = [
         page_header(name, recording, estimate, verdict, headline),
         fault_table(estimate),
-        _plots_section(most_points(drawn), list_thinning_notes(features, estimate)) if drawn else "",
+        _plots_section(most_points(drawn), list_thinning_notes(features, estimate))
+        if drawn
+        else "",
         _picture_gallery(pictures, features.hand is not None),
         reprojection.render_section(reprojection.build_sheets(features, estimate), zeros),
         score_tables(scores),
@@ -53,19 +68,28 @@ def write_report_page(
 
 def _plots_section(points: int, lines: Sequence[str]) -> str:
     marked = "Ground orange: touch felt, violet: stroke seen; red line: a fault begins. "
-    kept = f"Lines keep at most {points} points: the lowest and highest of every stretch and its gaps; "
-    return "<h2>Over time</h2>\n" + plots_placeholder((f"{marked}{kept}bands are never narrower than the whole ones.", *lines))
+    kept = (
+        f"Lines keep at most {points} points: the lowest and highest of every stretch and its "
+        "gaps; "
+    )
+    return "<h2>Over time</h2>\n" + plots_placeholder(
+        (f"{marked}{kept}bands are never narrower than the whole ones.", *lines)
+    )
 
 
 def _picture_gallery(pictures: Sequence[OverlayPicture], hand: bool) -> str:
     if not pictures:
         return ""
     shown = "\n".join(
-        f'<figure><img alt="the camera at {picture.t:.2f} s" src="data:image/jpeg;base64,{_picture_as_jpeg(picture)}">'
+        f'<figure><img alt="the camera at {picture.t:.2f} s" '
+        f'src="data:image/jpeg;base64,{_picture_as_jpeg(picture)}">'
         f"<figcaption>{escape_text(picture.caption)}</figcaption></figure>"
         for picture in pictures
     )
-    key = "green ring: measured · yellow cross and ellipse: predicted, 2σ" + " · red square: hand" * hand
+    key = (
+        "green ring: measured · yellow cross and ellipse: predicted, 2σ"
+        + " · red square: hand" * hand
+    )
     return f'<h2>Pictures</h2>\n<p class="soft">{key}</p>\n<div class="pictures">\n{shown}\n</div>'
 
 

@@ -1,4 +1,6 @@
-"""A self-contained HTML document with its style, script and data; its policy forbids all other scripts."""
+"""A self-contained HTML document with its style,
+script and data; its policy forbids all other scripts.
+"""
 
 import base64
 import hashlib
@@ -11,7 +13,10 @@ from .data import embed_json
 from .tables import escape_text
 
 _ASSETS = Path(__file__).parent / "assets"
-_POLICY = "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; style-src {}; script-src {}"
+_POLICY = (
+    "default-src 'none'; img-src data:; base-uri 'none'; form-action 'none'; style-src {}; "
+    "script-src {}"
+)
 _HELP = (
     "drag: zoom · shift-drag, <kbd>←</kbd> <kbd>→</kbd>: move · "
     "ctrl-wheel, <kbd>+</kbd> <kbd>-</kbd>: zoom · double click, <kbd>0</kbd>: whole"
@@ -19,12 +24,18 @@ _HELP = (
 
 
 def render_document(title: str, body: str, groups: Sequence[Mapping[str, Any]]) -> str:
-    """The page as text; `groups` are those of `data.plain`, one for each `plots_placeholder` in the body, in order."""
+    """The page as text; `groups` are those of `data.plain`,
+    one for each `plots_placeholder` in the body, in order.
+    """
     inks = ";".join(f"--{name}:{ink}" for name, ink in STYLE_SHEET.items())
     style = f":root{{{inks}}}\n{_read_asset('page.css')}"
     script = _read_asset("panel.js") + _read_asset("view.js") if groups else ""
     policy = _POLICY.format(_script_source(style), _script_source(script))
-    data = f'<script type="application/json" id="data">{embed_json(groups)}</script>\n' if groups else ""
+    data = (
+        f'<script type="application/json" id="data">{embed_json(groups)}</script>\n'
+        if groups
+        else ""
+    )
     return (
         '<!doctype html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
@@ -41,7 +52,8 @@ def plots_placeholder(notes: Sequence[str] = ()) -> str:
     return (
         '<section>\n<div class="bar"><button type="button">whole log</button><output></output>'
         f'<span class="soft">{_HELP}</span></div>\n'
-        '<noscript><p class="warning">The plots need JavaScript; the tables do not.</p></noscript>\n'
+        '<noscript><p class="warning">The plots need JavaScript; the tables do '
+        "not.</p></noscript>\n"
         f'<div class="panels"></div>\n<div class="soft">{paragraphs}</div>\n</section>'
     )
 

@@ -8,7 +8,10 @@ import numpy as np
 from ...overlay_style import OTHER, measurement_ink
 from ...types import ALTERNATIVE_SEPARATOR, Array, Estimate, Features, Recording, Series
 
-JOINTS, TRACKS, COLUMNS, EVENTS = 24, 12, 32, 2000
+JOINTS = 24
+TRACKS = 12
+COLUMNS = 32
+EVENTS = 2000
 """Most joints, tracks, lines of one panel, and touches or strokes drawn."""
 
 _INKS = 8
@@ -16,7 +19,9 @@ _INKS = 8
 
 @dataclass(frozen=True, eq=False)
 class PlotTrace:
-    """One line, dashes, dots, stems or band (y to high) of colour `ink` of the style sheet: t (n,) s · y, high (n,)."""
+    """One line, dashes, dots, stems or band (y to high) of
+    colour `ink` of the style sheet: t (n,) s · y, high (n,).
+    """
 
     name: str
     ink: str
@@ -37,7 +42,9 @@ class SpanRow:
 
 @dataclass(frozen=True)
 class Panel:
-    """Traces or rows under one title; `half` as wide as the page; y from `limits`, or at least from `floor`, shaded."""
+    """Traces or rows under one title; `half` as wide as the
+    page; y from `limits`, or at least from `floor`, shaded.
+    """
 
     title: str
     traces: tuple[PlotTrace, ...] = ()
@@ -50,36 +57,68 @@ class Panel:
 
 def list_panels(recording: Recording, features: Features, estimate: Estimate) -> tuple[Panel, ...]:
     """All panels with content, in reading order."""
-    drawn = [*_belief_panels(recording, estimate), *_track_panels(features, estimate), *_touch_panels(recording, features)]
-    return tuple(panel for panel in drawn if panel.rows or any(np.isfinite(trace.y).any() for trace in panel.traces))
+    drawn = [
+        *_belief_panels(recording, estimate),
+        *_track_panels(features, estimate),
+        *_touch_panels(recording, features),
+    ]
+    return tuple(
+        panel
+        for panel in drawn
+        if panel.rows or any(np.isfinite(trace.y).any() for trace in panel.traces)
+    )
 
 
 def _belief_panels(recording: Recording, estimate: Estimate) -> Iterator[Panel]:
     for m in range(len(estimate.joints.names[:JOINTS])):
         yield from _joint_panels(recording, estimate, m)
     for sense, errors in estimate.errors.items():
-        yield Panel(f"{sense}: prediction error, standard deviations", _column_traces(errors, "dots"), shade=(-2.0, 2.0))
-    yield Panel("free energy, nats", (PlotTrace("free energy", "c0", estimate.joints.t, estimate.free_energy),))
+        yield Panel(
+            f"{sense}: prediction error, standard deviations",
+            _column_traces(errors, "dots"),
+            shade=(-2.0, 2.0),
+        )
+    yield Panel(
+        "free energy, nats",
+        (PlotTrace("free energy", "c0", estimate.joints.t, estimate.free_energy),),
+    )
     if estimate.bias is not None:
-        yield Panel(f"encoder offset, {estimate.bias.unit}", _offset_traces(estimate, estimate.bias))
+        yield Panel(
+            f"encoder offset, {estimate.bias.unit}", _offset_traces(estimate, estimate.bias)
+        )
 
 
 def _offset_traces(estimate: Estimate, offsets: Series) -> tuple[PlotTrace, ...]:
-    """The offsets of joints that faults name, or of all where none is named: a cause has one story on the page."""
+    """The offsets of joints that faults name, or of all
+    where none is named: a cause has one story on the page.
+    """
     faults = (fault.name for fault in estimate.faults if fault.sense == "encoders")
-    named = {joint for name in faults for joint in name.split(ALTERNATIVE_SEPARATOR)} & set(offsets.names)
+    named = {joint for name in faults for joint in name.split(ALTERNATIVE_SEPARATOR)} & set(
+        offsets.names
+    )
     return tuple(trace for trace in _column_traces(offsets) if trace.name in named or not named)
 
 
 def _joint_panels(recording: Recording, estimate: Estimate, m: int) -> Iterator[Panel]:
-    """The belief about one joint with its encoder, and the errors of both where there is a ground truth."""
-    name, t, mean = estimate.joints.names[m], estimate.joints.t, estimate.joints.values[:, m]
+    """The belief about one joint with its encoder, and
+    the errors of both where there is a ground truth.
+    """
+    name = estimate.joints.names[m]
+    t = estimate.joints.t
+    mean = estimate.joints.values[:, m]
     spread = 2.0 * np.sqrt(np.maximum(estimate.cov[:, m, m], 0.0))
-    encoder, truth = _line_trace(recording.joints, name, "encoder", "encoder"), _line_trace(recording.truth, name, "truth", "truth")
-    belief = PlotTrace("2σ", "belief", t, mean - spread, "band", mean + spread), PlotTrace("belief", "belief", t, mean)
+    encoder = _line_trace(recording.joints, name, "encoder", "encoder")
+    truth = _line_trace(recording.truth, name, "truth", "truth")
+    belief = (
+        PlotTrace("2σ", "belief", t, mean - spread, "band", mean + spread),
+        PlotTrace("belief", "belief", t, mean),
+    )
     yield Panel(f"{name}, rad", (*encoder, *belief, *truth), half=bool(truth))
     for real in truth:
-        off = tuple(PlotTrace(x.name, x.ink, x.t, x.y - np.interp(x.t, real.t, real.y)) for x in (*encoder, belief[1]))
+        off = tuple(
+            PlotTrace(x.name, x.ink, x.t, x.y - np.interp(x.t, real.t, real.y))
+            for x in (*encoder, belief[1])
+        )
         band = PlotTrace("2σ", "belief", t, -spread, "band", spread)
         yield Panel(f"{name} minus truth, rad", (*off[:-1], band, off[-1]), half=True)
 
@@ -91,13 +130,17 @@ def _track_panels(features: Features, estimate: Estimate) -> Iterator[Panel]:
             expected = _line_trace(estimate.predicted.get(name), axis, "predicted", "predicted")
             band = _band_trace(estimate.predicted.get(name), axis)
             seen = PlotTrace("measured", ink, track.t, track.values[:, d], "dots")
-            yield Panel(f"{name} {axis}, {track.unit}", (*band, *expected, seen), half=len(track.names) == 2)
+            yield Panel(
+                f"{name} {axis}, {track.unit}", (*band, *expected, seen), half=len(track.names) == 2
+            )
 
 
 def _touch_panels(recording: Recording, features: Features) -> Iterator[Panel]:
     if recording.skin is not None and recording.skin.values.size:
         strongest = np.fmax.reduce(recording.skin.values, axis=1)
-        yield Panel("skin, 0..1", (PlotTrace("strongest cell", "felt", recording.skin.t, strongest),))
+        yield Panel(
+            "skin, 0..1", (PlotTrace("strongest cell", "felt", recording.skin.t, strongest),)
+        )
     touches = features.touches or ()
     strokes = tuple((x.start, x.end) for x in features.strokes)
     if touches or strokes:
@@ -108,13 +151,25 @@ def _touch_panels(recording: Recording, features: Features) -> Iterator[Panel]:
         onset = np.array([touches[pair.touch].onset for pair in features.synchrony])
         weight = np.array([pair.weight for pair in features.synchrony])
         delay = np.array([pair.delay for pair in features.synchrony])
-        yield Panel("synchrony, 0..1", (PlotTrace("weight", "c4", onset, weight, "stems"),), limits=(0.0, 1.0), half=True)
-        yield Panel("seen minus felt, s", (PlotTrace("delay", "c4", onset, delay, "stems"),), floor=0.0, half=True)
+        yield Panel(
+            "synchrony, 0..1",
+            (PlotTrace("weight", "c4", onset, weight, "stems"),),
+            limits=(0.0, 1.0),
+            half=True,
+        )
+        yield Panel(
+            "seen minus felt, s",
+            (PlotTrace("delay", "c4", onset, delay, "stems"),),
+            floor=0.0,
+            half=True,
+        )
 
 
 def _column_traces(series: Series, kind: str = "line") -> tuple[PlotTrace, ...]:
     names = enumerate(series.names[:COLUMNS])
-    return tuple(PlotTrace(name, f"c{d % _INKS}", series.t, series.values[:, d], kind) for d, name in names)
+    return tuple(
+        PlotTrace(name, f"c{d % _INKS}", series.t, series.values[:, d], kind) for d, name in names
+    )
 
 
 def _line_trace(series: Series | None, column: str, name: str, ink: str) -> tuple[PlotTrace, ...]:

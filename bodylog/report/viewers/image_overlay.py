@@ -13,9 +13,14 @@ from ...overlay_style import PREDICTED, ellipse_corners, measurement_ink
 from ...types import Array, Estimate, Features, Recording, Series
 
 _RIM = (20, 20, 20)
-_MEASURED, _PREDICTED, _HAND = (ink.rgb[::-1] for ink in (measurement_ink("effector"), PREDICTED, measurement_ink("hand")))  # BGR
+# BGR
+_MEASURED, _PREDICTED, _HAND = (
+    ink.rgb[::-1] for ink in (measurement_ink("effector"), PREDICTED, measurement_ink("hand"))
+)
 _WIDTH = 480
-_ACROSS, _TILE = 3, 320  # images per row of a sheet, and their width there in px
+# images per row of a sheet, and their width there in px
+_ACROSS = 3
+_TILE = 320
 _FINE = 4  # cv2 draws in 1/16 px with shift 4
 
 
@@ -28,25 +33,50 @@ class OverlayPicture:
     caption: str
 
 
-def draw_overlay(image: Array, seen: Array | None, predicted: Array | None, cov: Array | None, hand: Array | None) -> Array:
-    """A copy of image (H,W,3) BGR: measured ring, predicted cross with the 2σ ellipse of cov (2,2) px², hand square."""
+def draw_overlay(
+    image: Array, seen: Array | None, predicted: Array | None, cov: Array | None, hand: Array | None
+) -> Array:
+    """A copy of image (H,W,3) BGR: measured ring, predicted
+    cross with the 2σ ellipse of cov (2,2) px², hand square.
+    """
     import cv2
 
     drawn = image.copy()
-    for width, inks in ((4, (_RIM,) * 3), (2, (_MEASURED, _PREDICTED, _HAND))):  # a dark rim shows on any ground
+    for width, inks in ((4, (_RIM,) * 3), (2, (_MEASURED, _PREDICTED, _HAND))):
+        # a dark rim shows on any ground
         if (place := _drawable_point(predicted)) is not None:
             for arm in (np.array([5.0, 0.0]), np.array([0.0, 5.0])):
-                cv2.line(drawn, _fixed_point(place - arm), _fixed_point(place + arm), inks[1], width, cv2.LINE_AA, _FINE)
+                cv2.line(
+                    drawn,
+                    _fixed_point(place - arm),
+                    _fixed_point(place + arm),
+                    inks[1],
+                    width,
+                    cv2.LINE_AA,
+                    _FINE,
+                )
             _draw_ellipse(drawn, place, cov, inks[1], width)
         if (place := _drawable_point(seen)) is not None:
             cv2.circle(drawn, _fixed_point(place), 11 << _FINE, inks[0], width, cv2.LINE_AA, _FINE)
         if (place := _drawable_point(hand)) is not None:
-            cv2.rectangle(drawn, _fixed_point(place - 9.0), _fixed_point(place + 9.0), inks[2], width, cv2.LINE_AA, _FINE)
+            cv2.rectangle(
+                drawn,
+                _fixed_point(place - 9.0),
+                _fixed_point(place + 9.0),
+                inks[2],
+                width,
+                cv2.LINE_AA,
+                _FINE,
+            )
     return drawn
 
 
-def draw_pictures(recording: Recording, features: Features, estimate: Estimate, count: int = 6) -> tuple[OverlayPicture, ...]:
-    """`count` frames of each camera, evenly over the log, with measurements and predictions; () without a camera."""
+def draw_pictures(
+    recording: Recording, features: Features, estimate: Estimate, count: int = 6
+) -> tuple[OverlayPicture, ...]:
+    """`count` frames of each camera, evenly over the log,
+    with measurements and predictions; () without a camera.
+    """
     films = {} if recording.frames is None else {"": recording.frames}
     wanted = [recording.duration_s * (k + 0.5) / count for k in range(count)]
     drawn: list[OverlayPicture] = []
@@ -55,7 +85,8 @@ def draw_pictures(recording: Recording, features: Features, estimate: Estimate, 
         after = next(due)
         for frame in frames():
             if frame.t >= after:
-                with suppress(FormatError):  # a damaged image: health counts it, the next one is shown
+                with suppress(FormatError):
+                    # a damaged image: health counts it, the next one is shown
                     drawn.append(_draw_picture(camera, frame.t, frame.image, features, estimate))
                     if (after := next(due, np.inf)) == np.inf:
                         break
@@ -63,16 +94,26 @@ def draw_pictures(recording: Recording, features: Features, estimate: Estimate, 
 
 
 def overlay_sheet(drawn: Sequence[OverlayPicture], out: Path, hand: bool = True) -> None:
-    """Write the images side by side, each with a caption below, as one PNG; UsageError: no image, suffix."""
+    """Write the images side by side, each with a caption
+    below, as one PNG; UsageError: no image, suffix.
+    """
     if not drawn:
-        raise UsageError(f"{out}: no images to put on the sheet; type: bodylog info LOG to see its cameras")
+        raise UsageError(
+            f"{out}: no images to put on the sheet; type: bodylog info LOG to see its cameras"
+        )
     tiles = [_captioned_tile(picture) for picture in drawn]
     height = max(len(tile) for tile in tiles)
-    sheet = np.full((-(-len(tiles) // _ACROSS) * height, min(_ACROSS, len(tiles)) * _TILE, 3), 255, np.uint8)
+    sheet = np.full(
+        (-(-len(tiles) // _ACROSS) * height, min(_ACROSS, len(tiles)) * _TILE, 3), 255, np.uint8
+    )
     for i, tile in enumerate(tiles):
-        top, left = i // _ACROSS * height, i % _ACROSS * _TILE
+        top = i // _ACROSS * height
+        left = i % _ACROSS * _TILE
         sheet[top : top + len(tile), left : left + _TILE] = tile
-    legend = "green ring: measured | yellow cross, ellipse: predicted, 2 sigma" + " | red square: hand" * hand
+    legend = (
+        "green ring: measured | yellow cross, ellipse: predicted, 2 sigma"
+        + " | red square: hand" * hand
+    )
     key = _caption_strip(legend, sheet.shape[1])
     write_png(np.vstack([sheet, key]), out)
 
@@ -82,7 +123,9 @@ def write_png(image: Array, out: Path) -> None:
     import cv2
 
     if out.suffix.lower() != ".png":
-        raise UsageError(f"{out}: suffix '{out.suffix}'; possible: .png; type: {out.with_suffix('.png')}")
+        raise UsageError(
+            f"{out}: suffix '{out.suffix}'; possible: .png; type: {out.with_suffix('.png')}"
+        )
     with replace_atomically(out) as beside:
         beside.write_bytes(cv2.imencode(".png", image)[1].tobytes())
 
@@ -96,23 +139,37 @@ def scale_image(image: Array, width: int) -> Array:
     return cv2.resize(image, (width, height), interpolation=method)
 
 
-def _draw_picture(camera: str, t: float, image: Array, features: Features, estimate: Estimate) -> OverlayPicture:
+def _draw_picture(
+    camera: str, t: float, image: Array, features: Features, estimate: Estimate
+) -> OverlayPicture:
     at = f"{camera}/" if camera else ""
     name = f"{at}effector"
-    seen, hand = _place_at_time(features.tracks.get(name), t), _place_at_time(features.tracks.get(f"{at}hand"), t)
-    mean, row = _place_at_time(estimate.predicted.get(name), t), _nearest_row(estimate.predicted.get(name), t)
-    cov = estimate.predicted_cov[name][row] if row is not None and name in estimate.predicted_cov else None
-    caption = f"{f'{camera} · ' if camera else ''}{t:.2f} s · {'not seen' if seen is None else 'seen'}"
+    seen = _place_at_time(features.tracks.get(name), t)
+    hand = _place_at_time(features.tracks.get(f"{at}hand"), t)
+    mean = _place_at_time(estimate.predicted.get(name), t)
+    row = _nearest_row(estimate.predicted.get(name), t)
+    cov = (
+        estimate.predicted_cov[name][row]
+        if row is not None and name in estimate.predicted_cov
+        else None
+    )
+    caption = (
+        f"{f'{camera} · ' if camera else ''}{t:.2f} s · {'not seen' if seen is None else 'seen'}"
+    )
     if seen is not None and mean is not None:
         caption += f" · {np.hypot(*(seen - mean)):.1f} px apart"
     return OverlayPicture(t, _draw_enlarged_overlay(image, seen, mean, cov, hand), caption)
 
 
-def _draw_enlarged_overlay(image: Array, seen: Array | None, mean: Array | None, cov: Array | None, hand: Array | None) -> Array:
+def _draw_enlarged_overlay(
+    image: Array, seen: Array | None, mean: Array | None, cov: Array | None, hand: Array | None
+) -> Array:
     """The overlay on the image scaled to `_WIDTH` px, so that marks have one size."""
     scale = _WIDTH / image.shape[1]
     seen, mean, hand = (None if p is None else (p + 0.5) * scale - 0.5 for p in (seen, mean, hand))
-    return draw_overlay(scale_image(image, _WIDTH), seen, mean, None if cov is None else cov * scale**2, hand)
+    return draw_overlay(
+        scale_image(image, _WIDTH), seen, mean, None if cov is None else cov * scale**2, hand
+    )
 
 
 def _place_at_time(track: Series | None, t: float) -> Array | None:
@@ -137,7 +194,9 @@ def _fixed_point(point: Array) -> tuple[int, int]:
     return round(float(point[0]) * (1 << _FINE)), round(float(point[1]) * (1 << _FINE))
 
 
-def _draw_ellipse(image: Array, centre: Array, cov: Array | None, ink: tuple[int, int, int], width: int) -> None:
+def _draw_ellipse(
+    image: Array, centre: Array, cov: Array | None, ink: tuple[int, int, int], width: int
+) -> None:
     import cv2
 
     if cov is None or not np.isfinite(cov).all() or not 0 < np.linalg.eigvalsh(cov)[-1] < 1e8:
@@ -150,7 +209,12 @@ def _draw_ellipse(image: Array, centre: Array, cov: Array | None, ink: tuple[int
 
 def _captioned_tile(picture: OverlayPicture) -> Array:
     # cv2's fonts have only ASCII
-    return np.vstack([scale_image(picture.image, _TILE), _caption_strip(picture.caption.replace("·", "|"), _TILE)])
+    return np.vstack(
+        [
+            scale_image(picture.image, _TILE),
+            _caption_strip(picture.caption.replace("·", "|"), _TILE),
+        ]
+    )
 
 
 def _caption_strip(text: str, width: int) -> Array:

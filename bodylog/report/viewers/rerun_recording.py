@@ -1,4 +1,5 @@
-"""What Rerun does not draw from a log: the overlay on images, the belief with its band, errors, events.
+"""What Rerun does not draw from a log: the overlay
+on images, the belief with its band, errors, events.
 
 The timeline is `message_log_time`, as of Rerun's messages from an MCAP.
 """
@@ -19,7 +20,9 @@ ROOT = "bodylog"
 """Root entity beside the log's own topics; joints are below /bodylog/belief and /bodylog/errors."""
 TIME = "message_log_time"
 _PLANE = "_image_plane"
-"""Rerun puts an image of frame X into the frame X_image_plane; only entities in that frame are drawn on it."""
+"""Rerun puts an image of frame X into the frame
+X_image_plane; only entities in that frame are drawn on it.
+"""
 CORNER = 0.5
 """px: Rerun counts from the first pixel's corner, tracks from its centre."""
 Event = tuple[int, str, str]
@@ -28,7 +31,8 @@ Event = tuple[int, str, str]
 
 @dataclass(frozen=True)
 class RerunCamera:
-    """A camera's image topic, its frame_id, which puts the overlay into the image's plane, and its frames.
+    """A camera's image topic, its frame_id, which puts
+    the overlay into the image's plane, and its frames.
 
     `frames` is None where there is nothing to decode.
     """
@@ -44,13 +48,18 @@ class RerunCamera:
 
 
 def write_companion(
-    out: Path, identity: str, unshown: Container[str], cameras: Mapping[str, RerunCamera], features: Features | None,
-    estimate: Estimate | None, truth: Series | None,
-) -> None:  # fmt: skip
+    out: Path,
+    identity: str,
+    unshown: Container[str],
+    cameras: Mapping[str, RerunCamera],
+    features: Features | None,
+    estimate: Estimate | None,
+    truth: Series | None,
+) -> None:
     """Write the companion of the recording `identity` to `out` (.rrd), with the layout of a window.
 
-    `cameras` have the names before the last / of their tracks' names: "" is the first. Images of `unshown`
-    entities are written too.
+    `cameras` have the names before the last / of their tracks' names: "" is the first. Images of
+    `unshown` entities are written too.
     """
     import rerun
 
@@ -96,23 +105,35 @@ def _send_pictures(stream: Any, camera: RerunCamera, frames: Iterable[LazyImage]
     stream.reset_time()
 
 
-def _send_measured_points(stream: Any, cameras: Mapping[str, RerunCamera], features: Features) -> None:
+def _send_measured_points(
+    stream: Any, cameras: Mapping[str, RerunCamera], features: Features
+) -> None:
     """Points at measured places, below the entity of their camera's image."""
     for name, track in features.tracks.items():
         if camera := cameras.get(name.rpartition("/")[0]):
             _send_points(stream, camera, f"{name} seen", track, measurement_ink(name).rgb)
 
 
-def _send_predicted_points(stream: Any, cameras: Mapping[str, RerunCamera], estimate: Estimate) -> None:
+def _send_predicted_points(
+    stream: Any, cameras: Mapping[str, RerunCamera], estimate: Estimate
+) -> None:
     """Points at predicted places, with their 2-sigma ellipses."""
     for name, track in estimate.predicted.items():
         if camera := cameras.get(name.rpartition("/")[0]):
             _send_points(stream, camera, f"{name} predicted", track, PREDICTED.rgb)
             if name in estimate.predicted_cov:
-                _send_ellipses(stream, camera, f"{name} predicted, 2 sigma", track, estimate.predicted_cov[name])
+                _send_ellipses(
+                    stream,
+                    camera,
+                    f"{name} predicted, 2 sigma",
+                    track,
+                    estimate.predicted_cov[name],
+                )
 
 
-def _send_points(stream: Any, camera: RerunCamera, name: str, track: Series, colour: tuple[int, int, int]) -> None:
+def _send_points(
+    stream: Any, camera: RerunCamera, name: str, track: Series, colour: tuple[int, int, int]
+) -> None:
     """One point per row; an empty row where nothing was seen, so that no old point stays."""
     import rerun
 
@@ -120,7 +141,9 @@ def _send_points(stream: Any, camera: RerunCamera, name: str, track: Series, col
     columns = rerun.Points2D.columns(positions=track.values[seen] + CORNER)
     style = rerun.Points2D.from_fields(colors=[colour], radii=rerun.Radius.ui_points(4.0))
     path = _entity_in_image(stream, camera, name, style)
-    stream.send_columns(path, [_time_column(track.source_ns)], columns.partition(seen.astype(np.int64)))
+    stream.send_columns(
+        path, [_time_column(track.source_ns)], columns.partition(seen.astype(np.int64))
+    )
 
 
 def _send_ellipses(stream: Any, camera: RerunCamera, name: str, track: Series, cov: Array) -> None:
@@ -130,8 +153,12 @@ def _send_ellipses(stream: Any, camera: RerunCamera, name: str, track: Series, c
     corners = ellipse_corners(track.values[known] + CORNER, cov[known])
     strips = list(np.concatenate([corners, corners[:, :1]], axis=1))
     columns = rerun.LineStrips2D.columns(strips=strips)
-    path = _entity_in_image(stream, camera, name, rerun.LineStrips2D.from_fields(colors=[PREDICTED.rgb]))
-    stream.send_columns(path, [_time_column(track.source_ns)], columns.partition(known.astype(np.int64)))
+    path = _entity_in_image(
+        stream, camera, name, rerun.LineStrips2D.from_fields(colors=[PREDICTED.rgb])
+    )
+    stream.send_columns(
+        path, [_time_column(track.source_ns)], columns.partition(known.astype(np.int64))
+    )
 
 
 def _entity_in_image(stream: Any, camera: RerunCamera, name: str, style: Any) -> str:
@@ -145,27 +172,60 @@ def _entity_in_image(stream: Any, camera: RerunCamera, name: str, style: Any) ->
 
 
 def _send_belief(stream: Any, estimate: Estimate, truth: Series | None) -> None:
-    ns, spread = estimate.joints.source_ns, 2.0 * np.sqrt(np.maximum(np.diagonal(estimate.cov, 0, 1, 2), 0.0))
+    ns = estimate.joints.source_ns
+    spread = 2.0 * np.sqrt(np.maximum(np.diagonal(estimate.cov, 0, 1, 2), 0.0))
     for m, name in enumerate(estimate.joints.names):
         mean = estimate.joints.values[:, m]
         band = np.stack([mean, mean - spread[:, m], mean + spread[:, m]], axis=1)
-        _send_lines(stream, _entity_path(ROOT, "belief", name), ns, band, (name, "-2 sigma", "+2 sigma"), BELIEF.rgb)
+        _send_lines(
+            stream,
+            _entity_path(ROOT, "belief", name),
+            ns,
+            band,
+            (name, "-2 sigma", "+2 sigma"),
+            BELIEF.rgb,
+        )
         if truth is not None and name in truth.names:
             real = truth.values[:, [truth.names.index(name)]]
-            _send_lines(stream, _entity_path(ROOT, "belief", name, "truth"), truth.source_ns, real, ("truth",), TRUTH.rgb)
+            _send_lines(
+                stream,
+                _entity_path(ROOT, "belief", name, "truth"),
+                truth.source_ns,
+                real,
+                ("truth",),
+                TRUTH.rgb,
+            )
     for sense, errors in estimate.errors.items():
-        _send_lines(stream, _entity_path(ROOT, "errors", sense), errors.source_ns, errors.values, errors.names, None)
+        _send_lines(
+            stream,
+            _entity_path(ROOT, "errors", sense),
+            errors.source_ns,
+            errors.values,
+            errors.names,
+            None,
+        )
     energy = estimate.free_energy[:, None]
-    _send_lines(stream, _entity_path(ROOT, "energy"), ns, energy, ("free energy, nats",), BELIEF.rgb)
+    _send_lines(
+        stream, _entity_path(ROOT, "energy"), ns, energy, ("free energy, nats",), BELIEF.rgb
+    )
 
 
 def _send_lines(
-    stream: Any, path: str, ns: Array, values: Array, names: tuple[str, ...], colour: tuple[int, int, int] | None
+    stream: Any,
+    path: str,
+    ns: Array,
+    values: Array,
+    names: tuple[str, ...],
+    colour: tuple[int, int, int] | None,
 ) -> None:
-    """Columns (N,D) as D lines of one entity; the second and later of a coloured one are fainter."""
+    """Columns (N,D) as D lines of one entity; the
+    second and later of a coloured one are fainter.
+    """
     import rerun
 
-    faint = None if colour is None else [(*colour, 255 if d == 0 else 110) for d in range(len(names))]
+    faint = (
+        None if colour is None else [(*colour, 255 if d == 0 else 110) for d in range(len(names))]
+    )
     stream.log(path, rerun.SeriesLines(names=list(names), colors=faint), static=True)
     if len(ns):
         columns = rerun.Scalars.columns(scalars=np.asarray(values, float))
@@ -211,7 +271,9 @@ def _time_column(ns: Array) -> Any:
 
 
 def _window_layout(cameras: Sequence[RerunCamera], estimate: Estimate | None) -> Any:
-    """The layout: images with the overlay, beside belief, errors, free energy and events over time."""
+    """The layout: images with the overlay, beside
+    belief, errors, free energy and events over time.
+    """
     import rerun.blueprint as rrb
 
     pictures = [rrb.Spatial2DView(origin=camera.entity, name="picture") for camera in cameras]
@@ -220,8 +282,16 @@ def _window_layout(cameras: Sequence[RerunCamera], estimate: Estimate | None) ->
         for name in (estimate.joints.names if estimate else ())
     ] or [rrb.TimeSeriesView(origin="/", name="signals")]
     if estimate is not None:
-        plots.append(rrb.TimeSeriesView(origin=_entity_path(ROOT, "errors"), name="errors, standard deviations"))
-        plots.append(rrb.TimeSeriesView(origin=_entity_path(ROOT, "energy"), name="free energy, nats"))
-    left = rrb.Vertical(*pictures, rrb.TextLogView(origin=_entity_path(ROOT, "events"), name="touches and faults"))
+        plots.append(
+            rrb.TimeSeriesView(
+                origin=_entity_path(ROOT, "errors"), name="errors, standard deviations"
+            )
+        )
+        plots.append(
+            rrb.TimeSeriesView(origin=_entity_path(ROOT, "energy"), name="free energy, nats")
+        )
+    left = rrb.Vertical(
+        *pictures, rrb.TextLogView(origin=_entity_path(ROOT, "events"), name="touches and faults")
+    )
     columns = rrb.Horizontal(left, rrb.Vertical(*plots))
     return rrb.Blueprint(columns, rrb.TimePanel(timeline=TIME), collapse_panels=True)

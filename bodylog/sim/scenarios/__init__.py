@@ -1,7 +1,18 @@
 """The table of scenarios: one file and one line each."""
 
 from ..plan import Scenario
-from . import babble, biased_start, drift, frozen, horizontal, reach, rubber_hand, square_encoders, touch, wrong_start
+from . import (
+    babble,
+    biased_start,
+    drift,
+    frozen,
+    horizontal,
+    reach,
+    rubber_hand,
+    square_encoders,
+    touch,
+    wrong_start,
+)
 
 SCENARIOS: dict[str, Scenario] = {
     "babble": babble.SCENARIO,

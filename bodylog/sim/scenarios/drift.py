@@ -3,9 +3,18 @@
 import numpy as np
 
 from ...types import Array
-from ..plan import ScenarioPlan, Request, Scenario, read_angles_with_noise, plan_reaches, swing_of_joints
+from ..plan import (
+    Request,
+    Scenario,
+    ScenarioPlan,
+    plan_reaches,
+    read_angles_with_noise,
+    swing_of_joints,
+)
 
-_FROM, _TO, _SIZE = 8.0, 24.0, 0.3
+_FROM = 8.0
+_TO = 24.0
+_SIZE = 0.3
 
 
 def _drifting_encoders(t: Array, q: Array, noise: Array) -> Array:

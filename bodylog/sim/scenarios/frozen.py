@@ -3,7 +3,14 @@
 import numpy as np
 
 from ...types import Array
-from ..plan import ScenarioPlan, Request, Scenario, read_angles_with_noise, plan_reaches, swing_of_joints
+from ..plan import (
+    Request,
+    Scenario,
+    ScenarioPlan,
+    plan_reaches,
+    read_angles_with_noise,
+    swing_of_joints,
+)
 
 _FROM = 8.0
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from ...types import Array
 from ..motion import stand_still
-from ..plan import ScenarioPlan, Request, Scenario, plan_exploration, swing_of_joints
+from ..plan import Request, Scenario, ScenarioPlan, plan_exploration, swing_of_joints
 
 
 def _plan_square_encoders(request: Request) -> ScenarioPlan:
@@ -18,4 +18,6 @@ def _plan_square_encoders(request: Request) -> ScenarioPlan:
     return ScenarioPlan(stand_still(np.array(request.arm.home)), 0.01, encoders)
 
 
-SCENARIO = Scenario("encoders read x squared", _plan_square_encoders, 15.0, variants=("still", "moving"))
+SCENARIO = Scenario(
+    "encoders read x squared", _plan_square_encoders, 15.0, variants=("still", "moving")
+)
