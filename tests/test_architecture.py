@@ -146,3 +146,75 @@ def test_importing_bodylog_and_asking_for_help_imports_nothing_heavy():
     code = "import sys, bodylog, bodylog_cli\nbodylog_cli.run_command(['--help'])\nprint(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not {"numpy", "scipy", "cv2", "rosbags", "mcap", "pybullet", "matplotlib", "rich"} & set(loaded)
+
+
+BEHAVIOURS = {
+    "": {
+        "architecture",
+        "benchmark_goals",
+        "build",
+        "dependencies",
+        "docs",
+        "every_processor",
+        "method_page",
+        "pages",
+        "paper_page",
+        "platforms",
+        "python_use",
+        "validation_page",
+    },
+    "adversary": {"adversary", "bombs", "servers"},
+    "cli": {
+        "dataset_episodes",
+        "pose_tables",
+        "printed_tags",
+        "real_robots",
+        "refusals",
+        "seven_joints",
+        "stopped_commands",
+        "two_cameras",
+    },
+    "clients": {"mcap_core"},
+    "estimation": {"attainable_error", "recorded_arm"},
+    "experiments": {"notebooks"},
+    "logs": {"damaged_datasets", "hostile_content", "real_logs"},
+    "perception": {"rounding", "simulated_logs"},
+}
+"""Tests of the repository and of whole behaviours, by folder: they are named for no module."""
+
+
+def _list_tested_names() -> dict[str, set[str]]:
+    """What tests may be named for, by folder: a module, its folder, or the two joined."""
+    found: dict[str, set[str]] = {}
+    for path in [*(ROOT / "bodylog").rglob("*.py"), *(ROOT / "cli").glob("*.py")]:
+        *folders, name = path.relative_to(ROOT).with_suffix("").parts
+        room = "cli" if folders[0] == "cli" else "".join(folders[1:2])
+        found.setdefault(room, set()).update({name, folders[-1], f"{folders[-1]}_{name}"})
+    return found
+
+
+def test_tests_are_named_for_what_they_test():
+    tested = _list_tested_names()
+    unused = {(room, name) for room, names in BEHAVIOURS.items() for name in names}
+    wrong = []
+    for path in sorted((ROOT / "tests").rglob("test_*.py")):
+        *folders, name = path.relative_to(ROOT / "tests").with_suffix("").parts
+        room = "".join(folders[:1])
+        name = name.removeprefix("test_")
+        if name in BEHAVIOURS.get(room, ()):
+            unused -= {(room, name)}
+        elif not any(f"{name}_".startswith(f"{one}_") for one in tested.get(room, ())):
+            wrong.append(str(path.relative_to(ROOT)))
+    assert not wrong, "name it test_MODULE.py or test_MODULE_ASPECT.py, in the folder of its module"
+    assert not unused, "BEHAVIOURS names tests that are gone"
+
+
+def test_tests_import_nothing_from_other_tests():
+    wrong = []
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.ImportFrom) and (node.level or str(node.module).startswith("tests")):
+                names = [*str(node.module).split("."), *(alias.name for alias in node.names)]
+                if any(name.startswith("test_") for name in names):
+                    wrong.append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert not wrong, "what several tests use stands in a module of their folder that is no test"

@@ -8,7 +8,7 @@ from bodylog.errors import UsageError
 from bodylog.estimation import estimate_from_features
 from bodylog.settings import EstimationSettings, Settings, TimeSettings
 from tests.body.conftest import run
-from tests.estimation.test_delay import delayed
+from tests.estimation.spoilt_logs import delayed
 
 
 def learned(*features, delay="auto", known=None):

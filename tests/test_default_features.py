@@ -14,7 +14,7 @@ from bodylog.recording import recording
 from bodylog.settings import ColourSettings, Settings, settings_as_values
 from bodylog.sources import ColourSource, TagSource
 from bodylog.types import Recording
-from tests.perception import test_candidates as candidates
+from tests.perception import films as candidates
 
 
 @pytest.fixture

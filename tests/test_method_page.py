@@ -1,30 +1,17 @@
 """docs/method.md names the function behind every equation, and docs/paper.md has the whole reproduced table."""
 
-import ast
 import re
-from pathlib import Path
 
 import pytest
 
 from bodylog.experiments import EXPERIMENTS
+from tests.defined_names import ROOT, list_defined_names
 
-ROOT = Path(__file__).parents[1]
 METHOD = (ROOT / "docs" / "method.md").read_text()
 PAPER = (ROOT / "docs" / "paper.md").read_text()
 EQUATIONS = METHOD.split("## From equation to function")[1]
 ROWS = [line for line in EQUATIONS.splitlines() if re.match(r"\|(?!\s*(equation|what is|-))", line)]
 NAMED = sorted({pair for row in ROWS for pair in re.findall(r"`([\w/]+\.py)` `([\w.]+)`", row)})
-
-
-def _defined(path: Path) -> set[str]:
-    """Functions and classes of a file, methods as Class.method."""
-    found = set()
-    for node in ast.parse(path.read_text()).body:
-        if isinstance(node, ast.FunctionDef | ast.ClassDef):
-            found.add(node.name)
-            members = [one for one in node.body if isinstance(one, ast.FunctionDef)]
-            found |= {f"{node.name}.{one.name}" for one in members} if isinstance(node, ast.ClassDef) else set()
-    return found
 
 
 @pytest.mark.parametrize("row", ROWS)
@@ -34,7 +21,7 @@ def test_equations_name_their_functions(row):
 
 @pytest.mark.parametrize(("file", "name"), NAMED)
 def test_method_page_names_existing_functions(file, name):
-    assert name in _defined(ROOT / "bodylog" / file)
+    assert name in list_defined_names(ROOT / "bodylog" / file)
 
 
 VERDICTS = "kept|refuted|not tested|depends on [^*]+|not testable here|holds|does not hold"

@@ -14,8 +14,7 @@ from bodylog.overlay_style import (
 )
 from bodylog.report.page.template import render_document
 from bodylog.report.viewers.image_overlay import draw_overlay
-
-from .records import series
+from tests.report.records import series
 
 GREY = np.full((200, 300, 3), 128, np.uint8)
 CENTRE = np.array([150.0, 100.0])

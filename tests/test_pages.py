@@ -38,7 +38,7 @@ RUN_ELSEWHERE = {
 """Pages whose blocks another test runs word for word."""
 
 NOT_RUN = {
-    r"https?://|s3://": "no network: tests/test_remote.py reads logs behind URLs",
+    r"https?://|s3://": "no network: tests/io/test_remote.py reads logs behind URLs",
     r"bodylog reproduce": "takes minutes: tests/experiments runs it with few seeds",
     r"bodylog view \S+$": "opens a window",
     r"bodylog doctor DATASET": "tests/dataset runs it on drawn datasets",

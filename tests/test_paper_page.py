@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.test_method import ROOT, _defined
+from tests.defined_names import ROOT, list_defined_names
 
 SOURCE = ROOT.parent / "shared" / "paper" / "lanillos2018.tex"
 PAGE = (ROOT / "docs" / "paper.md").read_text(encoding="utf-8")
@@ -72,4 +72,4 @@ def test_paper_figures_with_data_are_redrawn():
 )
 def test_paper_page_names_existing_functions(place):
     file, name = place
-    assert name in _defined(ROOT / "bodylog" / Path(file))
+    assert name in list_defined_names(ROOT / "bodylog" / Path(file))

@@ -11,7 +11,7 @@ from bodylog.errors import FormatError, LogError
 from bodylog.recording import robot_description
 from bodylog.recording.robot_description import Described
 from bodylog.settings import FitSettings, KinematicsSettings, Settings
-from tests.body.test_kinematic import features, given
+from tests.body.kinematic_arms import features, given
 from tests.kinematics.robots import ARM, JOINTS
 
 LOG = Path("log.mcap")

@@ -8,7 +8,7 @@ import pytest
 
 from bodylog.score_names import FIGURES, RENAMED, score_unit, split_score_name
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 ROWS = dict(re.findall(r"^\| `([^`]+)` \|([^|]*)\|", (ROOT / "docs" / "metrics.md").read_text(), re.MULTILINE))
 
 

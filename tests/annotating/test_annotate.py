@@ -10,8 +10,7 @@ from bodylog.annotating.annotate import annotate_log, write_annotations
 from bodylog.errors import FormatError, InputError, LogError, UsageError
 from bodylog.logs.formats import open_log
 from bodylog.logs.mcap.prefix import reusable_prefix
-
-from .written import (
+from tests.logs.written import (
     START,
     UNSUITED,
     amount,

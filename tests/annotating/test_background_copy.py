@@ -17,8 +17,7 @@ from bodylog.annotating.background_copy import Copy
 from bodylog.errors import LogError, WriteError
 from bodylog.io import temporary
 from bodylog.io.atomic_files import hash_files
-
-from .written import outgoing, source
+from tests.logs.written import outgoing, source
 
 PIECE = 8192
 

@@ -8,8 +8,7 @@ from bodylog.annotating.messages import from_joints, from_skin
 from bodylog.logs.encode.schemas import WRITTEN, ros2msg_definition
 from bodylog.logs.topic_names import escape_topic_name, unescape_topic_name
 from bodylog.types import Series
-
-from .written import JOINTS, LATE, START, found, outgoing
+from tests.logs.written import JOINTS, LATE, START, found, outgoing
 
 
 def decoded(message):

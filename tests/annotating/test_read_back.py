@@ -9,8 +9,7 @@ from bodylog.annotating.messages import from_estimate, from_features
 from bodylog.annotating.read_back import FAULT_DOUBTS, read_estimate, read_features, read_metadata
 from bodylog.errors import FormatError, LogError
 from bodylog.logs.formats import open_log
-
-from .written import START, found, source
+from tests.logs.written import START, found, source
 
 
 def log_of(path, features, estimate):

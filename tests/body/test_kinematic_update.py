@@ -13,7 +13,7 @@ from bodylog.errors import EvidenceError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.pose import find_base
 from bodylog.settings import KinematicsSettings, Settings
-from tests.body.test_kinematic import OFFSETS, features, given
+from tests.body.kinematic_arms import OFFSETS, features, given
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM
 

@@ -1,4 +1,4 @@
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,16 +7,15 @@ import pytest
 
 from bodylog import perception
 from bodylog.body import Polynomial, learn_body
-from bodylog.body.data.pairs import has_moved, pair_sightings, smooth_all_joints
 from bodylog.body.learning import LearnedBody
-from bodylog.body.senses.track import learn_track
 from bodylog.body.storage import load_body, save
 from bodylog.body_model import TouchConstants
 from bodylog.errors import EvidenceError, ModelError
 from bodylog.estimation import estimate_from_features
 from bodylog.recording import recording
 from bodylog.settings import BodySettings, EstimationSettings, FitSettings, Settings
-from bodylog.types import Array, Features, Series
+from bodylog.types import Features, Series
+from tests.body.standard_residuals import standardise_residuals
 
 _ARM = Path(__file__).parents[2].parent / "shared" / "logs" / "arm"
 
@@ -201,21 +200,10 @@ def test_learn_names_an_unselected_joint_that_moved(explored) -> None:
     assert len(moved) == 1 and moved[0].startswith("elbow: moved ")
 
 
-def _standardised(explored: Callable, encoder: float, seed: int) -> dict[str, Array]:
-    """Squared residuals (n,2) over their stated variance: of each tenth held out, and on another motion."""
-    features, other = [explored(seed, encoder).features], explored(seed + 500, encoder)
-    chosen = [joint for joint in smooth_all_joints(features, None) if has_moved(joint)]
-    found = learn_track(pair_sightings(features, "effector", chosen, 1), chosen, FitSettings())
-    value, _, spread = found.gp.predict(other.angles)
-    stated = spread + found.gp.noise + found.floor.mean(axis=0)
-    elsewhere = (other.features.effector.values - value) ** 2 / stated
-    return {"tenths held out": found.residual**2 / found.variance, "another motion": elsewhere}
-
-
 @pytest.mark.parametrize("encoder", [0.0005, 0.02])
 @pytest.mark.parametrize("seeds", [4, pytest.param(20, marks=pytest.mark.soak)])
 def test_learned_body_has_true_error_bars(explored, encoder: float, seeds: int) -> None:
-    runs = [_standardised(explored, encoder, seed) for seed in range(seeds)]
+    runs = [standardise_residuals(explored, encoder, seed) for seed in range(seeds)]
     # the bound is for 20 runs together; 4 of them scatter more
     slack = 1.0 if seeds == 20 else 1.5
     for name in runs[0]:

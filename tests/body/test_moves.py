@@ -13,8 +13,8 @@ from bodylog.errors import ModelError
 from bodylog.kinematics.rotations import make_transform, rotation_from_vector
 from bodylog.settings import Settings
 from bodylog.types import Series
-from tests.body.test_boards import features, image
-from tests.body.test_kinematic import OFFSETS, given
+from tests.body.boards import features, image
+from tests.body.kinematic_arms import OFFSETS, given
 from tests.kinematics import robots
 
 STEP = np.array([0.03, 0.0, -0.02, 0.0, 0.06, 0.04])

@@ -18,8 +18,8 @@ from bodylog.body.kinematic.next_poses import (
 )
 from bodylog.errors import EvidenceError
 from bodylog.settings import Settings
-from tests.body.test_boards import features
-from tests.body.test_kinematic import given
+from tests.body.boards import features
+from tests.body.kinematic_arms import given
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS
 

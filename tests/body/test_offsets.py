@@ -11,7 +11,7 @@ from bodylog.body import storage as files
 from bodylog.body.kinematic import offsets, update
 from bodylog.errors import ModelError
 from bodylog.settings import BodySettings, KinematicsSettings, Settings
-from tests.body.test_kinematic import features
+from tests.body.kinematic_arms import features
 from tests.kinematics.robots import ARM, JOINTS, angles
 
 SCALE, JOINT = 0.03, 1

@@ -14,11 +14,11 @@ from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import chain_between
 from bodylog.kinematics.rotations import invert_transform, vector_from_rotation
 from bodylog.settings import Settings
-from tests.body.test_boards import features, image
-from tests.body.test_kinematic import OFFSETS, given
+from tests.body.boards import features, image
+from tests.body.kinematic_arms import OFFSETS, given
 from tests.kinematics import robots
+from tests.kinematics.bullet import ends_of
 from tests.kinematics.robots import ARM
-from tests.kinematics.test_chain import ends_of
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bodylog[datasets]'")
 
-from . import arm_dataset
+from tests.dataset import arm_dataset
 
 COUNT = 3
 

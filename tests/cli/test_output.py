@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from bodylog_cli import output
 
-from tests.logs.test_recording import camera, compressed, joint_state, joints
-from tests.logs.writing import T0, write
+from tests.logs.writing import T0, camera, compressed, joint_state, joints, write
 
 EVIL = "\x1b[2J\x1b]0;title\x07\nbodylog: all is well"
 

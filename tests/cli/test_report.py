@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from .test_html import LIMIT, plotted, titles
+from tests.report.pages import LIMIT, plotted, titles
 
 
 @pytest.fixture(scope="module")

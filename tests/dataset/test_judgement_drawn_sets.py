@@ -12,9 +12,9 @@ pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bo
 from bodylog.dataset.judgement import DatasetJudgement
 from bodylog.dataset.siblings import find_step
 from bodylog.dataset.views import Views, compare_views, encode_view, find_moved
+from tests.dataset.judged_episodes import examined, judged
 
 from . import drawn_sets
-from .test_faults import examined, judged
 
 COUNT = 8
 """Episodes of a dataset."""

@@ -80,3 +80,21 @@ def judged(world: World, joints: Series, cov: Array) -> tuple[float, float]:
     error = joints.values - truth
     typical = np.sort((error**2).ravel())[: -max(1, error.size // 1000)]
     return float(np.sqrt(np.mean(typical))), float(np.mean(error**2 / np.einsum("nii->ni", cov)))
+
+
+READ = (
+    {"noise": 0.02},
+    {"noise": 0.003, "camera_hz": 30.0},
+    {"noise": 0.005, "gaps": 3},
+    {"noise": 0.001, "encoder_hz": 125.0, "slip": 0.004},
+    {"step": 1e-6, "encoder_hz": 100.0, "camera_hz": 30.0},
+    {"step": 1e-4},
+    {"step": 1.5e-3},
+    {"step": 1.5e-3, "noise": 1e-3},
+    {"step": 1.5e-3, "encoder_hz": 20.0, "slip": 0.006},
+    {"step": 1.5e-3, "encoder_hz": 200.0, "slip": 0.006, "camera_hz": 30.0},
+    {"step": 1.5e-3, "noise": 5e-4, "encoder_hz": 18.0, "slip": 0.003, "gaps": 2, "camera_hz": 10.0},
+    {"step": 4.6e-3, "noise": 0.002, "encoder_hz": 100.0, "slip": 0.01},
+    {"step": 0.01, "gaps": 2},
+)
+"""How joints are read: 13 ways for each of four motions, four seeds each: 208 logs, with a camera and without."""

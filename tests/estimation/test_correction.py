@@ -7,13 +7,7 @@ import pytest
 
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.estimation.timing.correction import is_significant, measured_delays
-
-
-def delayed(features, seconds):
-    """Delay image timestamps by camera, {"" or name: s}, or all by one number."""
-    by = seconds if isinstance(seconds, dict) else dict.fromkeys(("", "side"), seconds)
-    tracks = {name: replace(t, t=t.t + by.get(name.rpartition("/")[0], 0.0)) for name, t in features.tracks.items()}
-    return replace(features, tracks=tracks)
+from tests.estimation.spoilt_logs import delayed
 
 
 def spoilt(drawn, how):

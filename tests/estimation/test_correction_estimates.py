@@ -10,7 +10,7 @@ from bodylog.estimation import METHODS, estimate_from_features
 from bodylog.evaluation.heldout import score_withheld_frames, withhold_frames
 from bodylog.evaluation.scores import against_truth
 from bodylog.settings import EstimationSettings
-from tests.estimation.test_delay import delayed
+from tests.estimation.spoilt_logs import delayed
 
 
 def nees(found, drawn):

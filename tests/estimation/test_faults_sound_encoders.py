@@ -10,25 +10,9 @@ from bodylog.estimation import estimate_from_features
 from bodylog.recording import recording
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Features, Series
-from tests.estimation.resting import MOTIONS, Drawn, drawn
+from tests.estimation.resting import MOTIONS, READ, Drawn, drawn
 
 SHARED = Path(__file__).parents[3] / "shared"
-READ = (
-    {"noise": 0.02},
-    {"noise": 0.003, "camera_hz": 30.0},
-    {"noise": 0.005, "gaps": 3},
-    {"noise": 0.001, "encoder_hz": 125.0, "slip": 0.004},
-    {"step": 1e-6, "encoder_hz": 100.0, "camera_hz": 30.0},
-    {"step": 1e-4},
-    {"step": 1.5e-3},
-    {"step": 1.5e-3, "noise": 1e-3},
-    {"step": 1.5e-3, "encoder_hz": 20.0, "slip": 0.006},
-    {"step": 1.5e-3, "encoder_hz": 200.0, "slip": 0.006, "camera_hz": 30.0},
-    {"step": 1.5e-3, "noise": 5e-4, "encoder_hz": 18.0, "slip": 0.003, "gaps": 2, "camera_hz": 10.0},
-    {"step": 4.6e-3, "noise": 0.002, "encoder_hz": 100.0, "slip": 0.01},
-    {"step": 0.01, "gaps": 2},
-)
-"""How joints are read: 13 ways for each of four motions, four seeds each: 208 logs, with a camera and without."""
 
 
 def accused(joints: Series) -> list[str]:

@@ -10,33 +10,15 @@ from bodylog.estimation.faults.moved_camera import detect_moved_camera
 from bodylog.estimation.faults.screening import screen_measurements
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.settings import EstimationSettings
+from tests.estimation.moved_cameras import MOVED, cameras, moved
 from tests.estimation.resting import MOTIONS, Drawn, drawn, judged
 from tests.seeds import seeds
-
-MOVED = 8.0
-
-
-def moved(features, px, angle, since=MOVED, names=None):
-    """The features with positions displaced by px at some angle from a time on."""
-    tracks = dict(features.tracks)
-    for name in names or tracks:
-        off = np.outer(tracks[name].t >= since, px * np.array([np.cos(angle), np.sin(angle)]))
-        tracks[name] = replace(tracks[name], values=tracks[name].values + off)
-    return replace(features, tracks=tracks)
 
 
 def stepped(features, joint, size, since):
     joints = features.joints
     values = joints.values + size * np.outer(joints.t >= since, np.arange(3) == joint)
     return replace(features, joints=replace(joints, values=values))
-
-
-def cameras(features, body):
-    return [
-        fault
-        for fault in screen_measurements(features, body, EstimationSettings()).faults
-        if fault.sense == "vision"
-    ]
 
 
 @pytest.mark.parametrize("px", [5.0, 30.0])

@@ -11,19 +11,8 @@ from bodylog.estimation.inference import gauss_newton, instant
 from bodylog.estimation.methods import filtering, smoother
 from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import Explored
+from tests.estimation.spoilt_logs import ALL, muted
 from tests.seeds import seeds
-
-ALL = ("pan", "lift", "elbow")
-
-
-def muted(features, begin, end, names=ALL):
-    """Without a word of some encoders from begin to end (s)."""
-    joints = features.joints
-    gone = np.outer((joints.t >= begin) & (joints.t < end), np.isin(joints.names, names))
-    values = np.where(gone, np.nan, joints.values)
-    keep = np.isfinite(values).any(axis=1)
-    few = replace(joints, t=joints.t[keep], values=values[keep], source_ns=joints.source_ns[keep])
-    return replace(features, joints=few)
 
 
 def shifted(features, size, rows, name):

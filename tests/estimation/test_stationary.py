@@ -15,7 +15,7 @@ from bodylog.estimation.live.estimator import LiveEstimator
 from bodylog.estimation.methods import filtering, smoother
 from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import discretised
-from tests.estimation.test_lost import muted
+from tests.estimation.spoilt_logs import muted
 
 VAR = {2: np.array([[0.3, 1.2], [0.5, 0.1]]), 3: np.array([[0.3, 1.2], [0.5, 0.1], [2.0, 0.4]])}
 PROCESS = np.array([0.7, 20.0])

@@ -75,8 +75,8 @@ LOW = {HOSTILE: [0.0]}
 def test_whatever_a_claim_says_stays_text():
     bound = Bound("≤", 1.0)
     cells = (HOSTILE, HOSTILE, HOSTILE, HOSTILE, bound)
-    claims = [judge_own_claim(*cells, [0.0], HOSTILE), judge_comparison(*cells, LOW, HOSTILE, HOSTILE), judge_erratum(*cells, LOW, HOSTILE),
-              judge_variants(*cells, {"a": [2.0], HOSTILE: [0.0]}, HOSTILE, HOSTILE),
+    claims = [judge_own_claim(*cells, [0.0], HOSTILE), judge_comparison(*cells, LOW, HOSTILE, HOSTILE),
+              judge_erratum(*cells, LOW, HOSTILE), judge_variants(*cells, {"a": [2.0], HOSTILE: [0.0]}, HOSTILE, HOSTILE),
               judge_paper_claim(*cells, HOSTILE, lambda key, name: (0.0,), ["centre"], explanation=HOSTILE)]  # fmt: skip
     assert "<script" not in tables.claim_tables(claims)
     assert "<script" not in "".join(map(tables.outcomes_table, claims))

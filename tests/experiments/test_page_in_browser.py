@@ -8,8 +8,8 @@ from bodylog.experiments.claims import Bound
 from bodylog.experiments.judging import judge_own_claim
 from bodylog.experiments.records import Experiment, ExperimentReadings, TextTable, build_panel
 from tests.report import browser
-from tests.report.test_html import HOSTILE
-from tests.report.test_page_in_browser import BLANK, DRAWN, RANGES, drag_across
+from tests.report.browser import BLANK, DRAWN, RANGES, drag_across
+from tests.report.pages import HOSTILE
 
 pytestmark = pytest.mark.skipif(
     not (browser.DRIVER and browser.BROWSER), reason="needs chromium and chromedriver on the path"

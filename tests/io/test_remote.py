@@ -21,7 +21,7 @@ from tests.logs.writing import T0, Stream, write
 
 pytest.importorskip("fsspec")
 
-FILES = sorted((Path(__file__).parents[1] / "fixtures" / "containers").glob("*.mcap"))
+FILES = sorted((Path(__file__).parents[2] / "fixtures" / "containers").glob("*.mcap"))
 
 
 class _Ranges(SimpleHTTPRequestHandler):
@@ -131,7 +131,7 @@ def test_mapped_remote_reads_no_images_for_info(tmp_path, monkeypatch):
 def test_info_over_http_equals_the_files(served, robot):
     folder, address = served
     shutil.copy(robot / "reach.mcap", folder / "reach.mcap")
-    bag = Path(__file__).parents[1] / "fixtures" / "containers" / "lz4.bag"
+    bag = Path(__file__).parents[2] / "fixtures" / "containers" / "lz4.bag"
     shutil.copy(bag, folder / "lz4.bag")
     for path in folder.iterdir():
         described, here = info.describe_file(f"{address}/{path.name}", Settings()), info.describe_file(path, Settings())

@@ -1,28 +1,15 @@
 """Joint scales as unknowns: derivatives by finite differences, found where wrong, not claimed where right."""
 
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from bodylog.kinematics import identifiability, urdf
-from bodylog.kinematics.calibration import calibrate_rig
 from bodylog.kinematics.instant import compile_predictor
 from bodylog.kinematics.pose import find_base, pose_in_base
-from bodylog.kinematics.starts import find_starts
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS
-
-PRIOR, STEP = 0.02, 1e-6
-
-
-def scaled(rig):
-    return replace(rig, scale_doubt=np.full(len(rig.joints), PRIOR))
-
-
-def solve(rig, data):
-    anchored, first = find_starts(rig, [data])
-    return calibrate_rig(anchored, [data], first)
+from tests.kinematics.scaled_joints import STEP, scaled, solve
 
 
 @pytest.mark.parametrize("make", [robots.rig, robots.board])

@@ -10,8 +10,8 @@ from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import chain_between
 from bodylog.kinematics.corrected import CameraFrame, correct_urdf
 from bodylog.kinematics.rotations import make_transform, rotation_from_vector
+from tests.kinematics.bullet import ends_of
 from tests.kinematics.robots import MIXED
-from tests.kinematics.test_chain import ends_of
 
 ZEROS = {"rail": 0.02, "turn": 0.1, "side": -0.2}
 

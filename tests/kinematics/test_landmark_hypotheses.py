@@ -15,8 +15,7 @@ from bodylog.kinematics.landmark_hypotheses import (
 )
 from bodylog.kinematics.landmarks import LandmarkBelief
 from bodylog.types import Array
-
-from .test_landmarks import JOINTS, model, motion, seen, truth
+from tests.kinematics.landmark_arm import JOINTS, model, motion, seen, truth
 
 NATS = 8.0
 

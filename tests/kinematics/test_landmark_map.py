@@ -8,8 +8,7 @@ from bodylog.body_model import LandmarkMap
 from bodylog.kinematics.landmark_adjustment import Landmarks, reduce_normal
 from bodylog.kinematics.landmark_map import foretell, nearest_views, place_prior, view_maps
 from bodylog.kinematics.landmarks import LandmarkBelief, LandmarkModel, LandmarkSightings
-
-from .test_landmarks import model, motion, seen, truth
+from tests.kinematics.landmark_arm import model, motion, seen, truth
 
 
 def with_changes(built: LandmarkModel) -> LandmarkModel:

@@ -9,9 +9,8 @@ import pytest
 
 from bodylog.logs.decode import batch_decoders
 from bodylog.logs.decode.columns import read_topic_columns
+from tests.logs.memory_logs import STATE, Messages, topic
 
-from .test_columns import Messages
-from .test_dynamic import STATE, topic
 from .writing import wire
 
 JSON = topic(b"", "json", "x")

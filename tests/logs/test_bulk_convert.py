@@ -4,8 +4,7 @@ import pytest
 from bodylog.errors import FormatError
 from bodylog.logs.decode.ros1_to_cdr import make_cdr_converter
 from bodylog.types import Topic
-
-from .test_transcode import CUSTOM, KINDS, ros1_store, values
+from tests.logs.ros1_messages import CUSTOM, KINDS, ros1_store, values
 
 CUSTOM_TOPIC = Topic(0, "/t", KINDS[2], "ros1", CUSTOM.encode(), "ros1msg", 0)
 

@@ -3,7 +3,6 @@
 import json
 import struct
 import tracemalloc
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,7 +15,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from bodylog.errors import ConfigError, FormatError
 from bodylog.logs.decode.columns import read_topic_columns
 from bodylog.logs.decode.parts import TopicColumns
-from bodylog.types import Batch, Topic
+from bodylog.types import Topic
+from tests.logs.memory_logs import Messages
 
 from .writing import T0, joint_state
 
@@ -32,20 +32,6 @@ class Member:
     name: str
     type: str
     size: str
-
-
-class Messages:
-    """A log of one topic held in memory, a few messages to a batch."""
-
-    def __init__(self, payloads: list[bytes], batch: int = 4) -> None:
-        self.payloads, self.batch = payloads, batch
-
-    def batches(self, ids: Any = None) -> Iterator[Batch]:
-        for start in range(0, len(self.payloads), self.batch):
-            some = self.payloads[start : start + self.batch]
-            length = np.array([len(payload) for payload in some], np.int64)
-            data = np.frombuffer(b"".join(some), np.uint8)
-            yield Batch(1, np.arange(start, start + len(some)), data, np.cumsum(length) - length, length)
 
 
 def topic(text: str, encoding: str = "cdr", type_: str = ROOT, messages: int = 0) -> Topic:

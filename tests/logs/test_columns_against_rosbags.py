@@ -171,7 +171,7 @@ def test_columns_equal_rosbags_for_many_random_definitions(tmp_path, seed, diale
 def test_open_reads_a_log_without_messages(tmp_path, name):
     dialect, write = SITUATIONS[name]
     with pytest.MonkeyPatch.context() as none:
-        none.setattr("tests.logs.test_against_rosbags.COUNT", 0)
+        none.setattr("tests.logs.test_columns_against_rosbags.COUNT", 0)
         topics = [Sent("/t0", Messages(3, dialect, "test_msgs"), [])]
         path = write(tmp_path, topics)
     with logs.open(path) as log:

@@ -11,32 +11,9 @@ from hypothesis import strategies as st
 from bodylog.errors import FormatError
 from bodylog.logs.decode.columns import read_topic_columns
 from bodylog.recording.stamp_field import stamp_field
-from bodylog.types import Topic
+from tests.logs.memory_logs import SCHEMA, STATE, Messages, topic
 
-from .test_columns import Messages
-from .writing import descriptors, wire
-
-SCHEMA = descriptors("google.protobuf", {"Timestamp": [("seconds", 1, 3, ""), ("nanos", 2, 5, "")]}) + descriptors(
-    "robot",
-    {
-        "Joint": [("name", 1, 9, ""), ("angle", 2, 1, "")],
-        "State": [
-            ("timestamp", 1, 11, ".google.protobuf.Timestamp"),
-            ("joints[]", 2, 11, ".robot.Joint"),
-            ("temperature", 3, 2, ""),
-            ("offset", 4, 17, ""),
-            ("level", 5, 5, ""),
-            ("packed_values[]", 6, 1, ""),
-            ("counts[]", 7, 13, ""),
-            ("label", 8, 9, ""),
-            ("wide", 9, 16, ""),
-        ],
-    },
-)
-
-
-def topic(definition: bytes, encoding: str, type_: str) -> Topic:
-    return Topic(1, "/x", type_, encoding, definition, {"json": "jsonschema"}.get(encoding, encoding), 3)
+from .writing import wire
 
 
 def state(n: int) -> bytes:
@@ -48,7 +25,6 @@ def state(n: int) -> bytes:
 
 
 KEYS = ("q", "header", "stamp", "sec")
-STATE = topic(SCHEMA, "protobuf", "robot.State")
 
 
 def test_reader_reads_every_protobuf_kind():

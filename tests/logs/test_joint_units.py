@@ -12,7 +12,7 @@ from bodylog.config import load_settings
 from bodylog.errors import ConfigError
 from bodylog.logs.joint_units import UNIT, joint_unit, parse_count_unit
 from bodylog.settings import BodySettings, KinematicsSettings, Settings
-from tests.body.test_kinematic import OFFSETS, features
+from tests.body.kinematic_arms import OFFSETS, features
 from tests.kinematics.robots import ARM, JOINTS, angles
 
 READ = {"rad": lambda q: q, "deg": np.degrees, "4096 counts from 2048": lambda q: 2048 + q * 4096 / (2 * np.pi)}

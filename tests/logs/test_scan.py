@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bodylog.errors import BodylogError, LogError
-from bodylog.logs.formats import open_log, payload_views
-from bodylog.types import Finding
+from bodylog.logs.formats import open_log
+from tests.logs.whole_logs import Read, read
 from tests.work import at_most
 
 FOLDER = Path(__file__).parents[2] / "fixtures" / "containers"
@@ -27,18 +27,6 @@ DAMAGED = ("none.mcap", "zstd.mcap", "unchunked.mcap", "no_summary.mcap", "none.
            "humble.db3", "packed.mcap.zst", "packed_messages.db3")  # fmt: skip
 CHECKED = ("none.mcap", "lz4.mcap", "zstd.mcap", "no_summary.mcap", "no_message_index.mcap")
 """Logs whose chunks carry CRCs: what is read from them must be what was written."""
-
-Read = list[tuple[str, int, bytes]]
-
-
-def read(path: Path, strict: bool = False) -> tuple[Read, tuple[Finding, ...]]:
-    found = []
-    with open_log(path, strict) as log:
-        names = {topic.id: topic.name for topic in log.topics}
-        for batch in log.batches():
-            for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
-                found.append((names[batch.topic_id], log_ns, bytes(payload)))
-        return found, log.findings
 
 
 def number_of(path: Path, message: tuple[str, int, bytes]) -> int:

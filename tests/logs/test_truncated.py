@@ -7,8 +7,7 @@ import pytest
 
 from bodylog.logs.rosbag1 import truncated
 from fixtures import by_hand
-
-from .test_scan import read
+from tests.logs.whole_logs import read
 
 SOME = [(f"/t{i % 3}", 10**9 * (100 + i), bytes([i % 7]) * 20 + i.to_bytes(4, "little") * 30) for i in range(1000)]
 

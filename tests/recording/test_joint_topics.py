@@ -12,8 +12,7 @@ from bodylog.recording.facts import describe_log
 from bodylog.recording.joint_names import topic_name
 from bodylog.recording.recording import read_recording
 from bodylog.settings import BodySettings, Settings, TimeSettings, TopicSettings
-
-from .writing import T0, Stream, joint_state, joints, write
+from tests.logs.writing import T0, Stream, joint_state, joints, write
 
 MS = 10**6
 

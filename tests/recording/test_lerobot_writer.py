@@ -14,10 +14,9 @@ from bodylog.logs.formats import open_log
 from bodylog.logs.limits import Input
 from bodylog.recording.dataset_rows import nearest_indices
 from bodylog.settings import Settings
+from tests.logs.datasets import drawn
 
-from . import drawn
-
-REAL = Path(__file__).parents[4] / "shared" / "real" / "so101"
+REAL = Path(__file__).parents[3] / "shared" / "real" / "so101"
 FORMS = {"lerobot": "lerobot v3.0", "lerobot-2.1": "lerobot v2.1"}
 
 

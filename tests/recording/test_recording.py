@@ -17,8 +17,7 @@ from bodylog.recording.facts import describe_log
 from bodylog.recording.recording import read_recording
 from bodylog.settings import BodySettings, Settings, TimeSettings, TopicSettings
 from bodylog.types import LazyImage
-
-from .writing import (
+from tests.logs.writing import (
     T0,
     Stream,
     camera,

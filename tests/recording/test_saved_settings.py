@@ -10,8 +10,7 @@ from bodylog.annotating.messages import from_features, from_joints
 from bodylog.recording.facts import describe_log
 from bodylog.recording.recording import read_recording
 from bodylog.settings import BodySettings, Settings, TimeSettings, TopicSettings
-
-from .written import START, found, source
+from tests.logs.written import START, found, source
 
 JOINTS = "/joint_states"
 

@@ -10,8 +10,7 @@ from bodylog.recording.tables import export_features, export_signals
 from bodylog.recording.tidy import signals_by_role
 from bodylog.settings import Settings
 from bodylog.types import Features, Recording, Series, Stroke, Synchrony, Touch
-
-from .written import START
+from tests.logs.written import START
 
 
 def recording(**streams):

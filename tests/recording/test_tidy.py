@@ -13,8 +13,7 @@ from bodylog.logs.limits import Input
 from bodylog.recording.recording import read_recording
 from bodylog.recording.tidy import cut_to_window, signals_by_role, write_tidy_log
 from bodylog.settings import Settings, TimeSettings, TopicSettings
-
-from .written import START, by_pybag, by_rosbags, source
+from tests.logs.written import START, by_pybag, by_rosbags, source
 
 LOGS = ["reach.mcap", "reach.bag", "reach_rosbag2"]
 TIDY = {"/joint_states", "/truth/joint_states", "/skin", "/camera/image/compressed"}
@@ -182,8 +181,8 @@ def test_ingest_reads_a_foreign_protobuf_log(tmp_path, arm):
 
 def test_ingest_reports_messages_before_time_zero(tmp_path):
     """Joints in simulation time from 1 s at half speed: images begin earlier."""
-    from . import writing
-    from .test_recording import camera, compressed, joint_state, joints
+    from tests.logs import writing
+    from tests.logs.writing import camera, compressed, joint_state, joints
 
     t0, picture = writing.T0, np.zeros((8, 8, 3), np.uint8)
     rows = [(t0 + k * 10**8, joint_state(10**9 + k * 5 * 10**7, ("a",), (0.1 * k,))) for k in range(50)]

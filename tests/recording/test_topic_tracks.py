@@ -13,8 +13,18 @@ from bodylog.pipeline import observe
 from bodylog.recording.recording import read_recording
 from bodylog.settings import Settings
 from bodylog.sources import TableSource, TopicSource
-
-from .writing import T0, Stream, _message, cdr, define, header, joint_state, joints, register, write
+from tests.logs.writing import (
+    T0,
+    Stream,
+    _message,
+    cdr,
+    define,
+    header,
+    joint_state,
+    joints,
+    register,
+    write,
+)
 
 MS = 10**6
 COUNT = 12

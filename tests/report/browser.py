@@ -84,3 +84,18 @@ def _port(driver: "subprocess.Popen[str]") -> int:
         if "on port" in line and "started" in line:
             return int(line.rstrip(". \n").rsplit(" ", 1)[1])
     raise RuntimeError("chromedriver did not start")
+
+
+RANGES = "return [...document.querySelectorAll('canvas')].map((c) => [Number(c.dataset.from), Number(c.dataset.to)])"
+DRAWN = "return [...document.querySelectorAll('canvas')].map((c) => c.toDataURL())"
+SHOW = """const c = document.querySelectorAll('canvas')[arguments[0]]; c.scrollIntoView({block: 'center'});
+const b = c.getBoundingClientRect(); return [b.left, b.top, b.width, b.height]"""
+BLANK = """const c = document.createElement('canvas'); [c.width, c.height] = arguments; return c.toDataURL()"""
+
+
+def drag_across(window, index, start, end):
+    """Drag over one canvas between two shares of its width."""
+    left, top, width, height = window.run(SHOW, index)
+    window.settle()
+    y = round(top + height / 2)
+    window.drag((round(left + start * width), y), (round(left + end * width), y))

@@ -1,5 +1,4 @@
 import base64
-import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -7,31 +6,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from bodylog.report.page.page import write_report_page
 from bodylog.report.viewers.image_overlay import OverlayPicture, draw_pictures
-from bodylog.types import Fault, Finding, Health, Score, Stroke, Synchrony, Touch
+from bodylog.types import Fault, Health, Score, Stroke, Synchrony, Touch
+from tests.report.pages import HOSTILE, LIMIT, hostile_parts, plotted, report, titles
 
 from .records import SCORES, UNSEEN, estimate, features, recording, series
-
-HOSTILE = "</script><script>window.hit=1</script><img src=x onerror=window.hit=1>&amp;\u2028\u202e\x00'\"$"
-LIMIT = 3_000_000
-
-
-def report(path, **changes):
-    """A page with everything on it, and its text."""
-    parts = {"estimate": estimate(), "features": features(), "recording": recording(), "scores": SCORES}
-    write_report_page(path, **(parts | {"pictures": (), "provenance": {}} | changes))
-    return path.read_text(encoding="utf-8")
-
-
-def plotted(page):
-    """The data of the page as its script gets them."""
-    (group,) = json.loads(re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)[1])
-    return group
-
-
-def titles(page):
-    return [panel["title"] for panel in plotted(page)["panels"]]
 
 
 def numbers(trace, span):
@@ -49,30 +28,6 @@ class Elements(HTMLParser):
 
     def handle_starttag(self, tag, attributes):
         self.found.append((tag, dict(attributes)))
-
-
-def hostile_parts():
-    name = HOSTILE
-    log = recording(joints=(name, "b", "c"), name=name)
-    return {
-        "estimate": replace(
-            estimate(joints=(name, "b", "c")),
-            method=name,
-            errors={name: estimate().errors["effector"]},
-            used={name: Health(2, 1, {name: 1})},
-            faults=(Fault(name, name, name, 3.0, 0.1, name),),
-            findings=(Finding(name, name),),
-            settings={name: name, "offsets": {name: {"value": None, "std": 1.0, "confused_with": [name]}}},
-            kinematic={name: estimate().predicted["effector"]},
-            predicted={name: estimate().predicted["effector"], "effector": estimate().predicted["effector"]},
-        ),
-        "features": features(tracks={name: features().tracks["effector"]}, findings=(Finding("lost", name),)),
-        "recording": replace(log, roles={name: name}, health={name: Health(1, 0, {name: 1})}, format=name),
-        "scores": (Score(name, 1.0, name),),
-        "pictures": (OverlayPicture(1.0, np.zeros((20, 30, 3), np.uint8), name),),
-        "provenance": {name: name},
-        "headline": {name: name},
-    }
 
 
 def test_same_input_same_bytes(tmp_path):

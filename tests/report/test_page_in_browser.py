@@ -1,18 +1,13 @@
 import pytest
 
 from bodylog.report.viewers.image_overlay import draw_pictures
+from tests.report.browser import BLANK, DRAWN, RANGES, SHOW, drag_across
+from tests.report.pages import HOSTILE, hostile_parts, report
 
 from .browser import BROWSER, DRIVER, page
 from .records import estimate, features, recording
-from .test_html import HOSTILE, hostile_parts, report
 
 pytestmark = pytest.mark.skipif(not (DRIVER and BROWSER), reason="needs chromium and chromedriver on the path")
-
-RANGES = "return [...document.querySelectorAll('canvas')].map((c) => [Number(c.dataset.from), Number(c.dataset.to)])"
-DRAWN = "return [...document.querySelectorAll('canvas')].map((c) => c.toDataURL())"
-SHOW = """const c = document.querySelectorAll('canvas')[arguments[0]]; c.scrollIntoView({block: 'center'});
-const b = c.getBoundingClientRect(); return [b.left, b.top, b.width, b.height]"""
-BLANK = """const c = document.createElement('canvas'); [c.width, c.height] = arguments; return c.toDataURL()"""
 
 
 @pytest.fixture(scope="module")
@@ -27,14 +22,6 @@ def whole(tmp_path, window):
     report(tmp_path / "r.html", pictures=draw_pictures(recording(), features(), estimate()))
     window.open(tmp_path / "r.html")
     return window
-
-
-def drag_across(window, index, start, end):
-    """Drag over one canvas between two shares of its width."""
-    left, top, width, height = window.run(SHOW, index)
-    window.settle()
-    y = round(top + height / 2)
-    window.drag((round(left + start * width), y), (round(left + end * width), y))
 
 
 def test_page_opens_without_errors_and_draws_every_panel(whole):

@@ -10,10 +10,10 @@ import pytest
 from bodylog import views
 from bodylog.errors import LogError, UsageError
 from bodylog.report.viewers import rerun_process, rerun_recording
+from tests.report.pages import HOSTILE, hostile_parts
 
 from ..logs.writing import T0, Stream, cdr, define, header, joint_state, joints, write
 from .records import estimate, features
-from .test_html import HOSTILE, hostile_parts
 
 there = pytest.mark.skipif(find_spec("rerun_cli") is None, reason="needs rerun-sdk (pip install 'bodylog[view]')")
 

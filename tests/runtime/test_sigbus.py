@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-FOLDER = Path(__file__).parents[1] / "fixtures" / "containers"
+FOLDER = Path(__file__).parents[2] / "fixtures" / "containers"
 CUTS = """
 import mmap, os, sys, zlib
 from bodylog.runtime import sigbus

@@ -3,7 +3,8 @@
 import numpy as np
 
 from bodylog.body.kinematic import change
-from tests.body.test_change import DEGREE, JOINTS, explored, run
+from tests.body.changed_arms import DEGREE, explored, run
+from tests.kinematics.robots import JOINTS
 from tests.validation import figures
 
 BODIES, OFF, SOUND = 8, 4, 2

@@ -7,7 +7,7 @@ import numpy as np
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.estimation.timing.correction import measured_delays
 from tests.estimation.conftest import draw
-from tests.estimation.test_delay import delayed
+from tests.estimation.spoilt_logs import delayed
 from tests.validation import figures, logs
 
 DELAYS = (-0.1, -0.05, -0.02, -0.005, 0.0, 0.005, 0.02, 0.05, 0.1)

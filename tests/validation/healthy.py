@@ -2,8 +2,7 @@
 
 from bodylog.estimation import estimate_from_features
 from bodylog.settings import EstimationSettings
-from tests.estimation.resting import MOTIONS, Drawn, drawn
-from tests.estimation.test_soak_healthy import READ
+from tests.estimation.resting import MOTIONS, READ, Drawn, drawn
 from tests.validation import figures
 
 SEEDS = (100, 101, 102, 103)

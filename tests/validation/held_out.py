@@ -3,7 +3,7 @@
 import numpy as np
 
 from tests.body.conftest import run
-from tests.body.test_learning import _standardised
+from tests.body.standard_residuals import standardise_residuals
 from tests.validation import figures
 
 ENCODERS, COUNT = (0.0005, 0.02), 20
@@ -12,7 +12,7 @@ ENCODERS, COUNT = (0.0005, 0.02), 20
 
 def table():
     """Rows by what is predicted, columns by the encoders' noise."""
-    runs = {std: [_standardised(run, std, seed) for seed in range(COUNT)] for std in ENCODERS}
+    runs = {std: [standardise_residuals(run, std, seed) for seed in range(COUNT)] for std in ENCODERS}
     rows = []
     for name in runs[ENCODERS[0]][0]:
         ratios = [np.array([np.mean(one[name]) for one in runs[std]]) for std in ENCODERS]

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from tests.estimation.test_delay import delayed
+from tests.estimation.spoilt_logs import delayed
 from tests.validation import error_bars, figures
 
 LATE = 0.05

@@ -6,7 +6,7 @@ import pytest
 
 from bodylog.estimation.methods import filtering
 from tests.estimation.conftest import draw
-from tests.estimation.test_least import white
+from tests.estimation.free_motion import white
 from tests.validation import error_bars, figures, logs
 
 COUNT = 5

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bodylog.estimation.faults import screening
+from tests.estimation.moved_cameras import MOVED, cameras, moved
 from tests.estimation.resting import Drawn, drawn
-from tests.estimation.test_moved_camera import MOVED, cameras, moved
 from tests.validation import error_bars, figures, logs
 
 SIZES, FOUND, JUDGED = (3.0, 5.0, 10.0, 30.0), 12, 5

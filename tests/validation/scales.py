@@ -5,7 +5,7 @@ import numpy as np
 from bodylog.kinematics import identifiability
 from tests.kinematics import robots
 from tests.kinematics.robots import JOINTS
-from tests.kinematics.test_scales import scaled, solve
+from tests.kinematics.scaled_joints import scaled, solve
 from tests.validation import figures
 
 POSES, PIXEL, WRONG = 120, 0.3, 0.03

@@ -6,7 +6,7 @@ import numpy as np
 
 from bodylog.sim.scenarios import SCENARIOS
 from tests.estimation.conftest import Explored, draw
-from tests.estimation.test_lost import muted
+from tests.estimation.spoilt_logs import muted
 from tests.validation import error_bars, figures, logs
 
 SINCE, WITHIN, COUNT = 6.0, 2.0, 40
