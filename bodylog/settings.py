@@ -310,6 +310,11 @@ class EstimationSettings:
         "Encoder offset states; not for kalman, predictive-coding.",
         choices=("auto", "on", "off"),
     )
+    hardware_errors: str = declare_key(
+        "widen",
+        "Errors that last: widen error bars, or take play and others out.",
+        choices=("widen", "explain"),
+    )
     touch: str = declare_key(
         "likelihood", "Reading of the paper's touch equation.", choices=("likelihood", "literal")
     )

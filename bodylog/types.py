@@ -280,6 +280,12 @@ class Capabilities:
     from_paper: bool = False
 
 
+HARDWARE_ERRORS = "hardware_errors"
+"""Key of an estimate's settings for errors of joints and encoders that it allows for: nats over
+white noise alone; play {joint: rad, std}; lasting: std (rad), seconds, nats, at encoder or link, or
+None; row_time: seconds, std, or None; late {camera: seconds, std, nats}: what is left of its delay.
+"""
+
 LASTING_ERROR = "lasting_error"
 """Key of an estimate's settings for errors of encoders
 that last: std (rad), seconds, nats, nees_if_white.

@@ -14,7 +14,7 @@ from .evaluation.figures import (
 )
 from .fault_findings import span_text
 from .score_names import split_score_name
-from .types import ALTERNATIVE_SEPARATOR, LASTING_ERROR, Estimate, Fault, Score
+from .types import ALTERNATIVE_SEPARATOR, HARDWARE_ERRORS, LASTING_ERROR, Estimate, Fault, Score
 from .wording import quantity_text
 
 MAX_LISTED = 3
@@ -38,6 +38,7 @@ def verdict_of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, 
         *_first_lines(faults, "faults"),
         *_delay_sentences(found),
         *_lasting_error_sentences(found),
+        *_hardware_error_sentences(found),
     )
     return (*sure, _agreement_sentence(found), *_error_sentences(found, scores))
 
@@ -202,6 +203,22 @@ def _lasting_error_sentences(found: Estimate) -> Iterator[str]:
         size = f"{own['seconds']:.2g} s, {1e3 * own['std']:.2g} mrad"
         narrow = f"NEES about {own['nees_if_white']:.2g} without"
         yield f"encoders: errors last about {size}; error bars are wider for it ({narrow})"
+
+
+def _hardware_error_sentences(found: Estimate) -> Iterator[str]:
+    """Errors of joints, encoders and cameras that the angles allow for."""
+    errors = found.settings.get(HARDWARE_ERRORS)
+    if not isinstance(errors, Mapping):
+        return
+    for joint, play in errors["play"].items():
+        width, std = np.rad2deg([play["rad"], play["std"]])
+        yield f"{joint}: {width:.2f} ± {std:.2f}° of play; corrected"
+    if lasting := errors["lasting"]:
+        size = f"{lasting['seconds']:.2g} s, {1e3 * lasting['std']:.2g} mrad"
+        yield f"encoders: errors last {size}; angles and error bars allow for it"
+    if rows := errors["row_time"]:
+        span = f"{1e3 * abs(rows['seconds']):.0f} ± {1e3 * rows['std']:.0f} ms"
+        yield f"camera: its rows are {span} apart; corrected"
 
 
 def _agreement_sentence(found: Estimate) -> str:

@@ -9,7 +9,7 @@ from ..body_model import BodyModel
 from ..errors import UsageError
 from ..runtime.blas_threads import one_thread
 from ..settings import EstimationSettings
-from ..types import Estimate, Features
+from ..types import HARDWARE_ERRORS, Estimate, Features
 from .common_cause import infer_common_causes
 from .faults.consistency import consistency_findings
 from .inference import kernel
@@ -19,7 +19,12 @@ from .methods.table import METHODS, ignored_settings
 from .noise import typed
 from .noise.angle_unit import JOINT_UNIT_KEY, as_angles, in_units, unit_of
 from .poses.estimate import estimate_still_poses as still_poses
-from .timing.correction import add_delay_uncertainty, correct_camera_delays, restore_stamps
+from .timing.correction import (
+    add_delay_uncertainty,
+    correct_camera_delays,
+    reconsidered,
+    restore_stamps,
+)
 
 __all__ = ["METHODS", "check_estimation_settings", "estimate_from_features"]
 
@@ -67,6 +72,10 @@ def _estimate_with_corrected_times(
         return require_finite_estimate(METHODS[settings.method].estimate(sensed, body, chosen))
 
     found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
+    left = found.settings.get(HARDWARE_ERRORS, {}).get("late", {})
+    if (again := reconsidered(timely, features, body, delay, left)) is not None:
+        timely = again
+        found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
     used = dict(found.settings)
     if timely.delays:
         found = restore_stamps(found, features, timely.features)

@@ -12,9 +12,7 @@ def white(t, rng, speed):
     rate = np.zeros_like(rates)
     x = np.zeros_like(rates)
     for k in range(1, len(grid)):
-        rate[k] = (
-            rate[k - 1] + rates[k] - rates[k - 1] - fine * (0.5 * rate[k - 1] + 0.3 * x[k - 1])
-        )
+        rate[k] = rate[k - 1] + rates[k] - rates[k - 1] - fine * (0.5 * rate[k - 1] + 0.3 * x[k - 1])
         x[k] = x[k - 1] + fine * rate[k]
     out = np.empty((len(t), 3))
     for j in range(3):

@@ -20,8 +20,4 @@ def moved(features, px, angle, since=MOVED, names=None):
 
 
 def cameras(features, body):
-    return [
-        fault
-        for fault in screen_measurements(features, body, EstimationSettings()).faults
-        if fault.sense == "vision"
-    ]
+    return [fault for fault in screen_measurements(features, body, EstimationSettings()).faults if fault.sense == "vision"]

@@ -27,7 +27,7 @@ from ..noise import encoder_noise, typed
 from ..noise.evidence_search import tune_by_evidence, with_preferred_order
 from ..noise.noise_model import resolve_noise_model, warn_of_few_readings, weigh_repeated_readings
 from ..noise.posture_prior import learn_posture_prior
-from . import results
+from .explained import explained_estimate
 from .results import Beliefs
 
 S = TypeVar("S", bound=Solution)
@@ -71,10 +71,7 @@ def estimate_by_filter(
         find_offset_faults(problem, solution),
         tuple(warn_of_lost_belief(problem, body.joints, solution)),
     )
-    found = results.build_estimate(
-        settings.method, body, problem.evidence, problem.timeline, beliefs
-    )
-    return results.with_lasting_error(found, problem, beliefs.z, settings)
+    return explained_estimate(settings.method, body, problem, start_problem, beliefs, settings)
 
 
 def build_filter_problem(

@@ -35,7 +35,7 @@ from ..inference.problem import FilterProblem
 from ..inference.scan import TraceDetail, filter_stretches, restart_filter
 from ..inference.silence import smooth_across_silence
 from ..inference.solution import Smooth, Solution, assemble_smooth
-from . import results
+from .explained import explained_estimate
 from .filtering import (
     build_filter_problem,
     find_offset_faults,
@@ -86,8 +86,7 @@ def estimate_by_smoother(
         tuple(warn_of_lost_belief(problem, body.joints, smooth)),
         found.places,
     )
-    made = results.build_estimate("smoother", body, problem.evidence, problem.timeline, beliefs)
-    return results.with_lasting_error(made, problem, beliefs.z, settings)
+    return explained_estimate("smoother", body, problem, start_problem, beliefs, settings)
 
 
 def remove_outliers(problem: FilterProblem, smooth: Smooth) -> SmoothedWithResiduals:

@@ -88,6 +88,53 @@ def correct_camera_delays(
     )
 
 
+def reconsidered(
+    timely: CorrectedFeatures,
+    features: Features,
+    body: BodyModel,
+    given: str | Mapping[str, float],
+    left: Mapping[str, Mapping[str, float]],
+) -> CorrectedFeatures | None:
+    """The delays anew where play or other errors of the hardware
+    had been taken for a part of them; None if all stay.
+
+    left {camera: seconds, std, nats}: what is left of each delay with those errors accounted for.
+    """
+    fixed = fixed_delays(given, list_track_cameras([*features.tracks, *body.senses]))
+    free = {name: one for name, one in left.items() if name not in fixed}
+    if not free:
+        return None
+    delays = dict(timely.delays)
+    errors = dict(timely.errors)
+    measured = dict(timely.measured)
+    weighed = list(timely.hypotheses)
+    for name, one in free.items():
+        total = Delay(delays.pop(name, 0.0) + one["seconds"], one["std"])
+        errors.pop(name, None)
+        weighed.append(
+            Hypothesis(
+                "camera late beside errors of joints",
+                name,
+                total.nats,
+                EVIDENCE_THRESHOLD_NATS,
+                is_significant(total),
+            )
+        )
+        if is_significant(total):
+            delays[name], errors[name] = total.seconds, total.std_error
+        measured[name] = (
+            total if is_significant(total) else replace(total, doubt="joints' errors explain it")
+        )
+    unsure = {name: seconds for name, seconds in timely.unsure.items() if name not in free}
+    others = [one for one in timely.findings if one.text.partition(":")[0] not in free]
+    findings = (
+        *others,
+        *delay_findings({n: delays[n] for n in free if n in delays}, errors, {}, fixed),
+    )
+    shown = shift_features(features, delays)
+    return CorrectedFeatures(shown, delays, errors, measured, unsure, findings, tuple(weighed))
+
+
 def _reason_not_applied(residual: Delay, is_fixed: bool) -> str:
     """Why the rest of a delay is not applied; "" if it is."""
     if is_fixed:

@@ -1,0 +1,3 @@
+"""One factor problem over a whole log: joints, lasting
+encoder errors, and global parameters as columns.
+"""

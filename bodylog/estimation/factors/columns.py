@@ -1,0 +1,167 @@
+"""Global parameters as columns of the border: what a
+unit of each changes in links, images and readings.
+"""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...types import Array
+from ..measurements.gather import camera_of_track
+
+if TYPE_CHECKING:
+    from .images import Images
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Where the joints are believed at K knots: angles,
+    rates and links (K,M), and each play's state (K,M).
+
+    links differ from angles by what bends between motor and link · slack (K,M): (link − motor) over
+    half the play, in −1 … 1.
+    """
+
+    knots: Array
+    angles: Array
+    rates: Array
+    links: Array
+    slack: Array
+
+    def at_images(self, images: "Images") -> "Path":
+        """The same at the images' times."""
+        ahead = images.ahead[:, None]
+        rows = images.knots
+        rates = self.rates[rows]
+        moved = ahead * rates
+        return Path(
+            self.knots[rows] + images.ahead,
+            self.angles[rows] + moved,
+            rates,
+            self.links[rows] + moved,
+            self.slack[rows],
+        )
+
+
+@dataclass(frozen=True)
+class Column:
+    """A global parameter that changes nothing: what a column may override.
+
+    name · std, mean: of its size before the log · bends: whether it moves the links themselves.
+    """
+
+    name: str
+    std: float
+    mean: float = 0.0
+    bends: bool = False
+
+    def moves_links(self, path: Path) -> Array:
+        """What a unit moves the links by (K,M) rad."""
+        return np.zeros(path.angles.shape)
+
+    def moves_images(self, images: "Images", path: Path) -> Array:
+        """What a unit moves the links by (F,M) rad, as images show them."""
+        return self.moves_links(path.at_images(images))
+
+    def shifts_images(self, images: "Images") -> Array:
+        """What a unit shifts images by (F,D), beyond the links' move."""
+        return np.zeros(images.values.shape)
+
+    def reads(self, t: Array, path: Path) -> Array:
+        """What a unit changes in readings (N,M) at t (N,) s, rad."""
+        return np.zeros((len(t), path.angles.shape[1]))
+
+
+@dataclass(frozen=True)
+class Play(Column):
+    """Half of the play between a joint's motor and
+    its link, rad: the link trails the motor by it.
+    """
+
+    joint: int = 0
+    bends: bool = True
+
+    def moves_links(self, path: Path) -> Array:
+        """The link's place within its play, for this joint."""
+        own = np.zeros(path.angles.shape)
+        own[:, self.joint] = path.slack[:, self.joint]
+        return own
+
+
+@dataclass(frozen=True)
+class Delay(Column):
+    """How late a camera's images are against the
+    encoders, s: they show links as they were before.
+    """
+
+    camera: str = ""
+
+    def moves_images(self, images: "Images", path: Path) -> Array:
+        """Minus the rate, in this camera's images."""
+        return -path.at_images(images).rates * float(
+            camera_of_track(images.sighting.name) == self.camera
+        )
+
+
+@dataclass(frozen=True)
+class RowTime(Column):
+    """How much later the last row of a picture is exposed
+    than the first, s; by the rows that the log shows.
+    """
+
+    def moves_images(self, images: "Images", path: Path) -> Array:
+        """Minus the rate, by the row of the picture from the middle on."""
+        rows = images.sighting.values[images.frames, -1]
+        spread = float(np.ptp(rows)) if len(rows) else 0.0
+        place = (rows - rows.mean()) / spread if spread > 0.0 else np.zeros(len(rows))
+        return -place[:, None] * path.at_images(images).rates
+
+
+@dataclass(frozen=True)
+class EncoderShift(Column):
+    """What an encoder reads too much from `since` s on, rad, or rad/s where it grows."""
+
+    joint: int = 0
+    since: float = -np.inf
+    grows: bool = False
+
+    def reads(self, t: Array, path: Path) -> Array:
+        """A step, or a ramp."""
+        own = np.zeros((len(t), path.angles.shape[1]))
+        after = t >= self.since
+        own[:, self.joint] = np.where(after, t - self.since, 0.0) if self.grows else after
+        return own
+
+
+@dataclass(frozen=True)
+class Displacement(Column):
+    """How far images are displaced from `since` s
+    on along one axis, px: a camera that was moved.
+    """
+
+    axis: int = 0
+    since: float = -np.inf
+
+    def shifts_images(self, images: "Images") -> Array:
+        """The same for all images after it."""
+        own = np.zeros(images.values.shape)
+        own[:, self.axis] = images.sighting.t[images.frames] >= self.since
+        return own if images.mix is None else (images.mix @ own[..., None])[..., 0]
+
+
+def follow_slack(motors: Array, half: Array, noise: Array) -> Array:
+    """Where links lie within their play (K,M), −1 … 1,
+    while motors (K,M) rad turn; half (M,) rad of the play.
+
+    The link stays until the motor has gone through the play, then trails it (the backlash
+    operator). noise (M,) rad: how far the motors' angles are known. A turn back within it counts
+    for none, as noise alone would drag the link along.
+    """
+    reach = half + noise
+    links = motors[0]
+    found = np.zeros(motors.shape)
+    for k, motor in enumerate(motors):
+        links = np.clip(links, motor - reach, motor + reach)
+        found[k] = links - motor
+    return np.clip(found / half, -1.0, 1.0)

@@ -1,0 +1,101 @@
+"""How a joint moves, and how its encoder errs: the prior of the state between two times.
+
+A joint's state is angle, rate[, acceleration], and an error e of its encoder that lasts: an
+Ornstein–Uhlenbeck process
+
+    de = −e/τ dt + √(2 σ²/τ) dw,    cov(e(t), e(t + Δ)) = σ² exp(−Δ/τ).
+
+σ → 0 leaves white noise alone, τ → ∞ a constant offset. The error is at the encoder, which then
+reads q + e, or at the link, which then stands at q + e while the encoder reads q.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ... import motion
+from ...types import Array
+
+LEAST_STD = 1e-8
+"""rad: standard deviation of an error that is absent, so that matrices keep their inverses."""
+START_STD = (1.0, 1.0, 3.0)
+"""rad, rad/s, rad/s²: prior standard deviations at the
+first knot, those of the filter without lasting errors.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class JointNoise:
+    """How M joints move and are read.
+
+    order 2: white acceleration, process (M,) in rad²/s³; 3: white jerk, rad²/s⁵ · white (M,) rad²:
+    of a reading · error (M,) rad: standard deviation σ of what lasts; None for none · seconds (M,)
+    s: its τ · at_link (M,) bool · learned (M,) bool: joints whose σ and τ, one for all, come from
+    the log; the others' are given.
+    """
+
+    order: int
+    white: Array
+    process: Array
+    error: Array | None
+    seconds: Array
+    at_link: Array
+    learned: Array
+
+    @property
+    def states(self) -> int:
+        """Number p of a joint's states."""
+        return self.order + (self.error is not None)
+
+    @property
+    def reads(self) -> Array:
+        """What an encoder reads of its joint's state (M,p)."""
+        row = np.zeros((len(self.white), self.states))
+        row[:, 0] = 1.0
+        if self.error is not None:
+            row[:, self.order] = ~self.at_link
+        return row
+
+    def stands(self, ahead: Array) -> Array:
+        """Where the link stands, as a row (F,M,p) on the joint's state `ahead` (F,) s before."""
+        row = np.zeros((len(ahead), len(self.white), self.states))
+        row[..., : self.order] = motion.motion_transition(self.order, ahead)[:, None, 0, :]
+        if self.error is not None:
+            row[..., self.order] = self.at_link
+        return row
+
+    def start_precision(self) -> Array:
+        """Precision (M,p,p) of the state at the first
+        knot, about the angles that are read first.
+        """
+        var = np.tile(np.square(np.array(START_STD[: self.order])), (len(self.white), 1))
+        if self.error is not None:
+            var = np.column_stack([var, np.square(np.maximum(self.error, LEAST_STD))])
+        return np.asarray(np.eye(self.states) / var[:, None, :])
+
+    def advance(self, states: Array, gap: Array, decay: Array) -> Array:
+        """Means or columns of states (p,…,I,M) after gaps
+        (I,1) s, over which errors keep `decay` (I,M).
+        """
+        moved = states.copy()
+        moved[0] += gap * states[1]
+        if self.order == 3:
+            moved[0] += 0.5 * gap * gap * states[2]
+            moved[1] += gap * states[2]
+        if self.error is not None:
+            moved[self.order] *= decay
+        return moved
+
+    def covariance(self, gap: Array) -> Array:
+        """Covariances (p,p,…,M) that the state gains over gaps (…) s."""
+        found = np.zeros((self.states, self.states, *gap.shape, len(self.white)))
+        moved = motion.motion_covariance(self.order, gap.ravel()).reshape(
+            *gap.shape, self.order, self.order
+        )
+        found[: self.order, : self.order] = (
+            np.moveaxis(moved, (-2, -1), (0, 1))[..., None] * self.process
+        )
+        if self.error is not None:
+            var = np.square(np.maximum(self.error, LEAST_STD))
+            found[self.order, self.order] = -var * np.expm1(-2.0 * gap[..., None] / self.seconds)
+        return found

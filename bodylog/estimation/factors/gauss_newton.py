@@ -1,0 +1,107 @@
+"""Rounds of linearising and solving: the smoother about
+the smoothed path, the filter about the filtered one.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...types import Array
+from .columns import Path, Play, follow_slack
+from .problem import FactorProblem, Linearised, Noise, build_system, linearise
+from .solve import Eliminated, Marginals, System, eliminate, filtered, smoothed
+
+ROUNDS = 12
+LEAST_PLAY = 5e-4
+"""rad: half of a play that is assumed at least,
+so that noise of the angle does not turn the link.
+"""
+NOISE_SIGMAS = 2.0
+"""Standard deviations of a motor's angle that a turn back must exceed."""
+SETTLED = 1e-3
+"""Standard deviations of the angles that a round may move and be the last."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """A solved problem: how it was linearised, its factors, and the beliefs."""
+
+    linear: Linearised
+    system: System
+    eliminated: Eliminated
+    beliefs: Marginals
+
+    @property
+    def nats(self) -> float:
+        """−ln p of all measurements, about this path."""
+        return self.eliminated.nats
+
+
+def initial_path(problem: FactorProblem) -> Path:
+    """The readings at the knots, the start where there are none."""
+    angles = np.repeat(problem.start[None], len(problem.knots), axis=0)
+    for j, column in enumerate(problem.values.T):
+        known = np.isfinite(column)
+        if known.any():
+            angles[:, j] = np.interp(problem.knots, problem.t[known], column[known])
+    rates = (
+        np.gradient(angles, problem.knots, axis=0) if len(angles) > 1 else np.zeros(angles.shape)
+    )
+    noise = 2.0 * np.full(len(problem.start), 1e-3)
+    return Path(
+        problem.knots, angles, rates, angles, follow_slack(angles, _halves(problem, None), noise)
+    )
+
+
+def _halves(problem: FactorProblem, sizes: Array | None) -> Array:
+    """Half of each joint's play (M,) rad, by the columns' sizes, or their means."""
+    half = np.full(len(problem.start), LEAST_PLAY)
+    for c, column in enumerate(problem.columns):
+        if isinstance(column, Play):
+            size = column.mean if sizes is None else float(sizes[c])
+            half[column.joint] = max(size, LEAST_PLAY)
+    return half
+
+
+def path_of(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
+    """The path that beliefs give."""
+    p = noise.joints.states
+    m = len(problem.start)
+    joints = beliefs.mean[:, : m * p].reshape(-1, m, p)
+    angles = joints[..., 0]
+    links = angles + (
+        joints[..., -1] * noise.joints.at_link if noise.joints.error is not None else 0.0
+    )
+    var = np.einsum("kss->ks", beliefs.cov)[:, : m * p : p]
+    unsure = NOISE_SIGMAS * np.sqrt(np.median(var, axis=0))
+    slack = follow_slack(angles, _halves(problem, beliefs.sizes[-1]), unsure)
+    path = Path(problem.knots, angles, joints[..., 1], links, slack)
+    for c, column in enumerate(problem.columns):
+        if column.bends:
+            links = links + column.moves_links(path) * beliefs.sizes[:, c, None]
+    return replace(path, links=links)
+
+
+def solve(
+    problem: FactorProblem,
+    noise: Noise,
+    path: Path | None = None,
+    causal: bool = False,
+    rounds: int = ROUNDS,
+) -> Solution:
+    """Linearise and solve until the links rest; `causal`: by what was known at each knot."""
+    path = initial_path(problem) if path is None else path
+    for _ in range(rounds):
+        linear = linearise(problem, path, noise)
+        system = build_system(linear)
+        eliminated = eliminate(system)
+        beliefs = filtered(system, eliminated) if causal else smoothed(system, eliminated)
+        after = path_of(problem, noise, beliefs)
+        var = np.einsum("kss->ks", beliefs.cov)[
+            :, : noise.joints.states * len(problem.start) : noise.joints.states
+        ]
+        moved = np.square(after.links - path.links) / var
+        if np.sqrt(moved.max()) < SETTLED:
+            break
+        path = after
+    return Solution(linear, system, eliminated, beliefs)

@@ -1,0 +1,176 @@
+"""What explains a log: white noise alone, errors that
+last, play, and columns beside them, each by its evidence.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..measurements.gather import camera_of_track
+from .columns import Column, Delay, Path, Play, RowTime
+from .encoder_error import LEAST_STD
+from .gauss_newton import path_of, solve
+from .noise import FEWEST_READINGS, Learned, learn_noise
+from .problem import FactorProblem, Noise
+
+FIRST_STD = 1e-3
+"""rad: σ of a lasting error with which the search begins."""
+FIRST_S = 1.0
+PLAY_STD = 0.01
+"""rad: prior standard deviation of half a play, 1.1° of play."""
+DELAY_STD = 0.05
+"""s: of what is left of a camera's delay."""
+ROW_TIME_STD = 0.03
+"""s: of a picture's row time; most pictures take less than 1/30 s."""
+
+
+@dataclass(frozen=True)
+class Late:
+    """How much later a camera is than was allowed for:
+    seconds ± std, and the nats by which that wins.
+    """
+
+    camera: str
+    seconds: float
+    std: float
+    nats: float
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A log explained: its columns, and noise, path and sizes with most evidence.
+
+    nats: gain over white noise alone · lasting: gain by errors that last, beside the columns ·
+    gains {column: nats} · delays: of cameras that are still late with all this accounted for.
+    """
+
+    columns: tuple[Column, ...]
+    learned: Learned
+    nats: float
+    lasting: float
+    gains: Mapping[str, float]
+    delays: tuple[Late, ...] = ()
+
+    @property
+    def is_sound(self) -> bool:
+        """Whether white noise alone explains the log as well."""
+        return self.nats <= EVIDENCE_THRESHOLD_NATS
+
+    @property
+    def lasts(self) -> bool:
+        """Whether errors that last win over none, beside the columns."""
+        return self.lasting > EVIDENCE_THRESHOLD_NATS
+
+    @property
+    def settled_columns(self) -> tuple[Column, ...]:
+        """The columns about the sizes that the log gives, as its noise is what the log gives."""
+        stds = np.sqrt(np.diag(self.learned.sizes_cov))
+        each = zip(self.columns, self.learned.sizes.tolist(), stds.tolist(), strict=True)
+        return tuple(replace(column, mean=size, std=std) for column, size, std in each)
+
+
+def explain(
+    problem: FactorProblem, noise: Noise, step_s: float, is_of_counts: Callable[[Noise], bool]
+) -> Explanation:
+    """The most probable explanation of a log: white noise alone, or errors of its hardware.
+
+    noise: white noise alone, with the offsets that are known · step_s: the encoders' usual step ·
+    is_of_counts: whether errors that last are those of whole counts.
+    """
+    white = _learn(problem, noise, step_s, rounds=2)
+    sides = [_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)]
+    lasting = _best(sides)
+    if (
+        white.nats - lasting.nats <= EVIDENCE_THRESHOLD_NATS
+        or is_of_counts(lasting.noise)
+        or _is_short(lasting.noise, step_s)
+    ):
+        return Explanation(problem.columns, white, 0.0, 0.0, {})
+    gains: dict[str, float] = {}
+    play = tuple(Play("play", PLAY_STD, joint=j) for j in range(len(problem.start)))
+    late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
+    loose = replace(problem, columns=(*problem.columns, *play))
+    # a delay that was corrected for play hides the play: both are free where they are compared
+    free = replace(problem, columns=(*loose.columns, *late))
+    loosely = _best([_learn(free, one.noise, step_s, one.path) for one in sides])
+    if lasting.nats - loosely.nats > EVIDENCE_THRESHOLD_NATS:
+        delayed = _learn(
+            replace(problem, columns=(*problem.columns, *late)), lasting.noise, step_s, lasting.path
+        )
+        gains["play"] = min(lasting.nats, delayed.nats) - loosely.nats
+    if gains.get("play", 0.0) > EVIDENCE_THRESHOLD_NATS:
+        problem = loose
+        lasting = _learn(loose, loosely.noise, step_s, loosely.path)
+    else:
+        gains.clear()
+    rolling = replace(problem, columns=(*problem.columns, RowTime("row time", ROW_TIME_STD)))
+    rolled = _learn(rolling, lasting.noise, step_s, lasting.path)
+    if lasting.nats - rolled.nats > EVIDENCE_THRESHOLD_NATS:
+        gains["row time"] = lasting.nats - rolled.nats
+        problem = rolling
+        lasting = rolled
+    found = learn_noise(problem, lasting.noise, lasting.path, step_s, rounds=2)
+    gained = white.nats - found.nats
+    without = _learn(problem, white.noise, step_s, lasting.path).nats if gains else white.nats
+    delays = tuple(_delays_left(problem, found, step_s))
+    return Explanation(problem.columns, found, gained, without - found.nats, gains, delays)
+
+
+def _delays_left(problem: FactorProblem, found: Learned, step_s: float) -> Iterator[Late]:
+    """Yield the delays that cameras still have beside what explains the log."""
+    for name in _cameras(problem):
+        late = replace(problem, columns=(*problem.columns, Delay("delay", DELAY_STD, camera=name)))
+        delayed = _learn(late, found.noise, step_s, found.path)
+        gain = found.nats - delayed.nats
+        if gain > EVIDENCE_THRESHOLD_NATS:
+            std = float(np.sqrt(delayed.sizes_cov[-1, -1]))
+            yield Late(name, float(delayed.sizes[-1]), std, gain)
+
+
+def _cameras(problem: FactorProblem) -> tuple[str, ...]:
+    """Names of the cameras whose images there are."""
+    return tuple(
+        dict.fromkeys(camera_of_track(one.name) for one in problem.sightings if one.name != "touch")
+    )
+
+
+def _is_short(noise: Noise, step_s: float) -> bool:
+    """Whether what lasts is gone within a few readings: stamps
+    that jitter make such errors, and readings hold them.
+    """
+    joints = noise.joints
+    return bool((joints.seconds[joints.learned] < 2.0 * FEWEST_READINGS * step_s).all())
+
+
+def _best(found: Sequence[Learned]) -> Learned:
+    """The one with most evidence."""
+    return min(found, key=lambda one: one.nats)
+
+
+def with_lasting(noise: Noise, std: float) -> Noise:
+    """The noise with errors of `std` rad that last
+    at all encoders but those whose offset was found.
+    """
+    joints = noise.joints
+    given = np.zeros(len(joints.white)) if joints.error is None else joints.error
+    learned = given <= LEAST_STD
+    error = np.where(learned, std, given)
+    seconds = np.where(learned, FIRST_S, joints.seconds)
+    return replace(noise, joints=replace(joints, error=error, seconds=seconds, learned=learned))
+
+
+def _lasting(noise: Noise) -> tuple[Noise, Noise]:
+    """The noise with errors that last, at the encoders and at the links."""
+    own = with_lasting(noise, FIRST_STD)
+    at_link = replace(own.joints, at_link=own.joints.learned)
+    return own, replace(own, joints=at_link)
+
+
+def _learn(
+    problem: FactorProblem, noise: Noise, step_s: float, path: Path | None = None, rounds: int = 1
+) -> Learned:
+    """Noise by evidence, from the path that this noise gives; one round is enough to compare."""
+    solution = solve(problem, noise, path, rounds=4)
+    return learn_noise(problem, noise, path_of(problem, noise, solution.beliefs), step_s, rounds)

@@ -1,0 +1,121 @@
+"""Images as linear factors on the states at knots.
+
+An image of a link at the angles l shows h(l), with the noise of the image and the error of the
+learned model, which is the same for the same posture. Linearised at l₀:
+
+    z − h(l₀) + J l₀ = J l + s u + n,    l = stands · state + Σ C g,    u_k = κ_k u_{k−1} + √(1 − κ²) ν,
+
+with s² the model's variance and κ = exp(−½ |Δq / reach|²) by the step of the posture.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...types import Array
+from ..measurements.records import Sighting, mix_rows
+from ..noise.correlated_noise import correlation_length
+from .encoder_error import JointNoise
+
+MOST_ALIKE = 1.0 - 1e-6
+"""Most correlation of a model's errors from knot to
+knot: at rest it would be 1, which has no inverse.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Images:
+    """F images of one sense at knots (F,), `ahead` (F,) s
+    after them: values and stated variance (F,D), mix (F,D,D).
+
+    believed (F,): share that is not taken for an outlier.
+    """
+
+    sighting: Sighting
+    frames: Array
+    knots: Array
+    ahead: Array
+    values: Array
+    var: Array
+    mix: Array | None
+    believed: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ImageRows:
+    """Images as rows on the state of their knots: slopes
+    (F,D,S) · right (F,D,R) · var (F,D) of their noise.
+
+    jac (F,D,M): slopes by the link's angles.
+    """
+
+    slopes: Array
+    right: Array
+    var: Array
+    jac: Array
+
+
+def place_images(sighting: Sighting, knots: Array, nearest: bool) -> Images:
+    """The images of a sense that show it, at the knots (K,)
+    s: the nearest, or the first that is not before them.
+    """
+    values, var, mix = sighting.independent
+    frames = np.flatnonzero(np.isfinite(values).all(axis=1) & (sighting.t <= knots[-1] + 1e-9))
+    t = sighting.t[frames]
+    after = np.minimum(np.searchsorted(knots, t - 1e-9), len(knots) - 1)
+    if nearest:
+        before = np.maximum(after - 1, 0)
+        after = np.where(t - knots[before] < knots[after] - t, before, after)
+    own_mix = None if mix is None else mix[frames]
+    ones = np.ones(len(frames))
+    return Images(
+        sighting, frames, after, t - knots[after], values[frames], var[frames], own_mix, ones
+    )
+
+
+def image_rows(
+    images: Images,
+    links: Array,
+    noise: JointNoise,
+    scale: float,
+    columns: Array,
+    shifts: Array,
+    first: int,
+    size: int,
+) -> ImageRows:
+    """Rows of images, linearised at the links' angles (F,M) rad.
+
+    columns (F,M,C): what each column of the border moves a link by ·
+    shifts (F,D,C): what it moves in the image · first, size: place
+    of this sense's model error in a state, and the state's length S.
+    """
+    mean, jac, model_var = mix_rows(images.mix, images.sighting.model.predict(links))
+    count, rows, joints = jac.shape
+    slopes = np.zeros((count, rows, size))
+    stands = noise.stands(images.ahead)
+    width = joints * noise.states
+    slopes[..., :width] = (jac[..., None] * stands[:, None]).reshape(count, rows, width)
+    slopes[:, np.arange(rows), first + np.arange(rows)] = np.sqrt(np.maximum(model_var, 0.0))
+    read = images.values - mean + np.einsum("fdm,fm->fd", jac, links)
+    moved = np.einsum("fdm,fmc->fdc", jac, columns) + shifts
+    return ImageRows(
+        slopes, np.concatenate([read[..., None], moved], axis=-1), scale * images.var, jac
+    )
+
+
+def alike(sightings: Sequence[Sighting], links: Array) -> Array:
+    """Correlation κ (K-1,U) of the model errors of all
+    senses' rows from knot to knot, for links (K,M) rad.
+    """
+    step = np.diff(links, axis=0)
+    found = [
+        np.repeat(
+            np.exp(-0.5 * np.square(step / correlation_length(one.model)).sum(axis=-1))[:, None],
+            one.values.shape[1],
+            axis=1,
+        )
+        for one in sightings
+    ]
+    both = np.concatenate(found, axis=1) if found else np.zeros((len(step), 0))
+    return np.minimum(both, MOST_ALIKE)

@@ -1,0 +1,290 @@
+"""Noise by evidence: variances, lasting errors and their
+time constants, each the most probable one given the log.
+
+The gradient of −ln p of the measurements is the expected gradient of the factors' cost
+under the posterior (Fisher's identity), so one solve gives it for all parameters. How a
+condensed factor changes with a parameter is taken from differences of the condensing,
+which is cheap and exact for each joint.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...types import Array
+from .columns import Path
+from .condensing import PairFactors, condense, normalisation
+from .encoder_error import JointNoise
+from .gauss_newton import path_of
+from .problem import FactorProblem, Linearised, Noise, build_system, linearise
+from .solve import Smoothed, eliminate, smoothed
+
+LOG_SECONDS = (0.0, 1.5)
+"""Mean and standard deviation of ln τ (s) before the log: 0.05 to 20 s within two of them."""
+LOG_ERROR = (float(np.log(5e-4)), 2.0)
+"""The same of ln σ (rad): 0.01 to 30 mrad."""
+LOG_SCALE = (0.0, 1.0)
+"""The same of the factor on the variance of images."""
+FEWEST_READINGS = 5.0
+"""Readings that a lasting error outlasts at least: a shorter one is white noise."""
+LONGEST_S = 60.0
+STEP = 2e-4
+"""Change of a logarithm in differences: slopes are off
+by up to 0.1 nats by curvature, and by 0.01 by rounding.
+"""
+ROUNDS = 3
+"""Times at most that the log is linearised again about what the last noise gives."""
+FLAT_NATS = 0.2
+"""Gain of a step of the search that is its last: hypotheses are compared to NATS."""
+_SPAN = 1e4
+"""Factor by which variances may differ from those with which the search begins."""
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """Noise by evidence, the path that it gives, −ln p of log
+    and noise, and the columns' sizes (C,) with their cov.
+    """
+
+    noise: Noise
+    path: Path
+    nats: float
+    sizes: Array
+    sizes_cov: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Expected:
+    """Expectations by the posterior: of pairs z
+    (K-1,M,2p,2p), of z c' (K-1,M,2p,R) and of c c' (R,R).
+    """
+
+    pairs: Array
+    with_columns: Array
+    columns: Array
+
+
+def learn_noise(
+    problem: FactorProblem, noise: Noise, path: Path, step_s: float, rounds: int = ROUNDS
+) -> Learned:
+    """The most probable noise, from `noise` on; step_s: the encoders' usual step."""
+    from scipy.optimize import minimize
+
+    start = noise
+    nats = np.inf
+    for _ in range(rounds):
+        linear = linearise(problem, path, noise)
+        limits = _limits(start, step_s)
+        first = eliminate(build_system(linear))
+        begin = np.clip(_to_vector(noise), limits[:, 0], limits[:, 1])
+        unit = _units(problem, noise)
+
+        def cost(p: Array, linear: Linearised = linear, unit: Array = unit) -> tuple[float, Array]:
+            nats, slope = _cost(linear, p * unit)
+            return nats, slope * unit
+
+        found = minimize(
+            cost,
+            begin / unit,
+            jac=True,
+            method="L-BFGS-B",
+            bounds=limits / unit[:, None],
+            options={"maxiter": 30, "ftol": FLAT_NATS / max(abs(first.nats), 1.0)},
+        )
+        noise = _from_vector(found.x * unit, noise)
+        linear = linear.with_noise(noise)
+        system = build_system(linear)
+        beliefs = smoothed(system, eliminate(system))
+        path = path_of(problem, noise, beliefs)
+        settled = abs(nats - found.fun) < FLAT_NATS
+        nats = float(found.fun)
+        if settled:
+            break
+    return Learned(noise, path, nats, beliefs.sizes[0], beliefs.sizes_cov[0])
+
+
+def _errors(joints: JointNoise) -> Array:
+    """Standard deviations (L,) rad of the lasting errors that are learned."""
+    return np.empty(0) if joints.error is None else joints.error[joints.learned]
+
+
+def _to_vector(noise: Noise) -> Array:
+    """Logarithms of white (M,), process (M,), [σ (M,), τ (),] and scales."""
+    joints = noise.joints
+    errors = _errors(joints)
+    lasting = [np.log(errors), np.log(joints.seconds[joints.learned][:1])] if len(errors) else []
+    return np.concatenate(
+        [np.log(joints.white), np.log(joints.process), *lasting, np.log(noise.scales)]
+    )
+
+
+def _from_vector(p: Array, like: Noise) -> Noise:
+    """The noise of `_to_vector`."""
+    joints = like.joints
+    m = len(joints.white)
+    white = np.exp(p[:m])
+    process = np.exp(p[m : 2 * m])
+    rest = p[2 * m :]
+    made = replace(joints, white=white, process=process)
+    count = len(_errors(joints))
+    if count:
+        assert joints.error is not None
+        error = joints.error.copy()
+        seconds = joints.seconds.copy()
+        error[joints.learned] = np.exp(rest[:count])
+        seconds[joints.learned] = np.exp(rest[count])
+        made = replace(made, error=error, seconds=seconds)
+        rest = rest[count + 1 :]
+    return Noise(made, tuple(np.exp(rest).tolist()))
+
+
+def _units(problem: FactorProblem, noise: Noise) -> Array:
+    """About how far each logarithm (P,) is known: a variance of n readings to √(2/n)."""
+    m = len(problem.start)
+    read = np.maximum(np.isfinite(problem.values).sum(axis=0), 2.0)
+    seen = [max(images.values.size, 2) for images in problem.images]
+    count = len(_errors(noise.joints))
+    lasting = [0.4] * (count + (count > 0))
+    return np.concatenate(
+        [np.sqrt(2.0 / read), [0.3] * m, lasting, np.sqrt(2.0 / np.array(seen, float))]
+    )
+
+
+def _limits(start: Noise, step_s: float) -> Array:
+    """Least and most of each logarithm (P,2)."""
+    joints = start.joints
+    wide = np.log(_SPAN)
+    white = [(v - wide, v + wide) for v in np.log(joints.white)]
+    process = [(v - wide, v + wide) for v in np.log(joints.process)]
+    shortest = np.log(FEWEST_READINGS * step_s)
+    count = len(_errors(joints))
+    error = [(np.log(1e-6), np.log(0.3))] * count
+    lasting = [*error, (shortest, np.log(LONGEST_S))] if count else []
+    return np.array([*white, *process, *lasting, *[(-wide, wide)] * len(start.scales)])
+
+
+def _cost(linear: Linearised, p: Array) -> tuple[float, Array]:
+    """−ln p of the log and of the noise with these logarithms, and its gradient (P,)."""
+    noise = _from_vector(p, linear.noise)
+    posed = linear.with_noise(noise)
+    system = build_system(posed)
+    eliminated = eliminate(system)
+    beliefs = smoothed(system, eliminated)
+    prior, prior_slope = _prior(p, noise)
+    slope = _slopes(posed, beliefs, system.joints)
+    return eliminated.nats + prior, slope + prior_slope
+
+
+def _prior(p: Array, noise: Noise) -> tuple[float, Array]:
+    """−ln of the prior density, up to a constant, and its gradient."""
+    mean = np.zeros(len(p))
+    std = np.full(len(p), np.inf)
+    rest = 2 * len(noise.joints.white)
+    if count := len(_errors(noise.joints)):
+        mean[rest : rest + count], std[rest : rest + count] = LOG_ERROR
+        mean[rest + count], std[rest + count] = LOG_SECONDS
+        rest += count + 1
+    mean[rest:], std[rest:] = LOG_SCALE
+    away = (p - mean) / std
+    return float(0.5 * away @ away), np.asarray(away / std)
+
+
+def _slopes(linear: Linearised, beliefs: Smoothed, pairs: PairFactors) -> Array:
+    """Gradient of −ln p of the log by all logarithms."""
+    joints = linear.noise.joints
+    expected = _expect(linear, beliefs)
+    here = _joint_costs(linear, joints, expected, beliefs, pairs)
+
+    def change(name: str) -> Array:
+        there = replace(joints, **{name: getattr(joints, name) * np.exp(STEP)})
+        changed = condense(linear.readings, there)
+        return (_joint_costs(linear, there, expected, beliefs, changed) - here) / STEP
+
+    parts = [change("white"), change("process")]
+    if len(_errors(joints)):
+        parts += [
+            change("error")[joints.learned],
+            change("seconds")[joints.learned].sum(keepdims=True),
+        ]
+    return np.concatenate([*parts, _scale_slopes(linear, beliefs)])
+
+
+def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
+    """Second moments of neighbouring joint states and the columns' sizes."""
+    p = linear.noise.joints.states
+    m = len(linear.problem.start)
+    sizes = beliefs.sizes[0]
+    sizes_cov = beliefs.sizes_cov[0]
+    c = np.concatenate([[1.0], -sizes])
+    columns = np.outer(c, c)
+    columns[1:, 1:] += sizes_cov
+    shared = beliefs.shared[:, : m * p].reshape(len(beliefs.mean), m, p, len(sizes))
+    mean = beliefs.mean[:, : m * p].reshape(-1, m, p)
+    own = np.stack(
+        [beliefs.cov[:, j * p : (j + 1) * p, j * p : (j + 1) * p] for j in range(m)], axis=1
+    )
+    next_to = np.stack(
+        [beliefs.between[:, j * p : (j + 1) * p, j * p : (j + 1) * p] for j in range(m)], axis=1
+    )
+    z = np.concatenate([mean[:-1], mean[1:]], axis=-1)
+    x = np.concatenate([shared[:-1], shared[1:]], axis=-2)
+    cov = np.block([[own[:-1], next_to], [next_to.swapaxes(-1, -2), own[1:]]])
+    pairs = cov + z[..., :, None] * z[..., None, :] + x @ sizes_cov @ x.swapaxes(-1, -2)
+    with_columns = z[..., :, None] * c
+    with_columns[..., 1:] += x @ sizes_cov
+    return _Expected(pairs, with_columns, columns)
+
+
+def _joint_costs(
+    linear: Linearised,
+    joints: JointNoise,
+    expected: _Expected,
+    beliefs: Smoothed,
+    pairs: PairFactors,
+) -> Array:
+    """Expected cost (M,) of each joint's factors with this noise."""
+    cost = 0.5 * np.einsum("imps,imsp->m", pairs.info, expected.pairs)
+    cost -= np.einsum("impr,impr->m", pairs.right, expected.with_columns)
+    cost += 0.5 * np.einsum("imrq,qr->m", pairs.square, expected.columns)
+    cost += pairs.logs.sum(axis=0)
+    return np.asarray(
+        cost + _knot_costs(linear, joints, beliefs) + _start_costs(linear, joints, expected)
+    )
+
+
+def _knot_costs(linear: Linearised, joints: JointNoise, beliefs: Smoothed) -> Array:
+    """Expected cost (M,) of the readings at knots."""
+    readings = linear.readings
+    p = joints.states
+    m = len(joints.white)
+    rows = np.zeros((len(readings.t), m, beliefs.mean.shape[1]))
+    for j, row in enumerate(joints.reads):
+        rows[:, j, j * p : (j + 1) * p] = row
+    mean, cov = beliefs.of_rows(rows, np.arange(len(readings.t)), readings.at_knot[..., 1:])
+    square = np.square(readings.at_knot[..., 0] - mean) + np.einsum("kmm->km", cov)
+    weight = readings.knot_weight / joints.white
+    var = joints.white / np.where(readings.knot_weight > 0.0, readings.knot_weight, 1.0)
+    cost = 0.5 * weight * square + normalisation(var, readings.knot_believed)
+    return np.asarray(cost.sum(axis=0))
+
+
+def _start_costs(linear: Linearised, joints: JointNoise, expected: _Expected) -> Array:
+    """Expected cost (M,) of the prior of a lasting error at the first knot."""
+    if joints.error is None:
+        return np.zeros(len(joints.white))
+    precision = joints.start_precision()[:, -1, -1]
+    p = joints.states
+    return np.asarray(0.5 * (precision * expected.pairs[0, :, p - 1, p - 1] - np.log(precision)))
+
+
+def _scale_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+    """Slopes by the logarithms of the factors on images' variances."""
+    found = []
+    for images, rows, scale in zip(
+        linear.problem.images, linear.rows, linear.noise.scales, strict=True
+    ):
+        mean, cov = beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
+        square = np.square(rows.right[..., 0] - mean) + np.einsum("fdd->fd", cov)
+        share = images.believed[:, None]
+        found.append(0.5 * float((share * (1.0 - square / (scale * rows.var))).sum()))
+    return np.array(found)

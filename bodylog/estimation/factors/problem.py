@@ -1,0 +1,233 @@
+"""A log as factors: its knots, readings and images, the
+noise that is assumed, and the columns of its border.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ...types import Array
+from ..measurements.records import Sighting
+from .columns import Column, Path
+from .condensing import LOG_2PI, Readings, condense, normalisation, place_readings
+from .encoder_error import JointNoise
+from .images import ImageRows, Images, alike, image_rows, place_images
+from .solve import System
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """What is assumed of joints and encoders, and factors
+    on the stated variance of each sense's images.
+    """
+
+    joints: JointNoise
+    scales: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FactorProblem:
+    """A log to be solved on K knots (K,) s.
+
+    t (N,) s, values (N,M) rad, NaN where missing, relative (N,M): readings and their
+    variances over the encoder's · believed (N,M), and of each sense's images (F,):
+    shares that are not taken for outliers · start (M,) rad · nearest: whether an image
+    may be of a time before its knot as well, as a filter's may not.
+    """
+
+    knots: Array
+    t: Array
+    values: Array
+    relative: Array
+    start: Array
+    sightings: tuple[Sighting, ...]
+    columns: tuple[Column, ...] = ()
+    nearest: bool = True
+    believed: Array | None = None
+    images_believed: tuple[Array, ...] | None = None
+
+    @cached_property
+    def images(self) -> tuple[Images, ...]:
+        """The images at their knots."""
+        placed = [place_images(one, self.knots, self.nearest) for one in self.sightings]
+        if self.images_believed is None:
+            return tuple(placed)
+        pairs = zip(placed, self.images_believed, strict=True)
+        return tuple(replace(one, believed=share[one.frames]) for one, share in pairs)
+
+    @property
+    def model_rows(self) -> int:
+        """Number U of rows of all senses, each with a model error among the states."""
+        return sum(one.values.shape[1] for one in self.sightings)
+
+    def states(self, noise: Noise) -> int:
+        """Length S of the state at a knot: each joint's, then the model errors."""
+        return len(self.start) * noise.joints.states + self.model_rows
+
+    def place(self, path: Path) -> Readings:
+        """The readings at and between the knots, with the change
+        of each by the columns as further right-hand sides.
+        """
+        moved = (
+            np.stack([c.reads(self.t, path) for c in self.columns], axis=-1)
+            if self.columns
+            else None
+        )
+        own = self.values[..., None]
+        values = own if moved is None else np.concatenate([own, moved], axis=-1)
+        believed = np.ones(self.values.shape) if self.believed is None else self.believed
+        return place_readings(self.t, values, self.relative, believed, self.knots)
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """A problem about a path: readings, rows of images (without
+    their scale), correlation κ (K-1,U) of model errors.
+    """
+
+    problem: FactorProblem
+    path: Path
+    readings: Readings
+    rows: tuple[ImageRows, ...]
+    alike: Array
+    noise: Noise
+
+    def with_noise(self, noise: Noise) -> "Linearised":
+        """The same with other noise; where errors are and which there are stays."""
+        return replace(self, noise=noise)
+
+
+def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
+    """The problem about a path of angles (K,M), rates (K,M) and links (K,M)."""
+    rows = []
+    size = problem.states(noise)
+    first = size - problem.model_rows
+    for images in problem.images:
+        here = path.at_images(images)
+        links, shifts = columns_of_images(problem, images, path)
+        rows.append(image_rows(images, here.links, noise.joints, 1.0, links, shifts, first, size))
+        first += images.values.shape[1]
+    kappa = alike(problem.sightings, path.links)
+    return Linearised(problem, path, problem.place(path), tuple(rows), kappa, noise)
+
+
+def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> tuple[Array, Array]:
+    """What the columns move links by (F,M,C), and images beyond that (F,D,C)."""
+    count, rows = images.values.shape
+    joints = len(problem.start)
+    links = np.zeros((count, joints, len(problem.columns)))
+    shifts = np.zeros((count, rows, len(problem.columns)))
+    for c, column in enumerate(problem.columns):
+        links[..., c] = column.moves_images(images, path)
+        shifts[..., c] = column.shifts_images(images)
+    return links, shifts
+
+
+def build_system(linear: Linearised) -> System:
+    """All factors of the linearised problem."""
+    problem = linear.problem
+    noise = linear.noise
+    joints = noise.joints
+    pairs = condense(linear.readings, joints)
+    size = problem.states(noise)
+    p = joints.states
+    m = len(problem.start)
+    width = m * p
+    right_sides = 1 + len(problem.columns)
+    count = len(problem.knots)
+    info = np.zeros((count, size, size))
+    right = np.zeros((count, size, right_sides))
+    square = np.zeros((count, right_sides, right_sides))
+    logs = np.zeros(count)
+    _add_start(info, right, square, logs, problem, joints)
+    _add_readings_at_knots(info, right, square, logs, linear.readings, joints)
+    for images, rows, scale in zip(problem.images, linear.rows, noise.scales, strict=True):
+        _add_images(info, right, square, logs, images, rows, scale)
+    pair_info = np.zeros((count - 1, 2 * size, 2 * size))
+    pair_right = np.zeros((count - 1, 2 * size, right_sides))
+    for j in range(m):
+        own = np.r_[j * p : (j + 1) * p, size + j * p : size + (j + 1) * p]
+        pair_info[:, own[:, None], own] = pairs.info[:, j]
+        pair_right[:, own] = pairs.right[:, j]
+    logs_of_pairs = pairs.logs.sum(axis=1)
+    # u₁ = κ u₀ + √(1 − κ²) ν
+    fresh = 1.0 / (1.0 - np.square(linear.alike))
+    first = np.arange(width, size)
+    pair_info[:, first, first] = np.square(linear.alike) * fresh
+    pair_info[:, size + first, size + first] = fresh
+    pair_info[:, first, size + first] = pair_info[:, size + first, first] = -linear.alike * fresh
+    logs_of_pairs = logs_of_pairs - 0.5 * np.log(fresh).sum(axis=1)
+    means = np.array([column.mean for column in problem.columns])
+    precision = np.array([1.0 / column.std**2 for column in problem.columns])
+    system = System(
+        info,
+        right,
+        square,
+        logs,
+        pair_info,
+        pair_right,
+        pairs.square.sum(axis=1),
+        logs_of_pairs,
+        means,
+        precision,
+        pairs,
+    )
+    return system.about_means()
+
+
+def _add_start(
+    info: Array,
+    right: Array,
+    square: Array,
+    logs: Array,
+    problem: FactorProblem,
+    joints: JointNoise,
+) -> None:
+    """What is known at the first knot before the log."""
+    p = joints.states
+    for j, (start, precision) in enumerate(
+        zip(problem.start, joints.start_precision(), strict=True)
+    ):
+        own = slice(j * p, (j + 1) * p)
+        info[0, own, own] += precision
+        right[0, j * p, 0] += precision[0, 0] * start
+        square[0, 0, 0] += precision[0, 0] * start**2
+        logs[0] -= 0.5 * np.log(np.diag(precision)).sum()
+    rest = np.arange(len(problem.start) * p, info.shape[1])
+    info[0, rest, rest] += 1.0
+
+
+def _add_readings_at_knots(
+    info: Array, right: Array, square: Array, logs: Array, readings: Readings, joints: JointNoise
+) -> None:
+    """Readings that are at a knot."""
+    p = joints.states
+    weight = readings.knot_weight / joints.white
+    for j, row in enumerate(joints.reads):
+        own = slice(j * p, (j + 1) * p)
+        info[:, own, own] += weight[:, j, None, None] * np.outer(row, row)
+        read = readings.at_knot[:, j]
+        right[:, own] += (weight[:, j, None] * row)[..., None] * read[:, None]
+        square += weight[:, j, None, None] * read[:, :, None] * read[:, None, :]
+    var = joints.white / np.where(readings.knot_weight > 0.0, readings.knot_weight, 1.0)
+    logs += normalisation(var, readings.knot_believed).sum(axis=1)
+
+
+def _add_images(
+    info: Array,
+    right: Array,
+    square: Array,
+    logs: Array,
+    images: Images,
+    rows: ImageRows,
+    scale: float,
+) -> None:
+    """Images at their knots."""
+    weight = images.believed[:, None] / (scale * rows.var)
+    weighted = rows.slopes * weight[..., None]
+    np.add.at(info, images.knots, rows.slopes.swapaxes(1, 2) @ weighted)
+    np.add.at(right, images.knots, weighted.swapaxes(1, 2) @ rows.right)
+    np.add.at(square, images.knots, rows.right.swapaxes(1, 2) @ (weight[..., None] * rows.right))
+    own = 0.5 * images.believed[:, None] * (LOG_2PI + np.log(scale * rows.var))
+    np.add.at(logs, images.knots, own.sum(axis=1))

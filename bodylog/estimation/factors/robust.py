@@ -1,0 +1,53 @@
+"""How far each reading is believed: a mixture of its noise and outliers that may be anywhere.
+
+With r the residual from what the other measurements
+predict, and its covariance S, the share that is believed is
+
+    w = (1 − ε) N(r; 0, S) / ((1 − ε) N(r; 0, S) + ε / range),
+
+and a reading weighs w of what it would. The evidence
+then falls monotonically with an outlier's distance.
+"""
+
+import numpy as np
+
+from ...types import Array
+
+OUTLIERS = 1e-2
+"""Share ε of measurements that are outliers before the log."""
+LEAST = 1e-6
+"""Least weight, so that variances stay finite."""
+
+
+def believed(residual: Array, cov: Array, span: Array) -> Array:
+    """Shares (F,) of residuals (F,D) with covariances
+    (F,D,D); outliers lie anywhere within span (D,).
+    """
+    rows = residual.shape[1]
+    square = np.einsum("fd,fd->f", residual, np.linalg.solve(cov, residual[..., None])[..., 0])
+    log_det = np.linalg.slogdet(cov)[1]
+    inlier = -0.5 * (square + log_det + rows * np.log(2.0 * np.pi)) + np.log1p(-OUTLIERS)
+    outlier = np.log(OUTLIERS) - np.log(span).sum()
+    share = 1.0 / (1.0 + np.exp(np.clip(outlier - inlier, -50.0, 50.0)))
+    return np.asarray(np.maximum(share, LEAST))
+
+
+def outlier_nats(share: Array, span: Array) -> float:
+    """−ln p of measurements as far as they are
+    outliers: shares (F,) that are believed, span (D,).
+    """
+    return float(((1.0 - share) * (np.log(span).sum() - np.log(OUTLIERS))).sum())
+
+
+def left_out(residual: Array, noise: Array, belief: Array) -> tuple[Array, Array]:
+    """Residuals (F,D) and covariances (F,D,D) without the measurement itself, from those with it.
+
+    A measurement of noise R that leaves the residual r of a belief with covariance V is off the
+    others' prediction by R (R − V)⁻¹ r, with covariance R (R − V)⁻¹ R (de Jong 1988).
+    """
+    rest = noise - belief
+    # rounding may leave less than nothing of a measurement that the belief rests on
+    floor = 1e-3 * np.einsum("fdd->fd", noise)
+    np.einsum("fdd->fd", rest)[:] = np.maximum(np.einsum("fdd->fd", rest), floor)
+    gain = np.linalg.solve(rest, noise).swapaxes(1, 2)
+    return (gain @ residual[..., None])[..., 0], gain @ noise

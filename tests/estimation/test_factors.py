@@ -1,0 +1,275 @@
+"""The factor problem against dense Gaussian algebra, and against the filter and smoother without lasting errors."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.linalg import block_diag
+
+from bodylog.estimation.factors import robust
+from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, Path, follow_slack
+from bodylog.estimation.factors.encoder_error import JointNoise
+from bodylog.estimation.factors.gauss_newton import initial_path, solve
+from bodylog.estimation.factors.noise import _cost, _to_vector
+from bodylog.estimation.factors.problem import FactorProblem, Noise, linearise
+from bodylog.estimation.factors.solve import filtered, predicted
+from bodylog.estimation.measurements.records import Sighting
+from bodylog.sim.hardware import add_play
+from tests.estimation.conftest import Arm, Linear, motion
+
+JOINTS = 2
+ENCODER_S = 0.01
+IMAGE_S = 0.05
+
+
+class Tilt(Column):
+    """A link that is bent by a share of its rate."""
+
+    def moves_links(self, path):
+        return 0.1 * path.rates
+
+
+def noise(order, rng, lasting=True, at_link=False):
+    error = rng.uniform(1e-3, 3e-3, JOINTS) if lasting else None
+    white = rng.uniform(0.5e-6, 2e-6, JOINTS)
+    process = rng.uniform(0.5, 5.0, JOINTS)
+    seconds = np.full(JOINTS, rng.uniform(0.2, 2.0))
+    place = np.full(JOINTS, at_link)
+    return Noise(JointNoise(order, white, process, error, seconds, place, ~np.zeros(JOINTS, bool)), (1.3,))
+
+
+def drawn(rng, columns=(), images=9, model=None):
+    """A short log of smooth motion: readings between and at the images' times, one of them missing."""
+    knots = IMAGE_S * np.arange(images) + 2e-3 * rng.random(images)
+    t = np.sort(np.append(ENCODER_S * np.arange(int(images * IMAGE_S / ENCODER_S)) + 1e-3, knots[3]))
+    rate = rng.uniform(-1.0, 1.0, JOINTS)
+    values = np.outer(t, rate) + 0.2 * np.sin(np.outer(t, rng.uniform(1, 3, JOINTS)))
+    values += 1e-3 * rng.standard_normal(values.shape)
+    values[7, 0] = np.nan
+    at = np.column_stack([np.interp(knots, t[np.isfinite(c)], c[np.isfinite(c)]) for c in values.T])
+    model = model or Linear(rng.normal(0.0, 400.0, (2, JOINTS)), rng.normal(0.0, 10.0, 2))
+    seen = model.predict(at)[0] + 0.3 * rng.standard_normal((images, 2))
+    var = np.full(seen.shape, 0.09)
+    sighting = Sighting("effector", model, knots, seen, var, (knots * 1e9).astype(np.int64))
+    return FactorProblem(
+        knots, t, values, rng.uniform(0.5, 2.0, values.shape), np.array([0.1, -0.1]), (sighting,), columns
+    )
+
+
+def dense(problem, noise, linear, until):
+    """Mean and covariance of the joints' states at knots and the columns' sizes, and −ln p, by full matrices.
+
+    All states at all instants are one normal vector; measurements up to `until` s condition it. The model of images has
+    no error of its own.
+    """
+    joints = noise.joints
+    times = np.unique(np.concatenate([problem.knots, problem.t[problem.t >= problem.knots[0]]]))
+    p, m = joints.states, len(problem.start)
+    start = block_diag(*np.linalg.inv(joints.start_precision()))
+    mean = np.zeros(m * p)
+    mean[::p] = problem.start
+    covs, moves = [start], []
+    for gap in np.diff(times):
+        move = block_diag(*[transition(joints, gap, j) for j in range(m)])
+        grown = joints.covariance(np.array([gap]))[:, :, 0]
+        covs.append(move @ covs[-1] @ move.T + block_diag(*np.moveaxis(grown, -1, 0)))
+        moves.append(move)
+    size = m * p
+    cov = np.zeros((len(times) * size, len(times) * size))
+    means = [mean]
+    for move in moves:
+        means.append(move @ means[-1])
+    for i in range(len(times)):
+        block = covs[i]
+        for k in range(i, len(times)):
+            cov[k * size : (k + 1) * size, i * size : (i + 1) * size] = block
+            cov[i * size : (i + 1) * size, k * size : (k + 1) * size] = block.T
+            if k < len(moves):
+                block = moves[k] @ block
+    sizes = np.array([column.std**2 for column in problem.columns])
+    cov = block_diag(cov, np.diag(sizes)) if len(sizes) else cov
+    mean = np.concatenate([*means, [column.mean for column in problem.columns]])
+    rows, read, var = [], [], []
+    moved = [column.reads(problem.t, linear.path) for column in problem.columns]
+    for k, at in enumerate(problem.t):
+        for j in range(m):
+            if not np.isfinite(problem.values[k, j]) or at < problem.knots[0] or at > until + 1e-12:
+                continue
+            row = np.zeros(len(mean))
+            first = np.searchsorted(times, at) * size + j * p
+            row[first : first + p] = joints.reads[j]
+            row[len(times) * size :] = [one[k, j] for one in moved]
+            rows.append(row)
+            read.append(problem.values[k, j])
+            var.append(joints.white[j] * problem.relative[k, j])
+    (images,), (linearised,) = problem.images, linear.rows
+    for f, knot in enumerate(images.knots):
+        if problem.knots[knot] > until + 1e-12:
+            continue
+        for d in range(2):
+            row = np.zeros(len(mean))
+            first = np.searchsorted(times, problem.knots[knot]) * size
+            row[first : first + size] = linearised.slopes[f, d, :size]
+            row[len(times) * size :] = linearised.right[f, d, 1:]
+            rows.append(row)
+            read.append(linearised.right[f, d, 0])
+            var.append(noise.scales[0] * linearised.var[f, d])
+    rows, read = np.array(rows), np.array(read)
+    total = rows @ cov @ rows.T + np.diag(var)
+    gain = np.linalg.solve(total, rows @ cov).T
+    off = read - rows @ mean
+    nats = 0.5 * (off @ np.linalg.solve(total, off) + np.linalg.slogdet(2.0 * np.pi * total)[1])
+    after, spread = mean + gain @ off, cov - gain @ rows @ cov
+    at_knots = [np.arange(size) + size * np.searchsorted(times, one) for one in problem.knots]
+    return (
+        np.array([after[one] for one in at_knots]), np.array([spread[np.ix_(one, one)] for one in at_knots]),
+        after[len(times) * size :], nats,
+    )  # fmt: skip
+
+
+def transition(joints, gap, joint):
+    """The transition (p,p) of one joint's state."""
+    move = np.eye(joints.states)
+    for i in range(joints.order):
+        for k in range(i + 1, joints.order):
+            move[i, k] = gap ** (k - i) / (k - i)
+    if joints.error is not None:
+        move[-1, -1] = np.exp(-gap / joints.seconds[joint])
+    return move
+
+
+ERRORS = ((False, False), (True, False), (True, True))
+CASES = [(order, *error) for order in (2, 3) for error in ERRORS]
+
+
+@pytest.mark.parametrize(("order", "lasting", "at_link"), CASES)
+def test_filter_and_smoother_of_a_linear_body_are_those_of_dense_matrices(order, lasting, at_link):
+    for seed in range(2):
+        rng = np.random.default_rng([seed, order])
+        columns = (EncoderShift("step", 0.01, joint=1, since=0.2), Tilt("bent", 0.02, mean=0.01))
+        problem, assumed = drawn(rng, columns), noise(order, rng, lasting, at_link)
+        solution = solve(problem, assumed, rounds=1)
+        forward = filtered(solution.system, solution.eliminated)
+        size = JOINTS * assumed.joints.states
+        mean, cov, sizes, nats = dense(problem, assumed, solution.linear, problem.knots[-1])
+        whole = solution.beliefs
+        own = whole.cov + whole.shared @ whole.sizes_cov @ whole.shared.swapaxes(1, 2)
+        unit = np.sqrt(np.einsum("kss->ks", cov))
+        assert np.abs((whole.mean[:, :size] - mean) / unit).max() < 1e-6
+        assert np.abs(own[:, :size, :size] - cov).max() <= 1e-6 * np.abs(cov).max()
+        assert np.allclose(whole.sizes[0], sizes, atol=1e-9, rtol=0.0)
+        assert solution.nats == pytest.approx(nats, abs=1e-6)
+        for k in (2, 5, 8):
+            mean, cov, sizes, nats = dense(problem, assumed, solution.linear, problem.knots[k])
+            unit = np.sqrt(np.einsum("kss->ks", cov))
+            assert np.abs((forward.mean[k, :size] - mean[k]) / unit[k]).max() < 1e-6
+            own = forward.cov[k] + forward.shared[k] @ forward.sizes_cov[k] @ forward.shared[k].T
+            assert np.abs(own[:size, :size] - cov[k]).max() <= 1e-6 * np.abs(cov[k]).max()
+            assert np.allclose(forward.sizes[k], sizes, atol=1e-8, rtol=0.0)
+            assert forward.nats[k] == pytest.approx(nats, abs=1e-6)
+
+
+def test_angles_of_a_linear_body_are_those_of_dense_matrices_to_the_ninth_digit():
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        problem, assumed = drawn(rng), noise(2, rng)
+        solution = solve(problem, assumed, rounds=1)
+        mean, cov, _, _ = dense(problem, assumed, solution.linear, problem.knots[-1])
+        p = assumed.joints.states
+        assert np.abs(solution.beliefs.mean[:, 0 : 2 * p : p] - mean[:, ::p]).max() < 1e-9
+        assert np.abs(solution.beliefs.cov[:, 0, 0] - cov[:, 0, 0]).max() < 1e-9
+
+
+def test_what_is_predicted_is_what_was_known_before_the_knot():
+    rng = np.random.default_rng(3)
+    problem, assumed = drawn(rng), noise(3, rng)
+    solution = solve(problem, assumed, rounds=1)
+    before = predicted(solution.system, solution.eliminated)
+    mean, cov, _, _ = dense(problem, assumed, solution.linear, problem.knots[5] - 1e-6)
+    size = JOINTS * assumed.joints.states
+    unit = np.sqrt(np.diag(cov[5]))
+    assert np.abs((before.mean[5, :size] - mean[5]) / unit).max() < 1e-6
+
+
+@pytest.mark.parametrize("at_link", [False, True])
+def test_the_slope_of_the_evidence_is_that_of_differences(at_link):
+    for seed in range(2):
+        rng = np.random.default_rng(seed)
+        problem, assumed = drawn(rng, (Delay("late", 0.05, camera="camera"),)), noise(3, rng, True, at_link)
+        linear = linearise(problem, initial_path(problem), assumed)
+        at = _to_vector(assumed)
+        _, slope = _cost(linear, at)
+        for k, own in enumerate(slope):
+            step = np.zeros(len(at))
+            step[k] = 1e-3
+            difference = (_cost(linear, at + step)[0] - _cost(linear, at - step)[0]) / 2e-3
+            assert own == pytest.approx(difference, abs=0.02)
+
+
+def test_links_follow_their_motors_through_the_play():
+    for seed in range(2):
+        t = np.linspace(0.0, 10.0, 2001)
+        motors = motion(t, np.random.default_rng(seed))
+        half = np.full(3, 4e-3)
+        slack = follow_slack(motors, half, np.zeros(3))
+        assert np.allclose(motors + slack * half, add_play(motors, 8e-3), atol=1e-12)
+
+
+def test_noise_of_an_angle_does_not_drag_the_link():
+    rng = np.random.default_rng(0)
+    rise = np.concatenate([np.linspace(0.0, 0.1, 100), np.full(400, 0.1)])[:, None]
+    read = rise + 5e-4 * rng.standard_normal(rise.shape)
+    half = np.array([4e-3])
+    still = follow_slack(read, half, np.array([1.5e-3]))
+    assert (still[100:] < -0.5).all()
+    assert (follow_slack(read, half, np.zeros(1))[100:] > -0.4).any()
+
+
+def test_an_outlier_costs_more_the_farther_it_is_and_at_most_its_range():
+    away = np.linspace(0.0, 1.0, 200)[:, None]
+    cov = np.full((200, 1, 1), 1e-4)
+    span = np.array([6.0])
+    share = robust.believed(away, cov, span)
+    assert (np.diff(share) <= 0.0).all() and share[0] > 0.99 and share[-1] < 1e-5
+    assert robust.outlier_nats(share[-1:], span) == pytest.approx(np.log(6.0 / robust.OUTLIERS), rel=1e-4)
+
+
+def test_measurements_left_out_are_those_of_a_solve_without_them():
+    rng = np.random.default_rng(4)
+    problem, assumed = drawn(rng), noise(2, rng, lasting=False)
+    solution = solve(problem, assumed, rounds=1)
+    (images,), (rows,) = problem.images, solution.linear.rows
+    mean, cov = solution.beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
+    used = (1.3 * rows.var)[..., None] * np.eye(2)
+    rest, spread = robust.left_out(rows.right[..., 0] - mean, used, cov)
+    sighting = problem.sightings[0]
+    values = sighting.values.copy()
+    values[4] = np.nan
+    without = replace(problem, sightings=(replace(sighting, values=values),))
+    alone = solve(without, assumed, rounds=1)
+    expected, own = alone.beliefs.of_rows(rows.slopes[4:5], np.array([4]), rows.right[4:5, :, 1:])
+    assert np.allclose(rest[4], rows.right[4, :, 0] - expected[0], atol=1e-6)
+    assert np.allclose(spread[4], own[0] + used[4], rtol=1e-6)
+
+
+def test_a_smoothed_arm_without_lasting_errors_is_that_of_the_textbook_iteration():
+    """Gauss–Newton on a nonlinear arm ends where the gradient of −ln p vanishes: no step from there gains anything."""
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 1.0, ENCODER_S)
+    angles = motion(t, rng)
+    knots = t[::5]
+    arm = Arm()
+    seen = arm.place(angles[::5]) + 0.3 * rng.standard_normal((len(knots), 2))
+    stamps = (knots * 1e9).astype(np.int64)
+    sighting = Sighting("effector", arm, knots, seen, np.full(seen.shape, 0.09), stamps)
+    read = angles + 1e-3 * rng.standard_normal(angles.shape)
+    problem = FactorProblem(knots, t, read, np.ones(read.shape), read[0], (sighting,))
+    joints = JointNoise(3, np.full(3, 1e-6), np.full(3, 5.0), None, np.ones(3), np.zeros(3, bool), np.ones(3, bool))
+    assumed = Noise(joints, (1.0,))
+    solution = solve(problem, assumed)
+    again = solve(problem, assumed, solution.linear.path, rounds=1)
+    unit = np.sqrt(np.einsum("kss->ks", solution.beliefs.cov))
+    assert np.abs((again.beliefs.mean - solution.beliefs.mean) / unit).max() < 5e-3
+    far = Path(knots, angles[::5] + 0.05, solution.linear.path.rates, angles[::5] + 0.05, solution.linear.path.slack)
+    other = solve(problem, assumed, far)
+    assert np.abs((other.beliefs.mean - solution.beliefs.mean) / unit).max() < 5e-3
