@@ -12,6 +12,7 @@ import numpy as np
 from ..delay_findings import MAX_DURATION_S, MOST_FLOW_IMAGES, middle_of_recording
 from ..errors import LogError
 from ..flow_findings import delay_by_flow, has_motion
+from ..io.values import FARTHEST
 from ..perception.surface.flow import measure_grid_flow
 from ..recording.cameras import camera_name_of_source
 from ..recording.role_hints import camera_topics
@@ -206,4 +207,5 @@ def _stored_numbers(signal: "EpisodeSignal", start_ns: int) -> StoredNumbers:
     if known.read == "counts" and known.unit == "rad":
         values = np.rad2deg((values - known.zero) * known.factor)
         shown = "deg"
-    return StoredNumbers(t, values, signal.names, shown)
+    credible = np.where(np.abs(values) <= FARTHEST, values, np.nan)  # as logs are read
+    return StoredNumbers(t, credible, signal.names, shown)
