@@ -53,7 +53,7 @@ def test_settings_may_be_mappings_and_are_checked():
 
 def test_a_frame_is_printed_without_its_bytes():
     frame = LazyImage(0.5, 1, lambda _: np.zeros((2, 2, 3), np.uint8))
-    assert repr(frame) == "Frame(t=0.5, source_ns=1, shrinks=False)"
+    assert repr(frame) == "LazyImage(t=0.5, source_ns=1, shrinks=False)"
 
 
 def test_image_tables_of_a_log_are_written_as_they_were_read(arm, tmp_path):

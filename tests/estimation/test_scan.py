@@ -116,7 +116,7 @@ CASES = [(order, drift, tracks, count) for order in (2, 3) for drift in (False, 
 def drawn(request, monkeypatch):
     """Irregular stretches of readings, some absent, some wrong, over several blocks: (readings, dynamics, z, p)."""
     for module in ("scan", "adjoint"):
-        monkeypatch.setattr(f"bodylog.estimation.inference.{module}.BLOCK", 16)
+        monkeypatch.setattr(f"bodylog.estimation.inference.{module}.BLOCK_INSTANTS", 16)
     order, drift, tracks, c = request.param
     rng, length, rows = np.random.default_rng(order + 10 * tracks + drift), 40, 2 + tracks % 2
     dynamics = FilterDynamics(rng.uniform(0.1, 1.0, JOINTS), np.array([1e-4, 0.0, 1e-5]) if drift else None, order=order)
