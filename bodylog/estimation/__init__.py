@@ -22,7 +22,7 @@ from .poses.estimate import estimate_still_poses as still_poses
 from .timing.correction import (
     add_delay_uncertainty,
     correct_camera_delays,
-    reconsidered,
+    reconsider_delays,
     restore_stamps,
 )
 
@@ -73,7 +73,7 @@ def _estimate_with_corrected_times(
 
     found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
     left = found.settings.get(HARDWARE_ERRORS, {}).get("late", {})
-    if (again := reconsidered(timely, features, body, delay, left)) is not None:
+    if (again := reconsider_delays(timely, features, body, delay, left)) is not None:
         timely = again
         found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
     used = dict(found.settings)

@@ -134,22 +134,6 @@ class EncoderShift(Column):
         return own
 
 
-@dataclass(frozen=True)
-class Displacement(Column):
-    """How far images are displaced from `since` s
-    on along one axis, px: a camera that was moved.
-    """
-
-    axis: int = 0
-    since: float = -np.inf
-
-    def shifts_images(self, images: "Images") -> Array:
-        """The same for all images after it."""
-        own = np.zeros(images.values.shape)
-        own[:, self.axis] = images.sighting.t[images.frames] >= self.since
-        return own if images.mix is None else (images.mix @ own[..., None])[..., 0]
-
-
 def follow_slack(motors: Array, half: Array, noise: Array) -> Array:
     """Where links lie within their play (K,M), −1 … 1,
     while motors (K,M) rad turn; half (M,) rad of the play.

@@ -26,7 +26,7 @@ without their own noise, and the model's variance (F,D).
 DRIFTS_S = 5.0
 """s: errors that last longer can imitate an encoder that drifts."""
 EVIDENT_SIGMAS = 3.0
-"""Standard deviations from zero of a joint's play that is told."""
+"""Standard deviations from zero of a joint's play that is reported."""
 
 
 def explained_estimate(
@@ -66,13 +66,15 @@ def explained_estimate(
         return kept
     explained = _with_explanation(problem, beliefs, found, settings.method != "smoother")
     made = results.build_estimate(method, body, problem.evidence, problem.timeline, explained)
-    told = _describe(found, problem.evidence.joints)
-    text = "; ".join(_sentences(told)) or "encoders: errors last"
+    errors = _describe_errors(found, problem.evidence.joints)
+    text = "; ".join(_error_sentences(errors)) or "encoders: errors last"
     finding = Finding(
         "warning", f'{text}: angles allow for it; see "What real arms do" in docs/validation.md'
     )
     return replace(
-        made, settings={**made.settings, HARDWARE_ERRORS: told}, findings=(*made.findings, finding)
+        made,
+        settings={**made.settings, HARDWARE_ERRORS: errors},
+        findings=(*made.findings, finding),
     )
 
 
@@ -134,7 +136,7 @@ def _place(problem: FilterProblem, instants: Instants, number: int) -> Place:
     )
 
 
-def _describe(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, Any]:
+def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, Any]:
     """The errors as plain numbers: what lasts, each joint's
     play, a picture's row time, and nats by which each wins.
     """
@@ -143,41 +145,46 @@ def _describe(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, Any]:
     learned = explanation.learned
     sizes = learned.sizes.tolist()
     stds = np.sqrt(np.diag(learned.sizes_cov)).tolist()
-    told: dict[str, Any] = {"nats": explanation.nats, "play": {}, "row_time": None, "lasting": None}
+    errors: dict[str, Any] = {
+        "nats": explanation.nats,
+        "play": {},
+        "row_time": None,
+        "lasting": None,
+    }
     for column, size, std in zip(explanation.columns, sizes, stds, strict=True):
         if isinstance(column, Play) and size > EVIDENT_SIGMAS * std:
-            told["play"][names[column.joint]] = {"rad": 2.0 * size, "std": 2.0 * std}
+            errors["play"][names[column.joint]] = {"rad": 2.0 * size, "std": 2.0 * std}
         elif isinstance(column, RowTime):
-            told["row_time"] = {"seconds": size, "std": std}
-    told["gains"] = dict(explanation.gains)
-    told["late"] = {one.camera: asdict(one) for one in explanation.delays}
-    if joints.error is not None and (explanation.lasts or not told["play"]):
+            errors["row_time"] = {"seconds": size, "std": std}
+    errors["gains"] = dict(explanation.gains)
+    errors["late"] = {one.camera: asdict(one) for one in explanation.delays}
+    if joints.error is not None and (explanation.lasts or not errors["play"]):
         size = float(np.sqrt(np.mean(np.square(joints.error[joints.learned]))))
         where = "link" if joints.at_link.any() else "encoder"
         seconds = float(joints.seconds[joints.learned][0])
-        told["lasting"] = {
+        errors["lasting"] = {
             "std": size,
             "seconds": seconds,
             "nats": explanation.lasting,
             "at": where,
         }
-    return told
+    return errors
 
 
-def _sentences(told: Mapping[str, Any]) -> Iterator[str]:
+def _error_sentences(errors: Mapping[str, Any]) -> Iterator[str]:
     """The errors in words."""
-    for joint, one in told["play"].items():
+    for joint, one in errors["play"].items():
         width, std = np.rad2deg([one["rad"], one["std"]])
         yield f"{joint}: {width:.2f} ± {std:.2f}° of play"
-    if told["lasting"]:
-        one = told["lasting"]
+    if errors["lasting"]:
+        one = errors["lasting"]
         yield (
             f"encoders: errors last {one['seconds']:.2g} s, {1e3 * one['std']:.2g} mrad, at "
             f"the {one['at']} "
             f"({one['nats']:.0f} nats)"
         )
-    if told["row_time"]:
-        one = told["row_time"]
+    if errors["row_time"]:
+        one = errors["row_time"]
         yield (
             f"pictures: rows seen {1e3 * abs(one['seconds']):.0f} ± {1e3 * one['std']:.0f} ms apart"
         )

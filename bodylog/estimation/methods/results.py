@@ -122,7 +122,8 @@ def with_lasting_error(
         f"encoders: errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "
         f"({lasting.nats:.0f} nats, "
         f"by images): play, load, a bent link or electronics; error bars of white noise are too small (NEES about "
-        f'{nees:.2g}) and are widened by it; see "What real arms do" in docs/validation.md'
+        f'{nees:.2g}) and are widened by it; see "What real arms do" in docs/validation.md; type '
+        'hardware_errors = "explain" under [estimate] to have them taken out of the angles'
     )
     return replace(
         found,

@@ -88,7 +88,7 @@ def correct_camera_delays(
     )
 
 
-def reconsidered(
+def reconsider_delays(
     timely: CorrectedFeatures,
     features: Features,
     body: BodyModel,
