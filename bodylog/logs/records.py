@@ -72,12 +72,14 @@ class LazyImage:
     The result may be a read-only view of the log's own bytes, in any memory order.
 
     `shrinks`: decode(2) may be cheaper than decode(1), and gives the means of 2 by 2 pixels.
+    `held_bytes`: memory that it keeps until it is decoded; 0 where its bytes stay in the file.
     """
 
     t: float
     source_ns: int
     decode: Callable[[int], Array] = field(repr=False)
     shrinks: bool = False
+    held_bytes: int = 0
 
     @property
     def image(self) -> Array:

@@ -57,10 +57,12 @@ class FrameTap:
         id_ = batch.topic_id
         self._numbers[id_].append(np.arange(self._count, self._count + len(batch.log_ns)))
         self._count += len(batch.log_ns)
-        for log_ns, decode in zip(
-            batch.log_ns.tolist(), _message_decoders(batch, self._decoders[id_]), strict=True
+        held = np.zeros_like(batch.length) if is_mapped(batch.data) else batch.length
+        decoders = _message_decoders(batch, self._decoders[id_])
+        for log_ns, decode, size in zip(
+            batch.log_ns.tolist(), decoders, held.tolist(), strict=True
         ):
-            self._consumer(LazyImage(float("nan"), log_ns, decode, self._shrinks[id_]))
+            self._consumer(LazyImage(float("nan"), log_ns, decode, self._shrinks[id_], size))
 
 
 def read_frames_lazily(

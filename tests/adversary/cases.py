@@ -30,6 +30,11 @@ WAIT_S = 1.0
 """What a case waits for a server."""
 
 
+_ONE_LINE = re.compile(r"bodylog: [^\n]+\n")
+_ROWS = re.compile(r"(\[\d+/\d+\] [^\n]+: unusable: [^\n]+\n)+")
+"""What is refused: a line, or of a dataset a line for each episode."""
+
+
 @dataclass(frozen=True)
 class Base:
     """A folder with sound.mcap, body.npz, kinematic.npz and estimate.mcap, the sources of all cases."""
@@ -235,7 +240,7 @@ def _wrong(one: Run) -> Iterator[str]:
         return
     if one.code not in ALLOWED:
         yield f"exit code {one.code}"
-    if one.code not in (0, 3, 4) and (one.err.count("\n") != 1 or not one.err.startswith("bodylog: ")):
+    if one.code not in (0, 3, 4) and not (_ONE_LINE.fullmatch(one.err) or _ROWS.fullmatch(one.err)):
         yield "not refused in one line"
     if "not enough memory" in one.err:
         yield "not enough memory"

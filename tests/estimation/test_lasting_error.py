@@ -1,5 +1,7 @@
 """Errors of encoders that last: found without truth, and error bars that are wider for them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -83,3 +85,15 @@ def test_noise_that_is_set_is_left_as_it_is():
             features, body, EstimationSettings(precision="model")
         ).settings
     )
+
+
+def test_a_log_with_a_single_reading_has_no_lasting_error():
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    features = mechanisms.replayed(0, mechanisms.SOUND, Fault())
+    joints = features.joints
+    single = replace(
+        joints, t=joints.t[:1], values=joints.values[:1], source_ns=joints.source_ns[:1]
+    )
+    found = estimate_from_features(replace(features, joints=single), body, EstimationSettings())
+    assert LASTING_ERROR not in found.settings
+    assert np.isfinite(found.joints.values).all()

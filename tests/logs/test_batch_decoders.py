@@ -159,3 +159,9 @@ def test_decoders_read_equal_layouts_together():
     got = read_topic_columns(Messages(some, 500), JSON, ("q",))
     assert (got.fast, got.fallback) == (199, 0)
     assert np.array_equal(got.column("q"), [[k / 7, -k / 3e7] for k in range(1, 200)])
+
+
+def test_json_decoder_takes_an_empty_object_for_a_missing_value(monkeypatch):
+    some = [b'{"x": {}}'] * 6 + [b'{"x": 1.5}'] * 6
+    assert_the_same(some, JSON, ("x",), monkeypatch)
+    assert_the_same(some[:6], JSON, ("x",), monkeypatch)

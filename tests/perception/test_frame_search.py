@@ -87,3 +87,27 @@ def test_frame_searcher_keeps_the_consumed_images_that_are_frames_in_order() -> 
     some = look(iter(film), 2, number)
     assert some.blobs.tobytes() == whole.blobs[number].tobytes()
     assert some.source_ns.tolist() == number.tolist()
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_copied_messages_of_many_megapixels_do_not_wait_together(threads: int) -> None:
+    film = _film(24, 0)
+    held: set[int] = set()
+    most = []
+
+    def heavy(number: int, frame: LazyImage) -> LazyImage:
+        def decode(scale: int) -> Array:
+            held.discard(number)
+            return frame.decode(scale)
+
+        return LazyImage(frame.t, frame.source_ns, decode, frame.shrinks, 50 << 20)
+
+    def source() -> Iterator[LazyImage]:
+        for number, frame in enumerate(film):
+            held.add(number)
+            most.append(len(held))
+            yield heavy(number, frame)
+
+    heavily = look(source(), threads)
+    assert max(most) <= 2 * (1 + threads)
+    assert heavily.blobs.tobytes() == look(iter(film), 1).blobs.tobytes()

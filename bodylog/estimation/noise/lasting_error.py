@@ -114,7 +114,7 @@ def find_lasting_error(
 
     variance (M,) rad² of the readings' noise.
     """
-    if encoders is None:
+    if encoders is None or len(encoders.t) < 2:
         return None
     pieces = [
         piece

@@ -24,13 +24,21 @@ def of_numbers(values: Array) -> dict[str, Any]:
     )
     known = np.isfinite(table).any(axis=0)
     safe = np.where(known, table, 0.0)
+    scale = _power_of_two_above(safe)
     found = {
         "min": np.nanmin(safe, axis=0),
         "max": np.nanmax(safe, axis=0),
-        "mean": np.nanmean(safe, axis=0),
-        "std": np.nanstd(safe, axis=0),
+        "mean": np.nanmean(safe / scale, axis=0) * scale,
+        "std": np.nanstd(safe / scale, axis=0) * scale,
     }
     return {name: values.tolist() for name, values in found.items()} | {"count": [len(table)]}
+
+
+def _power_of_two_above(table: Array) -> Array:
+    """A power of two above each column's finite numbers, (N,K) to (K,): dividing by it is exact, and
+    no square of the quotients overflows."""
+    _, exponents = np.frexp(np.nanmax(np.abs(table), axis=0, initial=0.0))
+    return np.asarray(np.ldexp(1.0, np.clip(exponents, 0, 1023)))
 
 
 def measure_like(values: Array, like: Mapping[str, Any]) -> dict[str, Any]:
@@ -101,9 +109,11 @@ def combine_statistics(
 def _combine_feature_statistics(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     counts = np.array([one["count"][0] for one in parts], float)
     mean, std = (np.array([one[key] for one in parts], float) for key in ("mean", "std"))
+    scale = np.maximum(_power_of_two_above(mean), _power_of_two_above(std))
     weight = (counts / counts.sum()).reshape(-1, *[1] * (mean.ndim - 1))
     whole = (weight * mean).sum(axis=0)
-    spread = np.sqrt((weight * (std**2 + (mean - whole) ** 2)).sum(axis=0))
+    apart = (mean - whole) / scale
+    spread = scale * np.sqrt((weight * ((std / scale) ** 2 + apart**2)).sum(axis=0))
     return {
         "min": np.min([one["min"] for one in parts], axis=0).tolist(),
         "max": np.max([one["max"] for one in parts], axis=0).tolist(),

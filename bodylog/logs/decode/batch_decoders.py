@@ -94,7 +94,7 @@ def _column_of(
             else:
                 values = [value[step] for value in values]
         if isinstance(values[0], dict):
-            values = [next(follow_steps(value, ())) for value in values]
+            values = [next(follow_steps(value, ()), None) for value in values]
     except _UNLIKE:
         return None
     texts = values[0] if isinstance(values[0], list) else [values[0]]

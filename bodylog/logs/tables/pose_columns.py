@@ -202,6 +202,5 @@ def _describe_used_columns(
 
 def in_degrees(joints: Mapping[str, Array]) -> list[str]:
     """Joints whose values span more than two turns: they are degrees, or not joints."""
-    return [
-        name for name, values in joints.items() if np.ptp(values[np.isfinite(values)]) > 4.0 * np.pi
-    ]
+    finite = {name: values[np.isfinite(values)] for name, values in joints.items()}
+    return [name for name, values in finite.items() if values.max() > values.min() + 4.0 * np.pi]

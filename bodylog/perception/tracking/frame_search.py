@@ -28,6 +28,8 @@ _AHEAD = 4
 _SHEET = 8
 _AT_ONCE = 1 << 23
 """Bytes of images searched together."""
+_MOST_HELD = 1 << 26
+"""Bytes of copied messages in one take, and in all takes that wait: raw images of many megapixels."""
 
 
 class SearchedFrames(NamedTuple):
@@ -98,7 +100,7 @@ class FrameSearcher:
     def __call__(self, frame: LazyImage) -> None:
         """Add an image; its time does not matter. Errors of other threads are raised here."""
         self._told.append(frame)
-        if len(self._told) == _TAKEN:
+        if len(self._told) == _TAKEN or _count_held_bytes(self._told) > _MOST_HELD:
             self._hand_out()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
@@ -147,13 +149,17 @@ class FrameSearcher:
             self._waiting.append((self._takes, self._told))
             self._takes = self._takes + 1
             self._told = []
-            mine = self._waiting.popleft() if len(self._waiting) > _AHEAD else None
+            mine = self._waiting.popleft() if self._too_many_wait() else None
             self._ready.notify()
         for other in self._others:
             if other.done():
                 other.result()
         if mine:
             self._search(*mine)
+
+    def _too_many_wait(self) -> bool:
+        waiting = sum(_count_held_bytes(frames) for _, frames in self._waiting)
+        return len(self._waiting) > _AHEAD or waiting > _MOST_HELD
 
     def _work(self) -> None:
         """Search images until there are no more."""
@@ -179,6 +185,10 @@ class FrameSearcher:
                 self._progress(len(frames))
         if whole:
             self._measured[sheet] = _measure_results(whole, self._ranges)
+
+
+def _count_held_bytes(frames: Sequence[LazyImage]) -> int:
+    return sum(frame.held_bytes for frame in frames)
 
 
 def _search_images(
