@@ -18,6 +18,8 @@ FLOW_WIDTH_PX = 320
 """Width at which flow is computed: twice that changes
 delays by less than their σ and costs four times as much.
 """
+LEAST_SIDE_PX = 12
+"""The shorter side of the smallest picture of which flow is computed: OpenCV refuses some below."""
 PICTURES = 6
 """Pictures of a film that are kept for people."""
 WHITE_GREY = 250
@@ -156,10 +158,11 @@ def _shrink_to_flow_width(image: Array) -> Array:
 
 
 def _cell_means(estimator: Any, before: Array, after: Array) -> Array:
-    """Mean flow in each cell (rows,columns,2) px; zero where the images are equal."""
+    """Mean flow in each cell (rows,columns,2) px; zero where the images are equal, or smaller than
+    the estimator takes."""
     import cv2
 
-    if np.array_equal(before, after):
+    if min(before.shape) < LEAST_SIDE_PX or np.array_equal(before, after):
         return np.zeros((GRID_ROWS, GRID_COLUMNS, 2), np.float32)
     flow = estimator.calc(before, after, None)
     return np.asarray(cv2.resize(flow, (GRID_COLUMNS, GRID_ROWS), interpolation=cv2.INTER_AREA))
