@@ -311,13 +311,14 @@ if __name__ == "__main__":
     judged = json.loads((out / "claims.json").read_text(encoding="utf-8"))
     page = PAGE.read_text(encoding="utf-8")
     old = page.split(CLAIMS[0])[1].split(CLAIMS[1])[0]
-    parts = {
-        PAGE: {
-            READINGS: readings(),
+    parts = {PAGE: {READINGS: readings()}}
+    if missing := {"paper", "erratum"} - {claim["kind"] for claim in judged}:
+        print(f"{out}: no claims of the kind {', '.join(sorted(missing))}; the tables of claims stay")
+    else:
+        parts[PAGE] |= {
             CLAIMS: claims(judged, old) + "\n" + seeds(judged, old),
             ERRATA: errata(judged),
         }
-    }
     if rubber := figures(out, "Rubber-hand"):
         parts[DOCS / "rubber-hand.md"] = {DRIFT: drift(rubber)}
     if baseline := figures(out, "Baselines"):
