@@ -36,6 +36,10 @@ class Kind(NamedTuple):
         return self._replace(topic=self.topic.replace("/camera", camera, 1))
 
 
+EMPTY = ""
+"""The key in place of a topic of what is read as images without bytes."""
+
+
 class ImageMessage(NamedTuple):
     """One image: its kind, its time (s since start_ns), its payload in CDR."""
 
@@ -55,7 +59,8 @@ def image_messages(
     """All images that the recording accepts, camera by
     camera, in file order; those of a video are encoded.
 
-    `unread` {topic or video: reasons} gets the images that cannot be read. The first camera's topic
+    `unread` {topic or video: reasons} gets the images that cannot be read; those that a dataset's
+    reader gives without bytes are passed on, and told of under EMPTY. The first camera's topic
     is /camera/image, another's /NAME/image, or as compressed. LogError if two are the same.
     """
     films = {"": recording.frames} if recording.frames is not None else {}
@@ -101,6 +106,9 @@ def _pass_through_images(
                         unread.setdefault(topics[batch.topic_id].name, []).append(str(problem))
                         continue
                     yield ImageMessage(kind, t, converted)
+        for finding in log.findings:  # of images that a dataset's reader could not decode
+            if finding.severity == "lost" and finding not in recording.findings:
+                unread.setdefault(EMPTY, []).append(finding.text)
 
 
 def _image_stamp_ns(t: float, recording: Recording) -> int:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..annotating.annotate import add_topics
-from ..annotating.image_messages import ImageMessage, Kind, image_messages
+from ..annotating.image_messages import EMPTY, ImageMessage, Kind, image_messages
 from ..annotating.messages import from_joints, from_skin, from_track, stamps_ns
 from ..errors import LogError
 from ..io.atomic_files import replace_atomically
@@ -101,7 +101,11 @@ def _within_window(
 
 def _findings_on_unread(path: Path, unread: Mapping[str, Sequence[str]]) -> Iterator[Finding]:
     """Images that contradict their definition, by topic."""
+    for text in unread.get(EMPTY, ()):
+        yield Finding("lost", f"{text}; they stand in it without bytes")
     for topic, reasons in unread.items():
+        if topic == EMPTY:
+            continue
         what = f"{len(reasons)} images cannot be read and are left out"
         yield Finding(
             "lost",

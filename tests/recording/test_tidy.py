@@ -13,6 +13,7 @@ from bodylog.logs.limits import Input
 from bodylog.recording.recording import read_recording
 from bodylog.recording.tidy import cut_to_window, signals_by_role, write_tidy_log
 from bodylog.settings import Settings, TimeSettings, TopicSettings
+from tests.logs.datasets import drawn
 from tests.logs.written import START, by_pybag, by_rosbags, source
 
 LOGS = ["reach.mcap", "reach.bag", "reach_rosbag2"]
@@ -201,3 +202,12 @@ def test_ingest_refuses_a_damaged_log_if_strict(tmp_path, arm):
     with pytest.raises(LogError, match="without --strict"):
         write_tidy_log(log, tmp_path / "out.mcap", Settings(input=Input(strict=True)))
     assert list(tmp_path.iterdir()) == [log]
+
+
+def test_ingest_tells_of_a_datasets_images_that_cannot_be_read(tmp_path):
+    path = drawn.aloha(tmp_path / "episode_0.hdf5", packed=True)
+    with drawn.h5py.File(path, "r+") as file:
+        file["observations/images/top"][3:5] = 0
+    findings = write_tidy_log(path, tmp_path / "out.mcap", Settings())
+    (lost,) = (one.text for one in findings if one.severity == "lost")
+    assert "2 of 20 images cannot be read; they stand in it without bytes" in lost
