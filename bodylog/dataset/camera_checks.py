@@ -28,6 +28,9 @@ SLOWEST_SHARE = 0.02
 """Shares of the images that change whose joints are slower than those of a frozen image have to be,
 in stretches up to LASTING_S and in longer ones: an arm that comes to rest looks frozen briefly."""
 LASTING_S = 1.0
+NOISE_SHARE = 0.5
+"""Noise of a frozen film, over that of the other images: 0 in drawn films of which one image is
+stored again, 0.75 and more in those of an arm at rest or out of the image."""
 LEAST_CHANGES = 20
 """Fewest changing images that tell how fast joints are when images change."""
 
@@ -113,26 +116,37 @@ def _runs_with_motion(
     """Those runs of images during which joints move, however late the images may be.
 
     Joints have to be as fast as in most of the other images that change; with few of these, to move
-    at all.
+    at all. A stretch with as much noise as the other images is no frozen one: the arm is out of it.
     """
     t = seen.repeats.t
     speeds = np.array([_joint_steps(joints, t - late_s) for late_s in LATENESS_S])
     changes = np.isfinite(seen.block_change) & (seen.block_change >= SAME_GREY)
-    for first, end in runs:
-        changes[first:end] = False
+    changes &= ~_inside_runs(runs, len(t))
     usual = least = 0.0
     if changes.sum() >= LEAST_CHANGES:
         usual, least = np.quantile(speeds[0][changes], [SLOW_SHARE, SLOWEST_SHARE]).tolist()
+    noises = seen.repeats.noise
+    live = ~_inside_runs(runs, len(t)) & np.isfinite(noises)
+    most_noise = NOISE_SHARE * float(np.median(noises[live])) if live.any() else np.inf
     return [
         (first, end)
         for first, end in runs
-        if speeds[:, first + 1 : end].mean(axis=1).min()
+        if np.median(noises[first + 1 : end]) <= most_noise
+        and speeds[:, first + 1 : end].mean(axis=1).min()
         >= (least if t[end - 1] - t[first] > LASTING_S else usual)
         and all(
             moves_between(joints.values, joints.t, t[first] - late_s, t[end - 1] - late_s)
             for late_s in LATENESS_S
         )
     ]
+
+
+def _inside_runs(runs: list[tuple[int, int]], count: int) -> Array:
+    """Which of `count` images stand in a run, (count,)."""
+    inside = np.zeros(count, bool)
+    for first, end in runs:
+        inside[first:end] = True
+    return inside
 
 
 def _joint_steps(joints: StoredNumbers, t: Array) -> Array:

@@ -46,13 +46,15 @@ class FrameRepeats:
     """Which frames of a camera repeat the one before.
 
     t (N,) s · repeated (N,) · judged (N,): frames for which the images can tell, those in which
-    something moves · change (N,) grey levels against the frame before, NaN of the first.
+    something moves · change (N,) grey levels against the frame before, NaN of the first, where most
+    changes · noise (N,) the same of the median place: of a camera at rest the noise of its sensor.
     """
 
     t: Array
     repeated: Array
     judged: Array
     change: Array
+    noise: Array
 
     @property
     def share(self) -> float | None:
@@ -75,13 +77,14 @@ class FrameRepeats:
 
 
 class RepeatSearch:
-    """Compares each frame with the one before; memory is three numbers a frame."""
+    """Compares each frame with the one before; memory is four numbers a frame."""
 
     def __init__(self) -> None:
         """Start before the first frame."""
         self._before: Array | None = None
         self._t: list[float] = []
         self._change: list[float] = []
+        self._noise: list[float] = []
         self._equal: list[bool] = []
 
     def add(self, t: float, small: Array) -> None:
@@ -91,14 +94,19 @@ class RepeatSearch:
         import cv2
 
         change = float("nan")
+        noise = float("nan")
         equal = False
         if self._before is not None and self._before.shape == small.shape:
             difference = cv2.absdiff(small, self._before)
             equal = not difference.any()
             windows = cv2.blur(difference.astype(np.float32), (_WINDOW_PX, _WINDOW_PX))
             rank = int(windows.size * _BUSY_PERCENT / 100.0)
-            change = float(np.partition(windows.ravel(), rank)[rank])
+            middle = windows.size // 2
+            ordered = np.partition(windows.ravel(), (middle, rank))
+            change = float(ordered[rank])
+            noise = float(ordered[middle])
         self._t.append(t)
+        self._noise.append(noise)
         self._change.append(change)
         self._equal.append(equal)
         self._before = small
@@ -108,7 +116,7 @@ class RepeatSearch:
         change = np.array(self._change)
         equal = np.array(self._equal, bool)
         repeated, judged = _judge_repeats(change, equal)
-        return FrameRepeats(np.array(self._t), repeated, judged, change)
+        return FrameRepeats(np.array(self._t), repeated, judged, change, np.array(self._noise))
 
 
 def find_repeats(frames: Callable[[], Iterable[LazyImage]]) -> FrameRepeats:
