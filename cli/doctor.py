@@ -101,12 +101,14 @@ def doctor(
     settings = common.settings(kinematics={"urdf": urdf})
     if repair is None and body is None and any(map(holds_several_logs, logs)):
         return _examine_dataset(logs, settings, common, as_json, typed)
-    _refuse_dataset_options(typed)
+    _refuse_dataset_options(logs, typed)
     return _examine_logs(logs, repair, body, settings, as_json)
 
 
-def _refuse_dataset_options(typed: dict[str, Any]) -> None:
-    """UsageError for an option that a single log does not have."""
+def _refuse_dataset_options(logs: tuple[Path, ...], typed: dict[str, Any]) -> None:
+    """UsageError for an option that a single log does not have; LogError where it is no log."""
+    from bodylog.logs import open as open_log
+
     given = {
         "-o": typed["out"], "--csv": typed["table"], "--episodes": typed["episodes"],
         "--resume": typed["resume"], "--scheduler": typed["scheduler"],
@@ -115,6 +117,8 @@ def _refuse_dataset_options(typed: dict[str, Any]) -> None:
     }  # fmt: skip
     for option, value in given.items():
         if value:
+            for log in logs:
+                open_log(log).close()
             raise click.UsageError(
                 f"{option} is for a dataset or a folder of logs, without --repair and --body"
             )
