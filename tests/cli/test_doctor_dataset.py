@@ -1,7 +1,12 @@
 """`bodylog doctor DATASET`: rows, exit codes, resume, shards, bounds, tables and the page."""
 
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
+import time
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
@@ -76,6 +81,24 @@ def test_shards_and_resumed_runs_leave_the_bytes_of_one_run(dataset: Path, tmp_p
     assert (tmp_path / "whole" / "arm_0" / "row.json").stat().st_mtime_ns == kept
 
 
+@pytest.mark.parametrize("left", [".bodylog-batch", "*/row.json"])
+def test_a_killed_run_resumes_to_the_same_bytes(dataset: Path, tmp_path: Path, run_cli: Any, left: str) -> None:
+    """Killed with its workers once the folder is begun, or once an episode is done."""
+    typed = ["doctor", str(dataset), "--delay", "off", "-o"]
+    assert run_cli(*typed, tmp_path / "whole") == 0
+    out = tmp_path / "killed"
+    command = [sys.executable, "-m", "bodylog_cli", *typed, str(out), "--jobs", "2"]
+    process = subprocess.Popen(command, start_new_session=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while process.poll() is None and not any(out.glob(left)):
+        time.sleep(0.002)
+    assert process.poll() is None
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    assert not (out / "dataset.json").exists()
+    assert run_cli(*typed, out, "--resume") == 0
+    assert tree(out) == tree(tmp_path / "whole")
+
+
 @pytest.mark.parametrize("damaged", ["table", "video"])
 def test_a_damaged_file_gives_a_row_that_says_so(dataset: Path, tmp_path: Path, run_cli: Any, damaged: str) -> None:
     copy = shutil.copytree(dataset, tmp_path / "copy")
@@ -147,6 +170,25 @@ def test_a_broken_bound_ends_with_4_and_is_a_failure(dataset: Path, tmp_path: Pa
     suite = ET.parse(tmp_path / "out/junit.xml").getroot()
     assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "4", "0")
     assert run_cli("doctor", dataset, "--delay", "off", "--fail-if", "repeated/top>1.5") == 0
+
+
+@pytest.mark.parametrize(("share", "code", "trained"), [(0.5, 4, False), (1.5, 0, True)])
+def test_a_job_of_ci_stops_at_a_broken_bound(
+    dataset: Path, tmp_path: Path, share: float, code: int, trained: bool
+) -> None:
+    """The next line of a job runs only where the bound holds; what is broken is on standard error."""
+    steps = f'''
+"$1" -m bodylog_cli doctor "$2" --delay off -o "$3/out" --fail-if 'repeated/top>{share}'
+touch "$3/trained"
+'''
+    job = ["bash", "-e", "-c", steps, "job", sys.executable, str(dataset), str(tmp_path)]
+    done = subprocess.run(job, capture_output=True, text=True)
+    assert done.returncode == code
+    assert (tmp_path / "trained").exists() == trained
+    assert ("repeated/top" in done.stderr) == (not trained)
+    failures = [one.get("message") for one in ET.parse(tmp_path / "out/junit.xml").getroot().iter("failure")]
+    assert len(failures) == (0 if trained else 1 + COUNT)
+    assert all("repeated/top is 1, bound broken" in (text or "") for text in failures)
 
 
 def test_a_bound_that_no_episode_measures_is_refused(dataset: Path, run_cli: Any, capsys: Any) -> None:
