@@ -8,6 +8,7 @@ from typing import Any
 
 from . import default_features, learned_tests, verdict
 from .checks import (
+    SparedLogs,
     log_context,
     require_distinct_paths,
     require_features,
@@ -115,11 +116,13 @@ def fit(
     progress: Progress | None = None,
     update: Path | None = None,
     test: Sequence[Path] = (),
+    leave_out: bool = False,
 ) -> Result:
     """Learn a body model from exploration logs and
     write it as .npz; `update` is one to learn on from.
 
-    It is scored on the logs to `test` it with, which it does not learn from.
+    It is scored on the logs to `test` it with, which it does not learn from. `leave_out`: a log that
+    teaches nothing is a finding, as long as another one does.
     """
     from . import calibration, camera_delay, robot_model, surface_body
     from .annotating.background_copy import Copy
@@ -138,19 +141,25 @@ def fit(
     settings = settings if known is None else default_features.features_of_body(known, settings)
     otherwise = robot_model.check_urdf(logs, settings)
     if surface_body.is_asked(settings):
-        return _fit_surface(logs, out, settings, test)
+        return _fit_surface(logs, out, settings, test, leave_out)
     if otherwise is not None and default_features.has_no_features(settings):
-        return _fit_surface(logs, out, settings, test, otherwise)
+        return _fit_surface(logs, out, settings, test, leave_out, otherwise)
     if otherwise is not None:
         raise ModelError(f"{otherwise}; rename them in the URDF")
     digests = []
     observed = []
     camera_findings = list[Finding]()
+    spared = SparedLogs(leave_out)
     for log in logs:
-        with Copy(log) as read_too:
-            observed.append(observe(log, settings, progress, guess=True))
+        with spared.leave_out_unusable(), Copy(log) as read_too:
+            read, found = observe(log, settings, progress, guess=True)
+            if leave_out:
+                require_trainable(log, found, settings)
+            observed.append((read, found))
             digests.append((log, read_too.digest()))
-        settings = default_features.features_of_log(observed[-1][0], settings)
+            settings = default_features.features_of_log(read, settings)
+    given = logs
+    logs = spared.require_any([log for log, _ in digests])
     features = select_features_to_learn([found for _, found in observed], settings)
     cameras = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
     for log, (read, found) in zip(logs, observed, strict=True):
@@ -177,7 +186,7 @@ def fit(
         if not fallback or any(found.poses for found in features):
             raise
         try:
-            return _fit_surface(logs, out, asked, test, str(problem))
+            return _fit_surface(given, out, asked, test, leave_out, str(problem))
         except InputError as also:
             raise EvidenceError(f"{problem}; nor by the robot's own surface: {also}") from also
     learned = replace(learned, model=robot_model.with_robot_chain(learned.model, robot, features))
@@ -186,6 +195,7 @@ def fit(
     )
     storage.save(learned.model, out)
     findings = [
+        *spared.findings,
         *findings,
         *camera_findings,
         *unfit,
@@ -209,6 +219,7 @@ def _fit_surface(
     out: Path,
     settings: Settings,
     test: Sequence[Path],
+    leave_out: bool,
     why: str | None = None,
 ) -> Result:
     """Learn a body by the robot's own surface and write
@@ -226,11 +237,15 @@ def _fit_surface(
         )
     digests = []
     read = list[tuple[Path, Recording]]()
+    spared = SparedLogs(leave_out)
     for log in logs:
-        with Copy(log) as read_too:
+        with spared.leave_out_unusable(), Copy(log) as read_too:
             read.append((log, recording.read_recording(log, settings, settings.input.strict)))
             digests.append((log, read_too.digest()))
-    learned = surface_body.learn_surface_body(read, settings, provenance_of_logs(digests, settings))
+    spared.require_any([log for log, _ in digests])
+    learned = surface_body.learn_surface_body(
+        read, settings, provenance_of_logs(digests, settings), leave_out
+    )
     storage.save(learned.model, out)
     urdf_warnings = (
         ()
@@ -239,6 +254,7 @@ def _fit_surface(
     )
     findings = (
         *urdf_warnings,
+        *spared.findings,
         *(finding for _, one in read for finding in one.findings),
         *learned.findings,
     )

@@ -25,9 +25,13 @@ def is_asked(settings: Settings) -> bool:
 
 
 def learn_surface_body(
-    logs: Sequence[tuple[Path, Recording]], settings: Settings, provenance: Mapping[str, Any]
+    logs: Sequence[tuple[Path, Recording]],
+    settings: Settings,
+    provenance: Mapping[str, Any],
+    leave_out: bool = False,
 ) -> "LearnedBody":
-    """Learn a body whose only sense beside the encoders is the robot's surface.
+    """Learn a body whose only sense beside the encoders is the robot's surface; `leave_out`: from
+    the logs alone that show it, where others do not.
 
     EvidenceError where no camera shows the arm, or one shows another motion; ModelError where the
     URDF has no joint of a log.
@@ -37,7 +41,7 @@ def learn_surface_body(
 
     whole = [(log, middle_of_recording(read, LONGEST_S, MOST_IMAGES)) for log, read in logs]
     found = list[SurfaceCalibration]()
-    for one in calibrate_cameras(whole, settings):
+    for one in calibrate_cameras(whole, settings, leave_out):
         if isinstance(one, EvidenceError):
             raise one
         found.append(one)
@@ -60,8 +64,16 @@ def learn_surface_body(
         about,
         surface=_build_surface(first, read, found, settings),
     )
-    scores = tuple(score for one in found for score in _calibration_scores(one))
-    findings = tuple(Finding("info", finding.text) for one in found for finding in findings_of(one))
+    paths = [log for log, _ in logs]
+    scores = tuple(score for one in found for score in _calibration_scores(one, paths))
+    findings = tuple(
+        finding
+        for one in found
+        for finding in (
+            *(Finding("warning", f"{text}; it is left out") for text in one.left_out),
+            *(Finding("info", told.text) for told in findings_of(one)),
+        )
+    )
     return LearnedBody(model, scores, findings)
 
 
@@ -118,9 +130,11 @@ def _find_image_topic(read: Recording, camera: str) -> str:
     return ""
 
 
-def _calibration_scores(one: SurfaceCalibration) -> Iterator[Score]:
-    """Its scores, with the logs' delays as one each where there are several."""
+def _calibration_scores(one: SurfaceCalibration, logs: Sequence[Path]) -> Iterator[Score]:
+    """Its scores, with the delays of the logs as one each, by their numbers, where there are
+    several."""
     yield from scores_of(one)
     name = one.camera or "camera"
-    for number, (seconds, std) in enumerate(zip(one.delays[1:], one.delay_std[1:], strict=True), 2):
+    for log, seconds, std in zip(one.logs[1:], one.delays[1:], one.delay_std[1:], strict=True):
+        number = logs.index(log) + 1
         yield Score(f"delay/{name}/{number}", float(seconds), "s", float(std))

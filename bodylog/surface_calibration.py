@@ -52,7 +52,7 @@ class SurfaceCalibration:
     picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in the logs:
     joint in the URDF} · still: angles, rad or m, of the joints at rest · delays (L,) s ± delay_std
     (L,), by tracks, which follow every image · landmarks: the map that the fit is of; None where it
-    is of tracks, as too few landmarks are found again.
+    is of tracks, as too few landmarks are found again · left_out: why other logs teach nothing.
     """
 
     camera: str
@@ -68,6 +68,15 @@ class SurfaceCalibration:
     delays: Array
     delay_std: Array
     landmarks: "LandmarkMap | None" = None
+    left_out: tuple[str, ...] = ()
+
+
+class _StrangeLog(EvidenceError):
+    """A log that does not show what the others show: `number` among them."""
+
+    def __init__(self, text: str, number: int) -> None:
+        super().__init__(text)
+        self.number = number
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +93,13 @@ class _CameraTracks:
 
 
 def calibrate_cameras(
-    logs: Sequence[tuple[Path, Recording]], settings: "Settings"
+    logs: Sequence[tuple[Path, Recording]], settings: "Settings", leave_out: bool = False
 ) -> Iterator[SurfaceCalibration | EvidenceError]:
     """Yield each camera's calibration from all logs of one robot together, or why there is none.
 
-    The logs have one camera, lens, row time and zeros; each has a delay. ModelError where no joint
-    of the URDF is in a log, EvidenceError where no joint moves.
+    The logs have one camera, lens, row time and zeros; each has a delay. `leave_out`: logs that do
+    not show what the others show are left out. ModelError where no joint of the URDF is in a log,
+    EvidenceError where no joint moves.
     """
     import numpy as np
 
@@ -100,11 +110,21 @@ def calibrate_cameras(
     joint_of, motions, still = find_moving_urdf_joints(logs, robot)
     hints = camera_hints(first, robot, read, settings)
     for name in dict.fromkeys(name for _, one in logs for name in _frames_by_camera(one)):
+        left_out = list[str]()
         try:
-            films = list(_track_each_log(logs, name))
-            fit, seen, moving = _calibrate_camera(
-                name, films, robot, motions, joint_of, still, hints.get(name), settings
-            )
+            films = list(_track_each_log(logs, name, left_out if leave_out else None))
+            while True:
+                try:
+                    fit, seen, moving = _calibrate_camera(
+                        name, films, robot, motions, joint_of, still, hints.get(name), settings
+                    )
+                except _StrangeLog as problem:
+                    if not leave_out or len(films) == 1:
+                        raise
+                    left_out.append(str(problem))
+                    del films[problem.number]
+                else:
+                    break
             mapped = build_map(fit, seen, [(one.frames, one.tracks.t) for one in films])
         except EvidenceError as problem:
             yield problem
@@ -134,6 +154,7 @@ def calibrate_cameras(
             delays,
             delay_std,
             landmarks,
+            tuple(left_out),
         )
 
 
@@ -254,24 +275,40 @@ def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointCurve":
     return curve_through_samples(grid, np.stack(columns, axis=1))
 
 
-def _track_each_log(logs: Sequence[tuple[Path, Recording]], camera: str) -> Iterator[_CameraTracks]:
-    """Yield what each log shows through a camera; EvidenceError
-    where too little moves or images differ in size.
+def _track_each_log(
+    logs: Sequence[tuple[Path, Recording]], camera: str, left_out: list[str] | None
+) -> Iterator[_CameraTracks]:
+    """Yield what each log shows through a camera; EvidenceError where too little moves or images
+    differ in size: of one log a text in `left_out`, unless that is None.
     """
+    problems = list[EvidenceError]()
     size: tuple[int, int] | None = None
     for number, (log, read) in enumerate(logs):
         film = _frames_by_camera(read).get(camera)
         if film is None:
             continue
-        tracks, picture = _moving_tracks(f"{log}: {camera or 'camera'}", film)
-        size = size or tracks.size
-        if tracks.size != size:
-            found, first = ("x".join(map(str, one)) for one in (tracks.size, size))
-            where = f"{log}: {camera or 'camera'}"
-            raise EvidenceError(
-                f"{where}: images of {found} px, of {first} px in the first log; fit them apart"
-            )
+        try:
+            tracks, picture = _moving_tracks(f"{log}: {camera or 'camera'}", film)
+            size = size or tracks.size
+            _require_size(f"{log}: {camera or 'camera'}", tracks.size, size)
+        except EvidenceError as problem:
+            if left_out is None:
+                raise
+            problems.append(problem)
+            left_out.append(str(problem))
+            continue
         yield _CameraTracks(log, number, tracks, picture, film)
+    if size is None:
+        raise problems[0]
+
+
+def _require_size(where: str, size: tuple[int, int], first: tuple[int, int]) -> None:
+    """EvidenceError for images of another size than the first log's."""
+    if size != first:
+        found, expected = ("x".join(map(str, one)) for one in (size, first))
+        raise EvidenceError(
+            f"{where}: images of {found} px, of {expected} px in the first log; fit them apart"
+        )
 
 
 def camera_film(log: Path, read: Recording, camera: str) -> Callable[[], Iterator[LazyImage]]:
@@ -386,13 +423,13 @@ def _require_belonging(
                 f"the joints explain {used[number]} of {count[number]} moving corners; no arm is "
                 "seen"
             )
-            raise EvidenceError(
-                f"{where}: {text}, though other logs show one" if len(films) > 1 else text
-            )
+            others = ", though other logs show one" if len(films) > 1 else ""
+            raise _StrangeLog(f"{where}: {text}{others}", number)
         if control[number] > _CONTROL_RATIO * used[number]:
             shares = f"{control[number]} against {used[number]}"
             text = f"the joints of another time explain the corners as well ({shares})"
-            raise EvidenceError(f"{where}: {text}; the images do not belong to the joints")
+            text += "; the images do not belong to the joints"
+            raise _StrangeLog(f"{where}: {text}", number)
 
 
 def _start_cameras(
