@@ -283,7 +283,7 @@ def estimate(
         settings = default_features.features_of_body(known, settings)
         estimation.check_estimation_settings(known, settings.estimate)
     with annotate.open_annotation(log, out, limits=settings.input) as written:
-        by_joints = known is None or known.surface is not None
+        by_joints = known is None or (known.surface is not None and not known.senses)
         read, features = (
             read_joints_alone(log, settings, known)
             if by_joints
@@ -296,7 +296,9 @@ def estimate(
         if learned.surface is None:
             found = estimate_log(log, read, features, learned, settings, typed)
         else:
-            found = surface_estimate.estimate_by_surface(log, read, features, learned, settings)
+            found = surface_estimate.estimate_by_surface(
+                log, read, features, learned, settings, typed
+            )
         lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
         scores = score_estimate(found, read)

@@ -29,7 +29,7 @@ _SEARCH_PIECES = 80
 _SEARCH_STRIDE = 4
 _GRID_S = 0.01
 """Spacing of the smoothed joint angles."""
-_LEAST_RANGE = 0.02
+LEAST_RANGE = 0.02
 """rad or m that a joint moves at least to count as moving."""
 _LEAST_SHARE = 0.25
 """Share of the moving pieces that the robot must explain."""
@@ -52,7 +52,8 @@ class SurfaceCalibration:
     picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in the logs:
     joint in the URDF} · still: angles, rad or m, of the joints at rest · delays (L,) s ± delay_std
     (L,), by tracks, which follow every image · landmarks: the map that the fit is of; None where it
-    is of tracks, as too few landmarks are found again.
+    is of tracks, as too few landmarks are found again · seen: all pieces that
+    moved.
     """
 
     camera: str
@@ -67,7 +68,8 @@ class SurfaceCalibration:
     still: Mapping[str, float]
     delays: Array
     delay_std: Array
-    landmarks: "LandmarkMap | None" = None
+    landmarks: "LandmarkMap | None"
+    seen: "LandmarkSightings"
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +136,7 @@ def calibrate_cameras(
             delays,
             delay_std,
             landmarks,
+            seen,
         )
 
 
@@ -196,9 +199,9 @@ def find_moving_urdf_joints(
     still = {
         joint_of[name]: float(np.nanmedian(columns[name]))
         for name in joint_of
-        if ranges[name] < _LEAST_RANGE
+        if ranges[name] < LEAST_RANGE
     }
-    moving = {name: joint for name, joint in joint_of.items() if ranges[name] >= _LEAST_RANGE}
+    moving = {name: joint for name, joint in joint_of.items() if ranges[name] >= LEAST_RANGE}
     if not moving:
         raise EvidenceError(
             f"{logs[0][0]}: none of its joints moves; the surface of a robot tells nothing then"
