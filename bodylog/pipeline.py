@@ -137,8 +137,16 @@ def fit(
         )
     settings = settings if known is None else default_features.features_of_body(known, settings)
     otherwise = robot_model.check_urdf(logs, settings)
-    if surface_body.is_asked(settings):
-        return _fit_surface(logs, out, settings, test)
+    surface_asked = surface_body.is_asked(settings)
+    if surface_asked:
+        if known is not None:
+            raise UsageError(
+                f"{update}: the robot's surface is not learned on; fit all logs together anew"
+            )
+        markers = surface_body.without_surface(settings)
+        if default_features.has_no_features(markers):
+            return _fit_surface(logs, out, settings, test)
+        settings = asked = markers
     if otherwise is not None and default_features.has_no_features(settings):
         return _fit_surface(logs, out, settings, test, otherwise)
     if otherwise is not None:
@@ -181,6 +189,9 @@ def fit(
         except InputError as also:
             raise EvidenceError(f"{problem}; nor by the robot's own surface: {also}") from also
     learned = replace(learned, model=robot_model.with_robot_chain(learned.model, robot, features))
+    if surface_asked:
+        recordings = [(log, read) for log, (read, _) in zip(logs, observed, strict=True)]
+        learned = surface_body.add_surface(learned, recordings, settings)
     tested, more = learned_tests.score_learned_body(
         learned.model, [(log, *observe(log, settings, progress)) for log in test]
     )

@@ -86,9 +86,13 @@ class _CameraTracks:
 
 
 def calibrate_cameras(
-    logs: Sequence[tuple[Path, Recording]], settings: "Settings"
+    logs: Sequence[tuple[Path, Recording]],
+    settings: "Settings",
+    joints: Sequence[str] | None = None,
 ) -> Iterator[SurfaceCalibration | EvidenceError]:
     """Yield each camera's calibration from all logs of one robot together, or why there is none.
+
+    joints: those that move, and their order; None for all that do.
 
     The logs have one camera, lens, row time and zeros; each has a delay. ModelError where no joint
     of the URDF is in a log, EvidenceError where no joint moves.
@@ -99,7 +103,7 @@ def calibrate_cameras(
 
     first, read = logs[0]
     robot = named_robot(first, settings)
-    joint_of, motions, still = find_moving_urdf_joints(logs, robot)
+    joint_of, motions, still = find_moving_urdf_joints(logs, robot, joints)
     hints = camera_hints(first, robot, read, settings)
     for name in dict.fromkeys(name for _, one in logs for name in _frames_by_camera(one)):
         try:
@@ -171,7 +175,7 @@ def camera_hints(
 
 
 def find_moving_urdf_joints(
-    logs: Sequence[tuple[Path, Recording]], robot: "Robot"
+    logs: Sequence[tuple[Path, Recording]], robot: "Robot", joints: Sequence[str] | None = None
 ) -> "tuple[dict[str, str], list[JointCurve], dict[str, float]]":
     """The joints that move in any log, with their names in
     the URDF, as curves of each log; the angles of the others.
@@ -202,6 +206,11 @@ def find_moving_urdf_joints(
         if ranges[name] < LEAST_RANGE
     }
     moving = {name: joint for name, joint in joint_of.items() if ranges[name] >= LEAST_RANGE}
+    if joints is not None:
+        if lacking := [name for name in joints if name not in joint_of]:
+            raise ModelError(f"{robot.source}: {lacking[0]!r} is not in it; leave the surface out")
+        moving = {name: joint_of[name] for name in joints}
+        still = {joint: at for joint, at in still.items() if joint not in moving.values()}
     if not moving:
         raise EvidenceError(
             f"{logs[0][0]}: none of its joints moves; the surface of a robot tells nothing then"
