@@ -140,8 +140,16 @@ def fit(
         )
     settings = settings if known is None else default_features.features_of_body(known, settings)
     otherwise = robot_model.check_urdf(logs, settings)
-    if surface_body.is_asked(settings):
-        return _fit_surface(logs, out, settings, test, leave_out)
+    surface_asked = surface_body.is_asked(settings)
+    if surface_asked:
+        if known is not None:
+            raise UsageError(
+                f"{update}: the robot's surface is not learned on; fit all logs together anew"
+            )
+        markers = surface_body.without_surface(settings)
+        if default_features.has_no_features(markers):
+            return _fit_surface(logs, out, settings, test, leave_out)
+        settings = asked = markers
     if otherwise is not None and default_features.has_no_features(settings):
         return _fit_surface(logs, out, settings, test, leave_out, otherwise)
     if otherwise is not None:
@@ -190,6 +198,9 @@ def fit(
         except InputError as also:
             raise EvidenceError(f"{problem}; nor by the robot's own surface: {also}") from also
     learned = replace(learned, model=robot_model.with_robot_chain(learned.model, robot, features))
+    if surface_asked:
+        recordings = [(log, read) for log, (read, _) in zip(logs, observed, strict=True)]
+        learned = surface_body.add_surface(learned, recordings, settings)
     tested, more = learned_tests.score_learned_body(
         learned.model, [(log, *observe(log, settings, progress)) for log in test]
     )
@@ -299,7 +310,7 @@ def estimate(
         settings = default_features.features_of_body(known, settings)
         estimation.check_estimation_settings(known, settings.estimate)
     with annotate.open_annotation(log, out, limits=settings.input) as written:
-        by_joints = known is None or known.surface is not None
+        by_joints = known is None or (known.surface is not None and not known.senses)
         read, features = (
             read_joints_alone(log, settings, known)
             if by_joints
@@ -312,7 +323,9 @@ def estimate(
         if learned.surface is None:
             found = estimate_log(log, read, features, learned, settings, typed)
         else:
-            found = surface_estimate.estimate_by_surface(log, read, features, learned, settings)
+            found = surface_estimate.estimate_by_surface(
+                log, read, features, learned, settings, typed
+            )
         lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
         scores = score_estimate(found, read)

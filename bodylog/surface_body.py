@@ -3,6 +3,7 @@ on a URDF, encoder noise and motion, no track.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,16 @@ def is_asked(settings: Settings) -> bool:
     return any(isinstance(source, SurfaceSource) for source in settings.features.values())
 
 
+def without_surface(settings: Settings) -> Settings:
+    """The settings without the robot's surface among their features."""
+    features = {
+        name: source
+        for name, source in settings.features.items()
+        if not isinstance(source, SurfaceSource)
+    }
+    return replace(settings, features=features)
+
+
 def learn_surface_body(
     logs: Sequence[tuple[Path, Recording]],
     settings: Settings,
@@ -39,14 +50,7 @@ def learn_surface_body(
     from .body.learning import LearnedBody
     from .body.surface import joint_noise
 
-    whole = [(log, middle_of_recording(read, LONGEST_S, MOST_IMAGES)) for log, read in logs]
-    found = list[SurfaceCalibration]()
-    for one in calibrate_cameras(whole, settings, leave_out):
-        if isinstance(one, EvidenceError):
-            raise one
-        found.append(one)
-    if not found:
-        raise EvidenceError(f"{logs[0][0]}: no images in it; the surface of a robot needs a camera")
+    found = _calibrate_all_cameras(logs, settings, leave_out=leave_out)
     features = [Features(read.joints, {}, None, (), (), {}) for _, read in logs]
     names = tuple(found[0].joint_of)
     first, read = logs[0]
@@ -65,16 +69,59 @@ def learn_surface_body(
         surface=_build_surface(first, read, found, settings),
     )
     paths = [log for log, _ in logs]
+    return LearnedBody(model, *_scores_and_findings(found, paths))
+
+
+def add_surface(
+    learned: "LearnedBody", logs: Sequence[tuple[Path, Recording]], settings: Settings
+) -> "LearnedBody":
+    """A body that was learned by markers, with the robot's surface as one more sense.
+
+    Errors as of `learn_surface_body`; ModelError also where the URDF lacks one of its joints.
+    """
+    found = _calibrate_all_cameras(logs, settings, learned.model.joints)
+    surface = _build_surface(*logs[0], found, settings)
+    scores, findings = _scores_and_findings(found, [log for log, _ in logs])
+    taken = {score.name for score in learned.scores}
+    return replace(
+        learned,
+        model=replace(learned.model, surface=surface),
+        scores=(*learned.scores, *(score for score in scores if score.name not in taken)),
+        findings=(*learned.findings, *findings),
+    )
+
+
+def _calibrate_all_cameras(
+    logs: Sequence[tuple[Path, Recording]],
+    settings: Settings,
+    joints: tuple[str, ...] | None = None,
+    leave_out: bool = False,
+) -> list[SurfaceCalibration]:
+    """Each camera's calibration; EvidenceError without any, or where one shows no arm."""
+    whole = [(log, middle_of_recording(read, LONGEST_S, MOST_IMAGES)) for log, read in logs]
+    found = list[SurfaceCalibration]()
+    for one in calibrate_cameras(whole, settings, leave_out, joints):
+        if isinstance(one, EvidenceError):
+            raise one
+        found.append(one)
+    if not found:
+        raise EvidenceError(f"{logs[0][0]}: no images in it; the surface of a robot needs a camera")
+    return found
+
+
+def _scores_and_findings(
+    found: Sequence[SurfaceCalibration], paths: Sequence[Path]
+) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
     scores = tuple(score for one in found for score in _calibration_scores(one, paths))
     findings = tuple(
         finding
         for one in found
         for finding in (
             *(Finding("warning", f"{text}; it is left out") for text in one.left_out),
-            *(Finding("info", told.text) for told in findings_of(one)),
+            *(Finding("info", text.text) for text in findings_of(one)),
         )
     )
-    return LearnedBody(model, scores, findings)
+    return scores, findings
 
 
 def _build_surface(

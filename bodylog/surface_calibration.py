@@ -29,7 +29,7 @@ _SEARCH_PIECES = 80
 _SEARCH_STRIDE = 4
 _GRID_S = 0.01
 """Spacing of the smoothed joint angles."""
-_LEAST_RANGE = 0.02
+LEAST_RANGE = 0.02
 """rad or m that a joint moves at least to count as moving."""
 _LEAST_SHARE = 0.25
 """Share of the moving pieces that the robot must explain."""
@@ -52,7 +52,8 @@ class SurfaceCalibration:
     picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in the logs:
     joint in the URDF} · still: angles, rad or m, of the joints at rest · delays (L,) s ± delay_std
     (L,), by tracks, which follow every image · landmarks: the map that the fit is of; None where it
-    is of tracks, as too few landmarks are found again · left_out: why other logs teach nothing.
+    is of tracks, as too few landmarks are found again · seen: all pieces that moved · left_out: why
+    other logs teach nothing.
     """
 
     camera: str
@@ -67,7 +68,8 @@ class SurfaceCalibration:
     still: Mapping[str, float]
     delays: Array
     delay_std: Array
-    landmarks: "LandmarkMap | None" = None
+    landmarks: "LandmarkMap | None"
+    seen: "LandmarkSightings"
     left_out: tuple[str, ...] = ()
 
 
@@ -93,13 +95,17 @@ class _CameraTracks:
 
 
 def calibrate_cameras(
-    logs: Sequence[tuple[Path, Recording]], settings: "Settings", leave_out: bool = False
+    logs: Sequence[tuple[Path, Recording]],
+    settings: "Settings",
+    leave_out: bool = False,
+    joints: Sequence[str] | None = None,
 ) -> Iterator[SurfaceCalibration | EvidenceError]:
     """Yield each camera's calibration from all logs of one robot together, or why there is none.
 
     The logs have one camera, lens, row time and zeros; each has a delay. `leave_out`: logs that do
-    not show what the others show are left out. ModelError where no joint of the URDF is in a log,
-    EvidenceError where no joint moves.
+    not show what the others show are left out. joints: those that move, and their order; None for
+    all that do. ModelError where no joint of the URDF is in a log, EvidenceError where no joint
+    moves.
     """
     import numpy as np
 
@@ -107,7 +113,7 @@ def calibrate_cameras(
 
     first, read = logs[0]
     robot = named_robot(first, settings)
-    joint_of, motions, still = find_moving_urdf_joints(logs, robot)
+    joint_of, motions, still = find_moving_urdf_joints(logs, robot, joints)
     hints = camera_hints(first, robot, read, settings)
     for name in dict.fromkeys(name for _, one in logs for name in _frames_by_camera(one)):
         left_out = list[str]()
@@ -154,6 +160,7 @@ def calibrate_cameras(
             delays,
             delay_std,
             landmarks,
+            seen,
             tuple(left_out),
         )
 
@@ -189,7 +196,7 @@ def camera_hints(
 
 
 def find_moving_urdf_joints(
-    logs: Sequence[tuple[Path, Recording]], robot: "Robot"
+    logs: Sequence[tuple[Path, Recording]], robot: "Robot", joints: Sequence[str] | None = None
 ) -> "tuple[dict[str, str], list[JointCurve], dict[str, float]]":
     """The joints that move in any log, with their names in
     the URDF, as curves of each log; the angles of the others.
@@ -217,9 +224,14 @@ def find_moving_urdf_joints(
     still = {
         joint_of[name]: float(np.nanmedian(columns[name]))
         for name in joint_of
-        if ranges[name] < _LEAST_RANGE
+        if ranges[name] < LEAST_RANGE
     }
-    moving = {name: joint for name, joint in joint_of.items() if ranges[name] >= _LEAST_RANGE}
+    moving = {name: joint for name, joint in joint_of.items() if ranges[name] >= LEAST_RANGE}
+    if joints is not None:
+        if lacking := [name for name in joints if name not in joint_of]:
+            raise ModelError(f"{robot.source}: {lacking[0]!r} is not in it; leave the surface out")
+        moving = {name: joint_of[name] for name in joints}
+        still = {joint: at for joint, at in still.items() if joint not in moving.values()}
     if not moving:
         raise EvidenceError(
             f"{logs[0][0]}: none of its joints moves; the surface of a robot tells nothing then"

@@ -122,7 +122,8 @@ def find_lasting_error(
     pieces = [
         piece
         for sighting, belief in zip(sightings, beliefs, strict=True)
-        if sighting.name != "touch"
+        # errors of a posture by the robot's surface last, too
+        if sighting.name != "touch" and sighting.cov is None
         for piece in _stretch_residuals(encoders, sighting, belief, variance)
     ]
     lasting = _fit_lasting_error(pieces) if pieces else None
