@@ -34,6 +34,12 @@ def test_paths_may_be_text_and_settings_may_be_left_out(arm, arm_body):
     assert belief.joints == body.joints and len(belief.x) == len(belief.joints)
 
 
+def test_what_is_no_path_is_refused_with_its_name(arm, arm_body):
+    body = bodylog.load_body(str(arm_body))
+    with pytest.raises(TypeError, match="estimate: body is a BodyModel; a path is expected"):
+        bodylog.estimate(arm / "reach.mcap", body)
+
+
 def test_a_score_that_is_not_there_is_a_key_error_with_the_names():
     scores = Scores((Score("nis/encoders", 1.0, "1"),))
     assert scores[0] is scores["nis/encoders"]

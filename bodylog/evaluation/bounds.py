@@ -43,7 +43,7 @@ def parse_bound(text: str) -> ScoreBound:
             f"--fail-if {text!r}: {found[1]} is called {now} now; type {now}{found[2]}{found[3]}"
         )
     if found and not _may_name_score(found[1]):
-        near = find_nearest_name(found[1].partition("*")[0] or found[1], list(FIGURES))
+        near = _nearest_figure(found[1].partition("*")[0] or found[1])
         raise UsageError(
             f"--fail-if {text!r}: no score is called {found[1]}; did you mean {near}? see "
             "docs/metrics.md"
@@ -52,6 +52,13 @@ def parse_bound(text: str) -> ScoreBound:
         return ScoreBound(found[1], found[2], float(found[3])) if found else _refuse_bound(text)
     except ValueError:
         return _refuse_bound(text)
+
+
+def _nearest_figure(name: str) -> str:
+    """The figure most like a name, or the first of the kind most like it."""
+    kinds = [figure.partition("/")[0] for figure in FIGURES]
+    near = find_nearest_name(name, [*FIGURES, *kinds])
+    return next(figure for figure in FIGURES if figure == near or figure.startswith(f"{near}/"))
 
 
 def _may_name_score(name: str) -> bool:

@@ -25,6 +25,11 @@ def with_text_paths(function: Callable[..., R]) -> Callable[..., R]:
         given = signature.bind(*args, **kwargs)
         for name, value in given.arguments.items():
             if name in single:
+                if not isinstance(value, str | Path | None):
+                    raise TypeError(
+                        f"{function.__name__}: {name} is a {type(value).__name__}; a path is "
+                        "expected, as text or pathlib.Path"
+                    )
                 given.arguments[name] = Path(value) if isinstance(value, str) else value
             elif name in several:
                 given.arguments[name] = _as_path_list(value)

@@ -79,7 +79,7 @@ class LazyImage:
     source_ns: int
     decode: Callable[[int], Array] = field(repr=False)
     shrinks: bool = False
-    held_bytes: int = 0
+    held_bytes: int = field(default=0, repr=False)
 
     @property
     def image(self) -> Array:

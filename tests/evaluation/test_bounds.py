@@ -56,7 +56,7 @@ def test_check_of_an_unknown_score_lists_the_known():
 
 @pytest.mark.parametrize(
     ("typed", "meant"),
-    [("rmse/jiont>1", "rmse/joint"), ("fautls>0", "faults"), ("nis2/*>1", "nis"), ("nonsense>1", "")],
+    [("rmse/jiont>1", "rmse/joint"), ("rsme>1", "rmse/joint"), ("fautls>0", "faults"), ("nis2/*>1", "nis"), ("nonsense>1", "")],
 )
 def test_a_misspelt_score_is_refused_when_it_is_typed(typed, meant):
     with pytest.raises(UsageError, match=f"did you mean {meant}"):
