@@ -424,6 +424,7 @@ def _dataset_verdict(
     if others:
         yield f"differ from the others, perhaps for good reasons: {list_in_words(others)}"
     yield from _camera_sentences(evidence)
+    yield from _arm_sentences(evidence)
     for figure, one in pooled.items():
         yield _delay_sentence(figure, one)
         rolling = pooled_row_time(figure.partition("/")[2], names, evidence)
@@ -460,6 +461,23 @@ def _camera_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
             if some:
                 count = f"{len(some)} of {len(evidence)} episodes"
                 yield f"{camera}: {kind} images in {count}: {list_in_words(some)}"
+
+
+def _arm_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
+    """The arm, of several, with which each camera's picture moves, and the episodes in which it is
+    another."""
+    arms: dict[str, dict[str, list[str]]] = {}
+    for name, one in evidence.items():
+        for camera, about in one["cameras"].items():
+            if about.get("arm"):
+                arms.setdefault(camera, {}).setdefault(about["arm"], []).append(name)
+    for camera, episodes in sorted(arms.items()):
+        (most, agreeing), *others = sorted(episodes.items(), key=lambda one: -len(one[1]))
+        text = f"{camera}: its picture moves with {most}, in {len(agreeing)} of {len(evidence)}"
+        text += " episodes"
+        for arm, some in others:
+            text += f"; with {arm} in {list_in_words(some)}"
+        yield text + ("; cameras are exchanged, or another arm works there" if others else "")
 
 
 def _delay_sentence(figure: str, one: PooledDelay) -> str:
