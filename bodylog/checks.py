@@ -233,6 +233,37 @@ def log_context(log: Path, findings: Iterable[Finding] = (), others: int = 0) ->
         raise type(problem)(f"{logs}: {problem}{loss_note(log, findings)}") from problem
 
 
+class SparedLogs:
+    """Logs of a dataset that teach nothing: each a finding where they may be left out, as long as
+    another one is left."""
+
+    def __init__(self, may_be_left_out: bool) -> None:
+        """`may_be_left_out`: else a log's error is raised."""
+        self._may_be_left_out = may_be_left_out
+        self._problems = list[InputError]()
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """A warning for each log that is left out."""
+        return tuple(Finding("warning", f"{one}; it is left out") for one in self._problems)
+
+    @contextmanager
+    def leave_out_unusable(self) -> Iterator[None]:
+        """Take down the input error of a log, where it may be left out."""
+        try:
+            yield
+        except InputError as problem:
+            if not self._may_be_left_out:
+                raise
+            self._problems.append(problem)
+
+    def require_any(self, left: Sequence[Path]) -> Sequence[Path]:
+        """The logs that are left; the first one's error where none is."""
+        if not left:
+            raise self._problems[0]
+        return left
+
+
 def loss_note(log: Path, findings: Iterable[Finding]) -> str:
     """A log's losses, unusable messages and unusable
     URDF, for the end of an error that they may explain.

@@ -48,7 +48,7 @@ def compare_methods(
     from .body import storage
 
     learned = storage.load_body(body)
-    if learned.surface is not None:
+    if learned.surface is not None and not learned.senses:
         raise UsageError(
             f"{body}: a body of the robot's surface has no sense to compare; type: bodylog "
             f"estimate {log}"

@@ -8,6 +8,7 @@ from typing import Any
 
 from . import default_features, learned_tests, verdict
 from .checks import (
+    SparedLogs,
     log_context,
     require_distinct_paths,
     require_features,
@@ -115,11 +116,13 @@ def fit(
     progress: Progress | None = None,
     update: Path | None = None,
     test: Sequence[Path] = (),
+    leave_out: bool = False,
 ) -> Result:
     """Learn a body model from exploration logs and
     write it as .npz; `update` is one to learn on from.
 
-    It is scored on the logs to `test` it with, which it does not learn from.
+    It is scored on the logs to `test` it with, which it does not learn from. `leave_out`: a log that
+    teaches nothing is a finding, as long as another one does.
     """
     from . import calibration, camera_delay, robot_model, surface_body
     from .annotating.background_copy import Copy
@@ -137,20 +140,34 @@ def fit(
         )
     settings = settings if known is None else default_features.features_of_body(known, settings)
     otherwise = robot_model.check_urdf(logs, settings)
-    if surface_body.is_asked(settings):
-        return _fit_surface(logs, out, settings, test)
+    surface_asked = surface_body.is_asked(settings)
+    if surface_asked:
+        if known is not None:
+            raise UsageError(
+                f"{update}: the robot's surface is not learned on; fit all logs together anew"
+            )
+        markers = surface_body.without_surface(settings)
+        if default_features.has_no_features(markers):
+            return _fit_surface(logs, out, settings, test, leave_out)
+        settings = asked = markers
     if otherwise is not None and default_features.has_no_features(settings):
-        return _fit_surface(logs, out, settings, test, otherwise)
+        return _fit_surface(logs, out, settings, test, leave_out, otherwise)
     if otherwise is not None:
         raise ModelError(f"{otherwise}; rename them in the URDF")
     digests = []
     observed = []
     camera_findings = list[Finding]()
+    spared = SparedLogs(leave_out)
     for log in logs:
-        with Copy(log) as read_too:
-            observed.append(observe(log, settings, progress, guess=True))
+        with spared.leave_out_unusable(), Copy(log) as read_too:
+            read, found = observe(log, settings, progress, guess=True)
+            if leave_out:
+                require_trainable(log, found, settings)
+            observed.append((read, found))
             digests.append((log, read_too.digest()))
-        settings = default_features.features_of_log(observed[-1][0], settings)
+            settings = default_features.features_of_log(read, settings)
+    given = logs
+    logs = spared.require_any([log for log, _ in digests])
     features = select_features_to_learn([found for _, found in observed], settings)
     cameras = features[0].cameras.values() if known is None else known.provenance.get("cameras", ())
     for log, (read, found) in zip(logs, observed, strict=True):
@@ -177,15 +194,19 @@ def fit(
         if not fallback or any(found.poses for found in features):
             raise
         try:
-            return _fit_surface(logs, out, asked, test, str(problem))
+            return _fit_surface(given, out, asked, test, leave_out, str(problem))
         except InputError as also:
             raise EvidenceError(f"{problem}; nor by the robot's own surface: {also}") from also
     learned = replace(learned, model=robot_model.with_robot_chain(learned.model, robot, features))
+    if surface_asked:
+        recordings = [(log, read) for log, (read, _) in zip(logs, observed, strict=True)]
+        learned = surface_body.add_surface(learned, recordings, settings)
     tested, more = learned_tests.score_learned_body(
         learned.model, [(log, *observe(log, settings, progress)) for log in test]
     )
     storage.save(learned.model, out)
     findings = [
+        *spared.findings,
         *findings,
         *camera_findings,
         *unfit,
@@ -209,6 +230,7 @@ def _fit_surface(
     out: Path,
     settings: Settings,
     test: Sequence[Path],
+    leave_out: bool,
     why: str | None = None,
 ) -> Result:
     """Learn a body by the robot's own surface and write
@@ -226,11 +248,15 @@ def _fit_surface(
         )
     digests = []
     read = list[tuple[Path, Recording]]()
+    spared = SparedLogs(leave_out)
     for log in logs:
-        with Copy(log) as read_too:
+        with spared.leave_out_unusable(), Copy(log) as read_too:
             read.append((log, recording.read_recording(log, settings, settings.input.strict)))
             digests.append((log, read_too.digest()))
-    learned = surface_body.learn_surface_body(read, settings, provenance_of_logs(digests, settings))
+    spared.require_any([log for log, _ in digests])
+    learned = surface_body.learn_surface_body(
+        read, settings, provenance_of_logs(digests, settings), leave_out
+    )
     storage.save(learned.model, out)
     urdf_warnings = (
         ()
@@ -239,6 +265,7 @@ def _fit_surface(
     )
     findings = (
         *urdf_warnings,
+        *spared.findings,
         *(finding for _, one in read for finding in one.findings),
         *learned.findings,
     )
@@ -283,7 +310,7 @@ def estimate(
         settings = default_features.features_of_body(known, settings)
         estimation.check_estimation_settings(known, settings.estimate)
     with annotate.open_annotation(log, out, limits=settings.input) as written:
-        by_joints = known is None or known.surface is not None
+        by_joints = known is None or (known.surface is not None and not known.senses)
         read, features = (
             read_joints_alone(log, settings, known)
             if by_joints
@@ -296,7 +323,9 @@ def estimate(
         if learned.surface is None:
             found = estimate_log(log, read, features, learned, settings, typed)
         else:
-            found = surface_estimate.estimate_by_surface(log, read, features, learned, settings)
+            found = surface_estimate.estimate_by_surface(
+                log, read, features, learned, settings, typed
+            )
         lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
         scores = score_estimate(found, read)

@@ -3,6 +3,7 @@ on a URDF, encoder noise and motion, no track.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,10 +25,24 @@ def is_asked(settings: Settings) -> bool:
     return any(isinstance(source, SurfaceSource) for source in settings.features.values())
 
 
+def without_surface(settings: Settings) -> Settings:
+    """The settings without the robot's surface among their features."""
+    features = {
+        name: source
+        for name, source in settings.features.items()
+        if not isinstance(source, SurfaceSource)
+    }
+    return replace(settings, features=features)
+
+
 def learn_surface_body(
-    logs: Sequence[tuple[Path, Recording]], settings: Settings, provenance: Mapping[str, Any]
+    logs: Sequence[tuple[Path, Recording]],
+    settings: Settings,
+    provenance: Mapping[str, Any],
+    leave_out: bool = False,
 ) -> "LearnedBody":
-    """Learn a body whose only sense beside the encoders is the robot's surface.
+    """Learn a body whose only sense beside the encoders is the robot's surface; `leave_out`: from
+    the logs alone that show it, where others do not.
 
     EvidenceError where no camera shows the arm, or one shows another motion; ModelError where the
     URDF has no joint of a log.
@@ -35,14 +50,7 @@ def learn_surface_body(
     from .body.learning import LearnedBody
     from .body.surface import joint_noise
 
-    whole = [(log, middle_of_recording(read, LONGEST_S, MOST_IMAGES)) for log, read in logs]
-    found = list[SurfaceCalibration]()
-    for one in calibrate_cameras(whole, settings):
-        if isinstance(one, EvidenceError):
-            raise one
-        found.append(one)
-    if not found:
-        raise EvidenceError(f"{logs[0][0]}: no images in it; the surface of a robot needs a camera")
+    found = _calibrate_all_cameras(logs, settings, leave_out=leave_out)
     features = [Features(read.joints, {}, None, (), (), {}) for _, read in logs]
     names = tuple(found[0].joint_of)
     first, read = logs[0]
@@ -60,9 +68,60 @@ def learn_surface_body(
         about,
         surface=_build_surface(first, read, found, settings),
     )
-    scores = tuple(score for one in found for score in _calibration_scores(one))
-    findings = tuple(Finding("info", finding.text) for one in found for finding in findings_of(one))
-    return LearnedBody(model, scores, findings)
+    paths = [log for log, _ in logs]
+    return LearnedBody(model, *_scores_and_findings(found, paths))
+
+
+def add_surface(
+    learned: "LearnedBody", logs: Sequence[tuple[Path, Recording]], settings: Settings
+) -> "LearnedBody":
+    """A body that was learned by markers, with the robot's surface as one more sense.
+
+    Errors as of `learn_surface_body`; ModelError also where the URDF lacks one of its joints.
+    """
+    found = _calibrate_all_cameras(logs, settings, learned.model.joints)
+    surface = _build_surface(*logs[0], found, settings)
+    scores, findings = _scores_and_findings(found, [log for log, _ in logs])
+    taken = {score.name for score in learned.scores}
+    return replace(
+        learned,
+        model=replace(learned.model, surface=surface),
+        scores=(*learned.scores, *(score for score in scores if score.name not in taken)),
+        findings=(*learned.findings, *findings),
+    )
+
+
+def _calibrate_all_cameras(
+    logs: Sequence[tuple[Path, Recording]],
+    settings: Settings,
+    joints: tuple[str, ...] | None = None,
+    leave_out: bool = False,
+) -> list[SurfaceCalibration]:
+    """Each camera's calibration; EvidenceError without any, or where one shows no arm."""
+    whole = [(log, middle_of_recording(read, LONGEST_S, MOST_IMAGES)) for log, read in logs]
+    found = list[SurfaceCalibration]()
+    for one in calibrate_cameras(whole, settings, leave_out, joints):
+        if isinstance(one, EvidenceError):
+            raise one
+        found.append(one)
+    if not found:
+        raise EvidenceError(f"{logs[0][0]}: no images in it; the surface of a robot needs a camera")
+    return found
+
+
+def _scores_and_findings(
+    found: Sequence[SurfaceCalibration], paths: Sequence[Path]
+) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
+    scores = tuple(score for one in found for score in _calibration_scores(one, paths))
+    findings = tuple(
+        finding
+        for one in found
+        for finding in (
+            *(Finding("warning", f"{text}; it is left out") for text in one.left_out),
+            *(Finding("info", text.text) for text in findings_of(one)),
+        )
+    )
+    return scores, findings
 
 
 def _build_surface(
@@ -118,9 +177,11 @@ def _find_image_topic(read: Recording, camera: str) -> str:
     return ""
 
 
-def _calibration_scores(one: SurfaceCalibration) -> Iterator[Score]:
-    """Its scores, with the logs' delays as one each where there are several."""
+def _calibration_scores(one: SurfaceCalibration, logs: Sequence[Path]) -> Iterator[Score]:
+    """Its scores, with the delays of the logs as one each, by their numbers, where there are
+    several."""
     yield from scores_of(one)
     name = one.camera or "camera"
-    for number, (seconds, std) in enumerate(zip(one.delays[1:], one.delay_std[1:], strict=True), 2):
+    for log, seconds, std in zip(one.logs[1:], one.delays[1:], one.delay_std[1:], strict=True):
+        number = logs.index(log) + 1
         yield Score(f"delay/{name}/{number}", float(seconds), "s", float(std))

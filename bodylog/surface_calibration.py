@@ -29,7 +29,7 @@ _SEARCH_PIECES = 80
 _SEARCH_STRIDE = 4
 _GRID_S = 0.01
 """Spacing of the smoothed joint angles."""
-_LEAST_RANGE = 0.02
+LEAST_RANGE = 0.02
 """rad or m that a joint moves at least to count as moving."""
 _LEAST_SHARE = 0.25
 """Share of the moving pieces that the robot must explain."""
@@ -52,7 +52,8 @@ class SurfaceCalibration:
     picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in the logs:
     joint in the URDF} · still: angles, rad or m, of the joints at rest · delays (L,) s ± delay_std
     (L,), by tracks, which follow every image · landmarks: the map that the fit is of; None where it
-    is of tracks, as too few landmarks are found again.
+    is of tracks, as too few landmarks are found again · seen: all pieces that moved · left_out: why
+    other logs teach nothing.
     """
 
     camera: str
@@ -67,7 +68,17 @@ class SurfaceCalibration:
     still: Mapping[str, float]
     delays: Array
     delay_std: Array
-    landmarks: "LandmarkMap | None" = None
+    landmarks: "LandmarkMap | None"
+    seen: "LandmarkSightings"
+    left_out: tuple[str, ...] = ()
+
+
+class _StrangeLog(EvidenceError):
+    """A log that does not show what the others show: `number` among them."""
+
+    def __init__(self, text: str, number: int) -> None:
+        super().__init__(text)
+        self.number = number
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +95,17 @@ class _CameraTracks:
 
 
 def calibrate_cameras(
-    logs: Sequence[tuple[Path, Recording]], settings: "Settings"
+    logs: Sequence[tuple[Path, Recording]],
+    settings: "Settings",
+    leave_out: bool = False,
+    joints: Sequence[str] | None = None,
 ) -> Iterator[SurfaceCalibration | EvidenceError]:
     """Yield each camera's calibration from all logs of one robot together, or why there is none.
 
-    The logs have one camera, lens, row time and zeros; each has a delay. ModelError where no joint
-    of the URDF is in a log, EvidenceError where no joint moves.
+    The logs have one camera, lens, row time and zeros; each has a delay. `leave_out`: logs that do
+    not show what the others show are left out. joints: those that move, and their order; None for
+    all that do. ModelError where no joint of the URDF is in a log, EvidenceError where no joint
+    moves.
     """
     import numpy as np
 
@@ -97,14 +113,24 @@ def calibrate_cameras(
 
     first, read = logs[0]
     robot = named_robot(first, settings)
-    joint_of, motions, still = find_moving_urdf_joints(logs, robot)
+    joint_of, motions, still = find_moving_urdf_joints(logs, robot, joints)
     hints = camera_hints(first, robot, read, settings)
     for name in dict.fromkeys(name for _, one in logs for name in _frames_by_camera(one)):
+        left_out = list[str]()
         try:
-            films = list(_track_each_log(logs, name))
-            fit, seen, moving = _calibrate_camera(
-                name, films, robot, motions, joint_of, still, hints.get(name), settings
-            )
+            films = list(_track_each_log(logs, name, left_out if leave_out else None))
+            while True:
+                try:
+                    fit, seen, moving = _calibrate_camera(
+                        name, films, robot, motions, joint_of, still, hints.get(name), settings
+                    )
+                except _StrangeLog as problem:
+                    if not leave_out or len(films) == 1:
+                        raise
+                    left_out.append(str(problem))
+                    del films[problem.number]
+                else:
+                    break
             mapped = build_map(fit, seen, [(one.frames, one.tracks.t) for one in films])
         except EvidenceError as problem:
             yield problem
@@ -134,6 +160,8 @@ def calibrate_cameras(
             delays,
             delay_std,
             landmarks,
+            seen,
+            tuple(left_out),
         )
 
 
@@ -168,7 +196,7 @@ def camera_hints(
 
 
 def find_moving_urdf_joints(
-    logs: Sequence[tuple[Path, Recording]], robot: "Robot"
+    logs: Sequence[tuple[Path, Recording]], robot: "Robot", joints: Sequence[str] | None = None
 ) -> "tuple[dict[str, str], list[JointCurve], dict[str, float]]":
     """The joints that move in any log, with their names in
     the URDF, as curves of each log; the angles of the others.
@@ -196,9 +224,14 @@ def find_moving_urdf_joints(
     still = {
         joint_of[name]: float(np.nanmedian(columns[name]))
         for name in joint_of
-        if ranges[name] < _LEAST_RANGE
+        if ranges[name] < LEAST_RANGE
     }
-    moving = {name: joint for name, joint in joint_of.items() if ranges[name] >= _LEAST_RANGE}
+    moving = {name: joint for name, joint in joint_of.items() if ranges[name] >= LEAST_RANGE}
+    if joints is not None:
+        if lacking := [name for name in joints if name not in joint_of]:
+            raise ModelError(f"{robot.source}: {lacking[0]!r} is not in it; leave the surface out")
+        moving = {name: joint_of[name] for name in joints}
+        still = {joint: at for joint, at in still.items() if joint not in moving.values()}
     if not moving:
         raise EvidenceError(
             f"{logs[0][0]}: none of its joints moves; the surface of a robot tells nothing then"
@@ -254,24 +287,40 @@ def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointCurve":
     return curve_through_samples(grid, np.stack(columns, axis=1))
 
 
-def _track_each_log(logs: Sequence[tuple[Path, Recording]], camera: str) -> Iterator[_CameraTracks]:
-    """Yield what each log shows through a camera; EvidenceError
-    where too little moves or images differ in size.
+def _track_each_log(
+    logs: Sequence[tuple[Path, Recording]], camera: str, left_out: list[str] | None
+) -> Iterator[_CameraTracks]:
+    """Yield what each log shows through a camera; EvidenceError where too little moves or images
+    differ in size: of one log a text in `left_out`, unless that is None.
     """
+    problems = list[EvidenceError]()
     size: tuple[int, int] | None = None
     for number, (log, read) in enumerate(logs):
         film = _frames_by_camera(read).get(camera)
         if film is None:
             continue
-        tracks, picture = _moving_tracks(f"{log}: {camera or 'camera'}", film)
-        size = size or tracks.size
-        if tracks.size != size:
-            found, first = ("x".join(map(str, one)) for one in (tracks.size, size))
-            where = f"{log}: {camera or 'camera'}"
-            raise EvidenceError(
-                f"{where}: images of {found} px, of {first} px in the first log; fit them apart"
-            )
+        try:
+            tracks, picture = _moving_tracks(f"{log}: {camera or 'camera'}", film)
+            size = size or tracks.size
+            _require_size(f"{log}: {camera or 'camera'}", tracks.size, size)
+        except EvidenceError as problem:
+            if left_out is None:
+                raise
+            problems.append(problem)
+            left_out.append(str(problem))
+            continue
         yield _CameraTracks(log, number, tracks, picture, film)
+    if size is None:
+        raise problems[0]
+
+
+def _require_size(where: str, size: tuple[int, int], first: tuple[int, int]) -> None:
+    """EvidenceError for images of another size than the first log's."""
+    if size != first:
+        found, expected = ("x".join(map(str, one)) for one in (size, first))
+        raise EvidenceError(
+            f"{where}: images of {found} px, of {expected} px in the first log; fit them apart"
+        )
 
 
 def camera_film(log: Path, read: Recording, camera: str) -> Callable[[], Iterator[LazyImage]]:
@@ -386,13 +435,13 @@ def _require_belonging(
                 f"the joints explain {used[number]} of {count[number]} moving corners; no arm is "
                 "seen"
             )
-            raise EvidenceError(
-                f"{where}: {text}, though other logs show one" if len(films) > 1 else text
-            )
+            others = ", though other logs show one" if len(films) > 1 else ""
+            raise _StrangeLog(f"{where}: {text}{others}", number)
         if control[number] > _CONTROL_RATIO * used[number]:
             shares = f"{control[number]} against {used[number]}"
             text = f"the joints of another time explain the corners as well ({shares})"
-            raise EvidenceError(f"{where}: {text}; the images do not belong to the joints")
+            text += "; the images do not belong to the joints"
+            raise _StrangeLog(f"{where}: {text}", number)
 
 
 def _start_cameras(

@@ -1,5 +1,5 @@
-"""The estimate of a log by a body of the robot's surface:
-its encoders, less the offsets that the surface shows.
+"""The estimate of a log by a body of the robot's surface: its encoders, less the
+offsets that the surface shows, and the postures that its images tell.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from .body_model import BodyModel, Surface, SurfaceCamera
 from .delay_findings import middle_of_recording
 from .errors import EvidenceError, ModelError
-from .log_estimate import infer_from_encoders
+from .log_estimate import estimate_log, infer
 from .settings import Settings
 from .surface_calibration import (
     LONGEST_S,
@@ -23,7 +23,25 @@ from .surface_calibration import (
     track_camera,
 )
 from .surface_map import KeyFrames, find_again, key_frames, refine
-from .types import ALTERNATIVE_SEPARATOR, Array, Estimate, Fault, Features, Finding, Recording
+from .surface_tracks import (
+    LinkedTracks,
+    describe_foreign,
+    describe_postures,
+    link_tracks,
+    read_postures,
+    views_as_values,
+)
+from .types import (
+    ALTERNATIVE_SEPARATOR,
+    SURFACE_VIEWS,
+    Array,
+    Estimate,
+    Fault,
+    Features,
+    Finding,
+    PostureReadings,
+    Recording,
+)
 
 if TYPE_CHECKING:
     from .kinematics.joint_motion import JointCurve
@@ -62,7 +80,7 @@ class CameraJudgement:
     without images of an arm.
 
     identifiable: joints of the body whose offset the log shows · shift: of the still scene, px,
-    None where scenes differ.
+    None where scenes differ · linked: the corners by the links that they follow.
     """
 
     camera: str
@@ -70,19 +88,25 @@ class CameraJudgement:
     changes: "Sequence[ChangeHypothesis]"
     identifiable: tuple[str, ...]
     shift: float | None
+    linked: LinkedTracks
 
 
 def estimate_by_surface(
-    log: Path, read: Recording, features: Features, learned: BodyModel, settings: Settings
+    log: Path,
+    read: Recording,
+    features: Features,
+    learned: BodyModel,
+    settings: Settings,
+    typed: Settings,
 ) -> Estimate:
-    """Where the body was by its encoders, less an offset
-    that the surface shows, with its doubt in the covariance.
+    """Where the body was by its encoders, less an offset that the surface shows, by the postures
+    that its images tell, and by markers where the body has them.
 
-    Where the surface says nothing, the encoders' estimate with a remark why. ModelError where
+    Where the surface says nothing, the estimate without it, with a remark why. ModelError where
     images have another size than those that the body was learned from, or a joint is missing.
+    settings, typed: as in `estimate_log`.
     """
     assert learned.surface is not None
-    found = infer_from_encoders(features, learned, settings)
     part = middle_of_recording(read, LONGEST_S, MOST_IMAGES)
     joints = part.joints
     assert joints is not None
@@ -98,10 +122,70 @@ def estimate_by_surface(
         try:
             judged.append(judge_by_camera(log, part, learned.surface, camera, motion))
         except EvidenceError as problem:
-            findings.append(Finding("warning", f"{problem}; the estimate is by encoders alone"))
+            others = "encoders and markers" if learned.senses else "encoders alone"
+            findings.append(Finding("warning", f"{problem}; the estimate is by {others}"))
+    faults = _faults_of_surface(judged, float(joints.t[0]), learned)
+    sensed = _with_surface_readings(features, judged, faults, learned, read.start_ns)
+    found = (
+        estimate_log(log, read, sensed, learned, settings, typed)
+        if learned.senses
+        else infer(sensed, learned, settings)
+    )
     for one in judged:
-        found = _with_judgement(found, one, learned)
+        found = _with_judgement(found, one, sensed.postures, learned)
+    found = _with_offset_doubts(found, faults)
     return replace(found, findings=(*found.findings, *findings))
+
+
+def sense_of_camera(camera: str) -> str:
+    """The sense that a camera's images of the surface are."""
+    return "surface" if camera == "camera" else f"{camera}/surface"
+
+
+def _faults_of_surface(
+    judged: Sequence[CameraJudgement], since: float, learned: BodyModel
+) -> tuple[Fault, ...]:
+    """The faults that cameras name, each once, from `since` (s) on."""
+    found = dict[tuple[str, str], Fault]()
+    for one in judged:
+        fault = _winning_fault(one, since, learned)
+        if fault is None:
+            continue
+        other = found.get((fault.sense, fault.name))
+        if other is None or (fault.std or float("inf")) < (other.std or float("inf")):
+            found[fault.sense, fault.name] = fault
+    return tuple(found.values())
+
+
+def _with_surface_readings(
+    features: Features,
+    judged: Sequence[CameraJudgement],
+    faults: Sequence[Fault],
+    learned: BodyModel,
+    start_ns: int,
+) -> Features:
+    """The features with readings less their offsets, and with the postures that images tell."""
+    offsets = {fault.name: fault.size for fault in faults if fault.std is not None}
+    joints = features.joints
+    assert joints is not None
+    less = [offsets.get(name, 0.0) for name in joints.names]
+    postures = dict[str, PostureReadings]()
+    for one in judged:
+        told = read_postures(one.linked, learned.joints, start_ns, one.delay[1])
+        if told is not None:
+            less_too = [offsets.get(name, 0.0) for name in told.names]
+            postures[sense_of_camera(one.camera)] = replace(told, values=told.values - less_too)
+    return replace(features, joints=replace(joints, values=joints.values - less), postures=postures)
+
+
+def _with_offset_doubts(found: Estimate, faults: Sequence[Fault]) -> Estimate:
+    """The estimate with the surface's faults, and the variances of the offsets taken out."""
+    cov = found.cov.copy()
+    for fault in faults:
+        if fault.std is not None:
+            joint = found.joints.names.index(fault.name)
+            cov[:, joint, joint] += fault.std**2
+    return replace(found, cov=cov, faults=(*found.faults, *faults))
 
 
 def judge_by_camera(
@@ -159,7 +243,8 @@ def judge_by_camera(
     sure = tuple(
         names[one.name] for one in changes if one.beforehand and one.std <= LEAST * one.beforehand
     )
-    return CameraJudgement(camera.name, late, changes, sure, shift)
+    linked = link_tracks(fit.model, fit.phi, seen)
+    return CameraJudgement(camera.name, late, changes, sure, shift, linked)
 
 
 def _weighed_changes(
@@ -295,8 +380,14 @@ def picture_shift(before: Array, after: Array | None, width: int) -> float | Non
     )
 
 
-def _with_judgement(found: Estimate, one: CameraJudgement, learned: BodyModel) -> Estimate:
-    """An estimate with one camera's delay, faults and remarks, and an offset subtracted."""
+def _with_judgement(
+    found: Estimate,
+    one: CameraJudgement,
+    postures: Mapping[str, PostureReadings],
+    learned: BodyModel,
+) -> Estimate:
+    """An estimate with one camera's delay, remarks and views."""
+    from .body.surface import surface_space
     from .evaluation.figures import LEAST_OFFSETS, MEASURED_DELAYS
 
     assert learned.surface is not None
@@ -327,12 +418,13 @@ def _with_judgement(found: Estimate, one: CameraJudgement, learned: BodyModel) -
             "moved"
         )
         findings.append(Finding("info", f"{one.camera}: {text}"))
-    fault, change = _winning_fault(one, found, learned)
-    result = replace(found, settings=settings, findings=tuple(findings))
-    if fault is None:
-        return result
-    result = replace(result, faults=(*found.faults, fault))
-    return result if change is None else _subtract_joint_offset(result, fault)
+    findings.append(Finding("info", describe_foreign(one.camera, one.linked)))
+    told = postures.get(sense_of_camera(one.camera))
+    if told is not None:
+        findings.append(Finding("info", describe_postures(one.camera, told)))
+    views = views_as_values(one.linked, surface_space(learned.surface))
+    settings[SURFACE_VIEWS] = {**settings.get(SURFACE_VIEWS, {}), one.camera: views}
+    return replace(found, settings=settings, findings=tuple(findings))
 
 
 def _smallest_shown_offsets(
@@ -362,19 +454,16 @@ def _least_offset(change: "ChangeHypothesis") -> float:
     return max(LEAST_SIGMA * change.std, LEAST_OFFSET * (0.1 if slides else 1.0))
 
 
-def _winning_fault(
-    one: CameraJudgement, found: Estimate, learned: BodyModel
-) -> "tuple[Fault | None, ChangeHypothesis | None]":
-    """The fault that wins, if one does, and the change where its size is known."""
+def _winning_fault(one: CameraJudgement, since: float, learned: BodyModel) -> Fault | None:
+    """The fault that wins, if one does, from `since` (s) on; it has a std where its size is known."""
     from .kinematics.landmark_hypotheses import CAMERA, SOUND
 
     assert learned.surface is not None
     sound = next(change for change in one.changes if change.name == SOUND)
     best = max(one.changes, key=lambda change: change.nats)
     if best.nats - sound.nats < FAULT_EVIDENCE_NATS or best.name == SOUND:
-        return None, None
+        return None
     names = {joint: name for name, joint in learned.surface.joint_of.items()}
-    since = float(found.joints.t[0])
     indistinct_changes = [
         change
         for change in one.changes
@@ -389,22 +478,11 @@ def _winning_fault(
             since,
             float("nan"),
             "rad",
-        ), None
+        )
     if best.name == CAMERA:
-        return Fault("vision", one.camera, "moved", since, float("nan"), "m"), None
+        return Fault("vision", one.camera, "moved", since, float("nan"), "m")
     if abs(best.value) < _least_offset(best) or names[best.name] not in one.identifiable:
-        return None, None
+        return None
     # a reading that is too large by x needs a zero that is smaller by x
     unit = "m" if best.beforehand < _SLIDES_BELOW else "rad"
-    return Fault("encoders", names[best.name], "offset", since, -best.value, unit, best.std), best
-
-
-def _subtract_joint_offset(found: Estimate, fault: Fault) -> Estimate:
-    """The estimate with a joint's offset subtracted, and its variance added."""
-    assert fault.std is not None
-    joint = found.joints.names.index(fault.name)
-    values = found.joints.values.copy()
-    cov = found.cov.copy()
-    values[:, joint] -= fault.size
-    cov[:, joint, joint] += fault.std**2
-    return replace(found, joints=replace(found.joints, values=values), cov=cov)
+    return Fault("encoders", names[best.name], "offset", since, -best.value, unit, best.std)

@@ -61,7 +61,7 @@ def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedD
     from .surface_estimate import estimate_by_surface
 
     read, features = read_joints_alone(log, settings, body)
-    found = estimate_by_surface(log, read, features, body, settings)
+    found = estimate_by_surface(log, read, features, body, settings, settings)
     from .evaluation.figures import list_delays
 
     all_findings = (*found.findings, *fault_warnings(found.faults))

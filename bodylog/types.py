@@ -143,6 +143,19 @@ class Synchrony:
 
 
 @dataclass(frozen=True, eq=False)
+class PostureReadings:
+    """Postures that images of the robot's own surface tell:
+    t (N,) s · values (N,M) rad and cov (N,M,M) of `names`.
+    """
+
+    t: Array
+    values: Array
+    cov: Array
+    names: tuple[str, ...]
+    source_ns: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Features:
     """What perception found: tracks (name -> Series of
     u, v in px with std), touches, strokes, synchrony.
@@ -152,7 +165,8 @@ class Features:
     angles where a log to learn from has them; `cameras` {camera: topic} whose pictures the tracks
     are of, "" the first one; `boards` {feature: (track names (K,), (K,3) m)} the tracks that lie on
     one rigid thing, and where on it. `poses`: rows are still poses that say nothing of each other:
-    no motion joins them. `beside`: joints of further topics that nobody named.
+    no motion joins them. `beside`: joints of further topics that nobody named. `postures`: by the
+    robot's own surface, of each camera.
     """
 
     joints: Series | None
@@ -168,6 +182,7 @@ class Features:
     boards: Mapping[str, Board] = field(default_factory=dict)
     poses: bool = False
     beside: tuple[str, ...] = ()
+    postures: Mapping[str, PostureReadings] = field(default_factory=dict)
 
     @property
     def effector(self) -> Series | None:
@@ -286,6 +301,8 @@ white noise alone; play {joint: rad, std}; lasting: std (rad), seconds, nats, at
 None; row_time: seconds, std, or None; late {camera: seconds, std, nats}: what is left of its delay.
 """
 
+SURFACE_VIEWS = "surface"
+"""In an estimate's settings: what a report shows of each camera by the robot's own surface."""
 LASTING_ERROR = "lasting_error"
 """Key of an estimate's settings for errors of encoders
 that last: std (rad), seconds, nats, nees_if_white.

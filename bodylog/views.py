@@ -96,6 +96,7 @@ def write_report(
     the images, after the page and after the figures.
     """
     from .annotating import read_back
+    from .report.figures import surface_sheet
     from .report.page import page
     from .report.viewers import image_overlay
 
@@ -104,17 +105,32 @@ def write_report(
     read, features = observe(log, settings)
     found = read_back.read_estimate(log, read.start_ns)
     done(1)
-    shown = image_overlay.draw_pictures(read, features, found)
+    surface = surface_sheet.surface_pictures(read, found)
+    # a log without a marker has nothing else to show in its images
+    plain = found.predicted or not surface
+    shown = image_overlay.draw_pictures(read, features, found) if plain else ()
     done(1)
     findings = (*read.findings, *fault_warnings(found.faults))
     result = estimate_result(out, found, score_estimate(found, read), found.used, findings)
     metadata = read_back.read_metadata(log)
     page.write_report_page(
-        out, found, features, read, result.scores, shown, metadata, result.verdict, result.headline
+        out,
+        found,
+        features,
+        read,
+        result.scores,
+        shown,
+        metadata,
+        result.verdict,
+        result.headline,
+        surface,
     )
     done(1)
     if figures is not None:
         _write_report_figures(figures, read, features, found, shown)
+        if surface:
+            legend = surface_sheet.LEGEND
+            image_overlay.overlay_sheet(surface, figures / "surface.png", legend=legend)
         done(1)
     return result
 
@@ -306,11 +322,18 @@ class FeatureCandidates:
 
 
 def find_feature_candidates(
-    log: Path, out: Path | None, settings: Settings, effector: tuple[float, float] | None
+    log: Path,
+    out: Path | None,
+    settings: Settings,
+    effector: tuple[float, float] | None,
+    body: Path | None = None,
 ) -> FeatureCandidates:
     """Tags and colours in a log, and the share of motion
     that the joints explain; `out`: a contact sheet (PNG).
+
+    Where [features] names the robot's own surface, or `body` has one: the corners on its links.
     """
+    from . import surface_body
     from .perception import survey_features
     from .recording import recording
     from .report.figures import contact_sheet
@@ -319,6 +342,8 @@ def find_feature_candidates(
     if out is not None:
         require_distinct_paths([log], [Output(out)], settings)
     read = recording.read_recording(log, settings, settings.input.strict)
+    if body is not None or surface_body.is_asked(settings):
+        return _find_surface(log, read, out, settings, body)
     with log_context(log):
         found = survey_features(read, hand_colour(settings, read.skin is not None), effector)
         if not found.candidates:
@@ -335,6 +360,38 @@ def find_feature_candidates(
         ]
         image_overlay.write_png(contact_sheet.draw_contact_sheet(found.images, marks), out)
     return FeatureCandidates(rows, found.count, read.findings)
+
+
+def _find_surface(
+    log: Path, read: Recording, out: Path | None, settings: Settings, body: Path | None
+) -> FeatureCandidates:
+    """The corners on a robot's links, of each camera a row; `out`: their tracks, by link."""
+    from .report.figures import surface_sheet
+    from .report.viewers import image_overlay
+    from .surface_calibration import camera_film
+    from .surface_tracks import describe_foreign, linked_cameras, trails_as_views
+
+    rows = list[dict[str, Any]]()
+    findings = list[Finding]()
+    pictures: list[OverlayPicture] = []
+    count = 0
+    for camera, linked in linked_cameras(log, read, settings, body):
+        links, images, row = linked.summarise()
+        count = max(count, images)
+        rows.append({"name": f"surface of {camera}", **row})
+        text = describe_foreign(camera, linked)
+        findings.append(Finding("info", f"{text}; corners on {', '.join(links)}"))
+        if out is None:
+            continue
+        views = [surface_sheet.SurfaceView(*one) for one in trails_as_views(linked)]
+        film = camera_film(log, read, camera)
+        for t, image in surface_sheet.pick_images(film, [one.t for one in views]).items():
+            drawn = surface_sheet.draw_surface(image, next(one for one in views if one.t == t))
+            pictures.append(image_overlay.OverlayPicture(t, drawn, f"{camera} · {t:.2f} s"))
+    if out is not None:
+        legend = "tracks of corners: a colour for each link | grey: foreign, left out"
+        image_overlay.overlay_sheet(pictures, out, legend=legend)
+    return FeatureCandidates(rows, count, (*read.findings, *findings))
 
 
 def _with_boards(

@@ -1,6 +1,5 @@
 """bodylog doctor."""
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,18 +15,6 @@ if TYPE_CHECKING:
 
 _URDF = "Calibrate cameras, delays and joint zeros by the robot's own surface, without a marker."
 _OUT = "Of a dataset: a page (.html), or a folder for the page, rows and junit.xml."
-
-
-def _parse_episode_range(
-    _context: click.Context, _option: click.Parameter, text: str | None
-) -> tuple[int | None, int | None] | None:
-    """First and the one after the last, as in Python's slices."""
-    if text is None:
-        return None
-    found = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text)
-    if not found:
-        raise click.BadParameter(f"{text!r}; it must be FIRST:END, without END, e.g. 0:50")
-    return (int(found[1]) if found[1] else None, int(found[2]) if found[2] else None)
 
 
 @click.command(epilog="Example: bodylog doctor crashed.mcap --repair sound.mcap")
@@ -49,12 +36,7 @@ def _parse_episode_range(
     metavar="FILE",
     help="Of a dataset: a row per episode, .csv or .parquet.",
 )
-@click.option(
-    "--episodes",
-    callback=_parse_episode_range,
-    metavar="A:B",
-    help="Of a dataset: from A to before B.",
-)
+@options.episodes_option
 @click.option(
     "--jobs",
     "workers",
@@ -101,12 +83,14 @@ def doctor(
     settings = common.settings(kinematics={"urdf": urdf})
     if repair is None and body is None and any(map(holds_several_logs, logs)):
         return _examine_dataset(logs, settings, common, as_json, typed)
-    _refuse_dataset_options(typed)
+    _refuse_dataset_options(logs, typed)
     return _examine_logs(logs, repair, body, settings, as_json)
 
 
-def _refuse_dataset_options(typed: dict[str, Any]) -> None:
-    """UsageError for an option that a single log does not have."""
+def _refuse_dataset_options(logs: tuple[Path, ...], typed: dict[str, Any]) -> None:
+    """UsageError for an option that a single log does not have; LogError where it is no log."""
+    from bodylog.logs import open as open_log
+
     given = {
         "-o": typed["out"], "--csv": typed["table"], "--episodes": typed["episodes"],
         "--resume": typed["resume"], "--scheduler": typed["scheduler"],
@@ -115,6 +99,8 @@ def _refuse_dataset_options(typed: dict[str, Any]) -> None:
     }  # fmt: skip
     for option, value in given.items():
         if value:
+            for log in logs:
+                open_log(log).close()
             raise click.UsageError(
                 f"{option} is for a dataset or a folder of logs, without --repair and --body"
             )

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from .options import OUT, Common, common_options, log_argument
+from .options import OUT, PATH, Common, common_options, log_argument
 
 if TYPE_CHECKING:
     from bodylog.views import FeatureCandidates
@@ -23,9 +23,15 @@ if TYPE_CHECKING:
 @click.option(
     "--effector", metavar="U,V", help="Where the effector is in the first picture, in px."
 )
+@click.option("--body", type=PATH, help="A body of the robot's own surface: draw its corners.")
 @common_options
 def features(
-    log: Path, out: Path | None, effector: str | None, common: Common, as_json: bool
+    log: Path,
+    out: Path | None,
+    effector: str | None,
+    body: Path | None,
+    common: Common,
+    as_json: bool,
 ) -> int:
     """Find tags and colours that move with the joints.
 
@@ -37,7 +43,8 @@ def features(
 
     from .output import exit_code_of_findings, print_findings, print_json, result_entry
 
-    found = views.find_feature_candidates(log, out, common.settings(), _parse_place(effector))
+    place = _parse_place(effector)
+    found = views.find_feature_candidates(log, out, common.settings(), place, body)
     print_findings(found.findings)
     if as_json:
         one = result_entry(Result(out, findings=found.findings), log)

@@ -4,13 +4,22 @@ from pathlib import Path
 
 import click
 
-from .options import PATH, Common, all_option, common_options, logs_argument, out_option
+from .options import (
+    PATH,
+    Common,
+    all_option,
+    common_options,
+    episodes_option,
+    logs_argument,
+    out_option,
+)
 from .setting_options import clock_option, delay_option, setting_option, split_list
 
 
 @click.command(epilog="Example: bodylog fit explore.bag -o body.npz")
 @logs_argument
 @out_option("The body model to write (.npz).")
+@episodes_option
 @setting_option("fit", "preset")
 @setting_option("body", "joints", metavar="A,B,...")
 @setting_option("fit", "every")
@@ -33,6 +42,7 @@ from .setting_options import clock_option, delay_option, setting_option, split_l
 def fit(
     logs: tuple[Path, ...],
     out: Path,
+    episodes: tuple[int | None, int | None] | None,
     preset: str | None,
     joints: str | None,
     every: int | None,
@@ -46,8 +56,13 @@ def fit(
     common: Common,
     as_json: bool,
 ) -> int:
-    """Learn the robot's body from exploration logs."""
+    """Learn the robot's body from exploration logs.
+
+    Of a dataset, or a folder of logs, all episodes are learned from together; those that teach
+    nothing are left out by name.
+    """
     from bodylog import info, pipeline
+    from bodylog.batch import dataset
 
     from .body_text import show_body
     from .output import print_result, read_verbosity, show_progress
@@ -62,8 +77,14 @@ def fit(
         body={"joints": split_list(joints)},
         kinematics=kinematics,
     )
+    several = any(map(dataset.holds_several_logs, logs))
+    if episodes is not None and not several:
+        raise click.UsageError("--episodes is for a dataset or a folder of logs")
+    if several:
+        begin, end = episodes or (None, None)
+        logs = tuple(map(Path, dataset.chosen_episodes(logs, begin, end)))
     with show_progress("fit", [*logs, *test], chosen) as tick:
-        result = pipeline.fit(logs, out, chosen, tick, update, test)
+        result = pipeline.fit(logs, out, chosen, tick, update, test, leave_out=several)
     learned = info.describe_file(out, chosen)
     code = print_result(result, logs, as_json, full, body=learned)
     if full and not as_json and read_verbosity() >= 0:

@@ -148,6 +148,28 @@ def episode_option(parameter: str) -> Callable[[Command], Command]:
     return decorated
 
 
+def _parse_episode_range(
+    _context: click.Context, _option: click.Parameter, text: str | None
+) -> tuple[int | None, int | None] | None:
+    """First and the one after the last, as in Python's slices."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"(\d{0,9}):(\d{0,9})", text)
+    if not found:
+        raise click.BadParameter(f"{text!r}; it must be FIRST:END, without END, e.g. 0:50")
+    return (int(found[1]) if found[1] else None, int(found[2]) if found[2] else None)
+
+
+def episodes_option(function: Command) -> Command:
+    """--episodes: the part of a dataset that is read."""
+    return click.option(
+        "--episodes",
+        callback=_parse_episode_range,
+        metavar="A:B",
+        help="Of a dataset: from A to before B.",
+    )(function)
+
+
 def _check_episode_option(
     _context: click.Context, _option: click.Parameter, text: str | None
 ) -> str | None:

@@ -16,6 +16,7 @@ from .kinematic.storage import insist_rigid, insist_sound
 if TYPE_CHECKING:
     from ..kinematics.joint_motion import JointCurve
     from ..kinematics.landmarks import LandmarkModel
+    from ..kinematics.links import Space
 
 SHAPES = {
     "anchor": "44",
@@ -47,17 +48,23 @@ def landmark_model(
     surface: Surface, camera: SurfaceCamera, motions: "Sequence[JointCurve]" = ()
 ) -> "LandmarkModel":
     """The model of one camera, without belief, for the motions of some logs."""
-    from ..kinematics import urdf
     from ..kinematics.landmark_fit import build_model
-    from ..kinematics.links import Space
     from ..kinematics.rig import RigCamera
 
-    robot = urdf.parse_urdf(surface.urdf, "the body's URDF")
-    space = Space(robot, tuple(surface.joint_of.values()), dict(surface.still), surface.zero_std)
+    space = surface_space(surface)
     placed = RigCamera(
         f"camera {camera.name}".strip(), camera.link, camera.anchor, camera.lens, camera.doubt
     )
     return build_model(space, placed, motions, surface.zero_std)
+
+
+def surface_space(surface: Surface) -> "Space":
+    """The links of its robot, by the joints of the body."""
+    from ..kinematics import urdf
+    from ..kinematics.links import Space
+
+    robot = urdf.parse_urdf(surface.urdf, "the body's URDF")
+    return Space(robot, tuple(surface.joint_of.values()), dict(surface.still), surface.zero_std)
 
 
 def joint_noise(features: Sequence[Features], names: tuple[str, ...]) -> Noise:

@@ -37,11 +37,18 @@ def dataset_findings(logs: Mapping[str, str], evidence: Mapping[str, Any]) -> It
 def _check_statistics(
     known: Any, names: Mapping[int, str], evidence: Mapping[str, Any]
 ) -> Iterator[str]:
-    """Stored statistics that do not match the numbers."""
+    """Stored statistics that are missing, or do not match the numbers."""
     from ..logs.datasets.lerobot_layout import EPISODE_STATISTICS, STATISTICS, stored_statistics
     from ..logs.datasets.statistics import combine_statistics
 
+    of_each = known.version.startswith("v2.1")
+    path = known.folder / (EPISODE_STATISTICS if of_each else STATISTICS)
+    if not path.is_file():
+        yield f"{path}: there is no such file; is the dataset downloaded completely?"
+        return
     each, whole = stored_statistics(known)
+    if of_each and (missing := sorted(set(names).difference(each))):
+        yield f"{path}: no statistics of episode {list_in_words([*map(str, missing)])}"
     found = {
         number: evidence[name]["statistics"] for number, name in names.items() if name in evidence
     }

@@ -13,6 +13,9 @@ LEAST_EPISODES = 5
 """Fewest episodes of which one can stand out: of fewer, the spread of the others is not known."""
 LARGEST_SHARE = 0.3
 """Largest share of episodes that can stand out; more are another kind of episode, no outliers."""
+STATED_READINGS = 6
+"""Episodes as which stated standard errors count beside their misfit (the prior's degrees of
+freedom of Smyth 2004): they are right within a third, and so is the spread of six."""
 _ROUNDS = 50
 
 
@@ -90,24 +93,18 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
     Each value is compared with the mean and spread of the others; the farthest leaves, and so on,
     so that several outliers do not hide each other. FALSE_ALARMS is shared by all `looks`, the
     number of figures of the dataset: the spread, which is estimated from few episodes, has
-    Student's bound, std (N,), the standard errors, and `resolution`, the least spread that is
-    believed, the normal one.
+    Student's bound, and `resolution`, the least spread that is believed, the normal one. Where
+    values have standard errors std (N,), the spread is these times what their misfit asks for.
     """
-    from scipy.special import ndtri, stdtrit
 
     rest = np.flatnonzero(np.isfinite(values))
     if len(rest) < LEAST_EPISODES:
         return []
     tail = 0.5 * FALSE_ALARMS / max(looks, 1)
-    normal = float(-ndtri(tail))
     removed: list[Outlier] = []
     count = 0
     for _ in range(max(1, int(LARGEST_SHARE * len(rest)))):
-        student = float(-stdtrit(len(rest) - 2, tail))
-        found = [
-            _compare_with_others(values, std, rest, int(k), resolution, student, normal)
-            for k in rest
-        ]
+        found = [_compare_with_others(values, std, rest, int(k), resolution, tail) for k in rest]
         farthest = max(found, key=lambda one: one.z / one.bound)
         removed.append(farthest)
         if farthest.z > farthest.bound:
@@ -115,11 +112,8 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
         rest = rest[rest != farthest.number]
     outliers = [one.number for one in removed[:count]]
     sound = np.setdiff1d(np.flatnonzero(np.isfinite(values)), outliers)
-    student = float(-stdtrit(max(len(sound) - 1, 1), tail))
     # distances beside further outliers are short: each is reported as it is farthest
-    alone = [
-        _compare_with_others(values, std, sound, k, resolution, student, normal) for k in outliers
-    ]
+    alone = [_compare_with_others(values, std, sound, k, resolution, tail) for k in outliers]
     pairs = zip(removed[:count], alone, strict=True)
     return [max(pair, key=lambda one: one.z / one.bound) for pair in pairs]
 
@@ -158,23 +152,31 @@ def find_step(values: Array, resolution: float, looks: int) -> Step | None:
 
 
 def _compare_with_others(
-    values: Array,
-    std: Array,
-    rest: Array,
-    number: int,
-    resolution: float,
-    student: float,
-    normal: float,
+    values: Array, std: Array, rest: Array, number: int, resolution: float, tail: float
 ) -> Outlier:
     """One value against the others among `rest`: Student's bound for their spread, the normal one
-    for known errors."""
-    others = values[rest[rest != number]]
+    for known errors; `tail` is the chance of either to be exceeded."""
+    from scipy.special import ndtri, stdtrit
+
+    chosen = rest[rest != number]
+    others = values[chosen]
+    value = float(values[number])
+    freedom = max(len(others) - 1, 1)
+    if (std[chosen] > 0.0).all():
+        variances = std[chosen] ** 2 + resolution**2
+        misfit, mean, information = _weighted_squared_errors(values[chosen], variances**0.5, 0.0)
+        scale2 = (STATED_READINGS + misfit) / (STATED_READINGS + freedom)
+        spread = float(np.sqrt(scale2 * (std[number] ** 2 + resolution**2 + 1.0 / information)))
+        bound = float(-stdtrit(freedom + STATED_READINGS, tail))
+        return Outlier(number, value, mean, spread, abs(value - mean) / spread, bound)
     mean = float(others.mean())
-    spread = float(others.std(ddof=1)) * (1.0 + 1.0 / len(others)) ** 0.5
+    deviation = float(others.std(ddof=1)) if len(others) > 1 else 0.0
+    spread = deviation * (1.0 + 1.0 / len(others)) ** 0.5
     known = float(np.hypot(std[number], resolution))
     scale = float(np.hypot(spread, known))
+    student = float(-stdtrit(freedom, tail))
+    normal = float(-ndtri(tail))
     bound = float(np.hypot(student * spread, normal * known)) / scale
-    value = float(values[number])
     return Outlier(number, value, mean, spread, abs(value - mean) / scale, bound)
 
 

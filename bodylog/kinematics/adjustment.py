@@ -1,9 +1,9 @@
 """The unknowns that foretell images best by themselves,
-within the error bars of what is known of them.
+with joints' zeros within the error bars of what is known.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,8 @@ _SETTLED_NOISE = 0.01
 _LEAST_NOISE = 1e-6
 MOST_SIGMA = 2.0
 """Standard deviations by which an unknown may be away from what is known of it."""
+ZERO_SIGMA = 0.5
+"""The same for a joint's zero or scale, before the rest is held: see docs/decisions.md."""
 _WEIGHTS = (-12.0, 12.0)
 """Logarithms of the least and the largest weight of what is known."""
 _BISECTIONS = 40
@@ -75,31 +77,48 @@ class _Prior:
 
 
 def adjust(rig: Rig, data: Sequence[Posed], theta: Array, noise: float, known: Known) -> Adjusted:
-    """Adjust θ from near the solution: the least error
-    by θ alone within the error bars of what is known.
+    """Adjust θ from near the solution: the least error by θ alone,
+    with zeros and scales within the error bars of what is known.
 
     noise: first value of the variance (px², per axis) of a point. A process of residuals beside θ
     takes up part of what θ explains, so θ of such a model has not the least error by itself (Tuo &
     Wu 2015, "Efficient calibration for imperfect computer models"); but θ of least error takes up
-    part of what no θ explains, and is not where the camera is. So θ has the least error of all that
-    are within MOST_SIGMA of the former, `known`, whose covariance it keeps.
+    part of what no θ explains. So zeros and scales are first held within ZERO_SIGMA of the former,
+    `known`, and then all within MOST_SIGMA, by weights of the loss about each solution. The
+    covariance is the mean square error of this θ where `known` holds: its covariance, and the
+    square of the step away from its mean.
     """
     mean, std = rig.prior
     prior = _Prior(mean, np.eye(len(std)))
-    free = _adjusted(rig, data, theta, noise, prior)
-    weight = _least_weight(free, known, std)
-    if weight > 0.0:
-        precision = np.eye(len(std))
-        pull = np.zeros(len(std))
-        inverse = weight * np.linalg.inv(known.covariance / std[known.rows] / std[known.rows, None])
-        precision[np.ix_(known.rows, known.rows)] += inverse
-        pull[known.rows] = inverse @ ((known.mean - mean[known.rows]) / std[known.rows])
-        prior = _Prior(mean + std * np.linalg.solve(precision, pull), precision)
-        free = _adjusted(rig, data, free.theta, free.noise, prior)
+    found = _adjusted(rig, data, theta, noise, prior)
+    for part, most in ((_known_zeros(rig, known), ZERO_SIGMA), (known, MOST_SIGMA)):
+        weight = _least_weight(found, part, most, std)
+        if weight > 0.0:
+            prior = _with_known(prior, part, weight, std)
+            found = _adjusted(rig, data, found.theta, found.noise, prior)
     unit = std * std[:, None]
-    inverse_of_loss = np.linalg.inv(free.normal.matrix)
-    covariance = _covariance(free.normal, prior.precision, known, std)
-    return Adjusted(rig, free.theta, covariance * unit, inverse_of_loss * unit)
+    away = found.theta[known.rows] - known.mean
+    known = replace(known, covariance=known.covariance + np.outer(away, away))
+    inverse_of_loss = np.linalg.inv(found.normal.matrix)
+    covariance = _covariance(found.normal, prior.precision, known, std)
+    return Adjusted(rig, found.theta, covariance * unit, inverse_of_loss * unit)
+
+
+def _known_zeros(rig: Rig, known: Known) -> Known:
+    """What is known of zeros and scales alone."""
+    chosen = np.flatnonzero(known.rows >= rig.of_joints.start)
+    return Known(known.rows[chosen], known.mean[chosen], known.covariance[np.ix_(chosen, chosen)])
+
+
+def _with_known(prior: _Prior, known: Known, weight: float, std: Array) -> _Prior:
+    """The prior with what is known of some unknowns, weighted."""
+    rows = known.rows
+    inverse = weight * np.linalg.inv(known.covariance / std[rows] / std[rows, None])
+    precision = prior.precision.copy()
+    precision[np.ix_(rows, rows)] += inverse
+    pull = np.zeros(len(std))
+    pull[rows] = inverse @ ((known.mean - prior.mean[rows]) / std[rows])
+    return _Prior(prior.mean + std * np.linalg.solve(precision, pull), precision)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,9 +146,9 @@ def _adjusted(
     return _Solution(theta, found, noise)
 
 
-def _least_weight(free: _Solution, known: Known, std: Array) -> float:
-    """The least weight of what is known with which no unknown
-    is farther from it than MOST_SIGMA; 0 if none is needed.
+def _least_weight(free: _Solution, known: Known, most: float, std: Array) -> float:
+    """The least weight of what is known with which no unknown is
+    farther from it than `most` of its sigmas; 0 if none is needed.
 
     Along the quadratic loss about the free solution.
     """
@@ -142,14 +161,12 @@ def _least_weight(free: _Solution, known: Known, std: Array) -> float:
     def farthest(weight: float) -> float:
         return float(np.max(np.abs(np.linalg.solve(precision + weight * inverse, pull)) / sigma))
 
-    if farthest(0.0) <= MOST_SIGMA:
+    if farthest(0.0) <= most:
         return 0.0
     low, high = _WEIGHTS
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        low, high = (
-            (middle, high) if farthest(float(np.exp(middle))) > MOST_SIGMA else (low, middle)
-        )
+        low, high = (middle, high) if farthest(float(np.exp(middle))) > most else (low, middle)
     return float(np.exp(high))
 
 

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ET
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,16 @@ import pytest
 pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bodylog[datasets]'")
 
 from tests.dataset import arm_dataset
+from tests.logs.datasets import drawn
 
 COUNT = 3
+DAMAGES: dict[str, Callable[[Path], object]] = {
+    "gone": Path.unlink,
+    "cut": lambda file: file.write_bytes(file.read_bytes()[: file.stat().st_size // 3]),
+    "noise": lambda file: file.write_bytes(np.random.default_rng(0).bytes(file.stat().st_size)),
+}
+LOST = ("has an existing table", "without a table: ", "there are no tables")
+"""Sentences on files that are not there, beside those that name the file."""
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +112,56 @@ def test_a_damaged_file_gives_a_row_that_says_so(dataset: Path, tmp_path: Path, 
     assert code == codes[1]
     row_error = rows[1]["error"] or " ".join(text for severity, text in rows[1]["findings"] if severity == "lost")
     assert "episode_000001" in row_error
+
+
+@pytest.fixture(scope="module", params=["v21", "v30"])
+def complete(request: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset of two episodes with every file that its version has."""
+    folder = getattr(drawn, request.param)(tmp_path_factory.mktemp("complete") / "set", [12, 12])
+    known = json.loads((folder / "meta/info.json").read_text())
+    (folder / "meta/info.json").write_text(json.dumps(known | {"total_tasks": 1}))
+    own = [statistics(drawn.angles(12, number)) for number in range(2)]
+    rows = [{"episode_index": number, "stats": {"observation.state": one}} for number, one in enumerate(own)]
+    if request.param == "v21":
+        text = "".join(f"{json.dumps(row)}\n" for row in rows)
+        (folder / "meta/episodes_stats.jsonl").write_text(text)
+    else:
+        whole = statistics(np.concatenate([drawn.angles(12, number) for number in range(2)]))
+        (folder / "meta/stats.json").write_text(json.dumps({"observation.state": whole}))
+    return folder
+
+
+def statistics(values: np.ndarray) -> dict[str, Any]:
+    """A feature's statistics, as LeRobot stores them."""
+    found = {name: getattr(values, name)(axis=0).tolist() for name in ("min", "max", "mean", "std")}
+    return {**found, "count": [len(values)]}
+
+
+def said(dataset: Path, run_cli: Any, capsys: Any) -> tuple[int, str]:
+    """The exit code of `doctor`, and all that rows, verdict and refusal say."""
+    code = run_cli("doctor", dataset, "--delay", "off", "--json")
+    out, err = capsys.readouterr()
+    results = json.loads(out)["results"] if out else []
+    return code, json.dumps(results) + err
+
+
+def test_a_complete_dataset_is_said_to_lack_nothing(complete: Path, run_cli: Any, capsys: Any) -> None:
+    code, text = said(complete, run_cli, capsys)
+    assert code == 0 and "no such file" not in text and not any(one in text for one in LOST)
+    assert "info.json" not in text and "stats" not in text
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_any_file_that_is_damaged_is_named(
+    complete: Path, tmp_path: Path, run_cli: Any, capsys: Any, damage: str
+) -> None:
+    for number, file in enumerate(sorted(one for one in complete.rglob("*") if one.is_file())):
+        copy = shutil.copytree(complete, tmp_path / f"{number}")
+        DAMAGES[damage](copy / file.relative_to(complete))
+        code, text = said(copy, run_cli, capsys)
+        assert code in (0, 3, 65), text
+        assert file.name in text or any(one in text for one in LOST), file
+        assert code != 0 or damage == "gone" or "stats" in file.name, file
 
 
 def test_a_broken_bound_ends_with_4_and_is_a_failure(dataset: Path, tmp_path: Path, run_cli: Any) -> None:

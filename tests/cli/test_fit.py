@@ -45,7 +45,9 @@ def test_fit_prints_what_it_learned_and_what_it_did_not(tmp_path, capsys, run_cl
 
 def test_noise_is_printed_with_standard_errors_that_hold(tmp_path, capsys, run_cli, arm):
     """The arm's encoders have 0.003 rad (its README)."""
-    shown = _printed(capsys, run_cli, "fit", arm / "explore.mcap", "-o", tmp_path / "body.npz", "--all").out
+    shown = _printed(
+        capsys, run_cli, "fit", arm / "explore.mcap", "-o", tmp_path / "body.npz", "--all"
+    ).out
     found = re.findall(r"  noise encoders (\w+): (\S+) ± (\S+) rad\n", shown)
     assert tuple(joint for joint, _, _ in found) == JOINTS
     assert all(abs(float(std) - 0.003) < 4.0 * float(off) < 3e-4 for _, std, off in found)
@@ -62,12 +64,40 @@ def test_logs_of_three_containers_are_learned_from_together(tmp_path, capsys, ru
     assert scores["used_share/effector"] == 1.0
 
 
+def test_folder_of_logs_is_learned_from_together_and_what_teaches_nothing_is_named(
+    tmp_path, capsys, run_cli, arm
+):
+    folder = tmp_path / "set"
+    folder.mkdir()
+    for name in ("reach.bag", "reach.mcap"):
+        shutil.copy(arm / name, folder / name)
+    pictures = folder / "pictures.mcap"
+    typed = ("-o", pictures, "--topics", "/camera/color/image_raw/compressed")
+    assert run_cli("convert", arm / "reach.mcap", *typed) == 0
+    result, _, body = _learned(capsys, run_cli, tmp_path / "set.npz", folder)
+    assert [name for name, _ in body["provenance"]["inputs"]] == ["reach.bag", "reach.mcap"]
+    left_out = [
+        one["text"] for one in result["findings"] if one["text"].endswith("; it is left out")
+    ]
+    assert [text.partition(": ")[0] for text in left_out] == [str(pictures)]
+    assert run_cli("fit", folder, "--episodes", "0:1", "-o", tmp_path / "none.npz") == 65
+    assert f"{pictures}: no joint readings" in capsys.readouterr().err
+    assert run_cli("fit", arm / "reach.mcap", "--episodes", "0:1", "-o", tmp_path / "none.npz") == 2
+    assert "for a dataset" in capsys.readouterr().err and not (tmp_path / "none.npz").exists()
+
+
 def test_paper_preset_has_the_papers_constants(tmp_path, capsys, run_cli, arm):
     typed = (arm / "explore.mcap", "--preset", "paper")
     _, scores, body = _learned(capsys, run_cli, tmp_path / "paper.npz", *typed)
     assert body["senses"]["effector"]["samples"] == 46
-    assert body["senses"]["effector"]["length_scales"] == [dict.fromkeys(JOINTS, pytest.approx(np.exp(0.1)))]
-    assert scores["std/noise/effector/u"] == scores["std/noise/effector/v"] == pytest.approx(np.exp(0.02))
+    assert body["senses"]["effector"]["length_scales"] == [
+        dict.fromkeys(JOINTS, pytest.approx(np.exp(0.1)))
+    ]
+    assert (
+        scores["std/noise/effector/u"]
+        == scores["std/noise/effector/v"]
+        == pytest.approx(np.exp(0.02))
+    )
     assert scores["used_share/effector"] == 46 / 320
 
 
@@ -87,14 +117,24 @@ def test_fit_update_equals_learning_from_all_logs(tmp_path, capsys, run_cli, arm
     _, _, body = _learned(capsys, run_cli, added, arm / "reach.bag", "--update", arm_body)
     assert body["joints"] == list(JOINTS) and len(body["provenance"]["update_sha256"]) == 64
     truth = np.load(arm / "reach.mcap.truth.npz")
-    x = np.column_stack([np.interp(truth["tf"], truth["t"], column) for column in truth["x"].T[::-1]])  # elbow first
-    alone, together, later = (load_body(path).senses["effector"].predict(x)[0] for path in (arm_body, both, added))
-    assert all(np.sqrt(np.mean((mean - truth["ee"]) ** 2)) < 0.6 for mean in (alone, together, later))
+    x = np.column_stack(
+        [np.interp(truth["tf"], truth["t"], column) for column in truth["x"].T[::-1]]
+    )  # elbow first
+    alone, together, later = (
+        load_body(path).senses["effector"].predict(x)[0] for path in (arm_body, both, added)
+    )
+    assert all(
+        np.sqrt(np.mean((mean - truth["ee"]) ** 2)) < 0.6 for mean in (alone, together, later)
+    )
     assert np.sqrt(np.mean((together - later) ** 2)) < 0.1
 
 
-def test_touch_logs_teach_the_constants_and_where_each_cell_is_seen(tmp_path, capsys, run_cli, arm, arm_body):
-    _, _, body = _learned(capsys, run_cli, tmp_path / "body.npz", arm / "touch.mcap", "--update", arm_body)
+def test_touch_logs_teach_the_constants_and_where_each_cell_is_seen(
+    tmp_path, capsys, run_cli, arm, arm_body
+):
+    _, _, body = _learned(
+        capsys, run_cli, tmp_path / "body.npz", arm / "touch.mcap", "--update", arm_body
+    )
     assert body["touch"]["b1"] < 0.002
     truth = np.load(arm / "touch.mcap.truth.npz")
     shown = _printed(capsys, run_cli, "info", tmp_path / "body.npz").out

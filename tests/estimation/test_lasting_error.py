@@ -13,6 +13,7 @@ from bodylog.sim.hardware import Hardware
 from bodylog.types import LASTING_ERROR, Series
 from tests.estimation import mechanisms
 from tests.estimation.mechanisms import Fault, Mechanism
+from tests.validation import logs, outliers
 
 CORRELATED = Mechanism(5e-4, Hardware(correlated=2e-3, correlation_s=2.0))
 LOOSE = Mechanism(5e-4, Hardware(play=8e-3))
@@ -74,6 +75,15 @@ def test_a_sound_log_gets_no_warning_and_keeps_its_error_bars(mechanism):
             EstimationSettings(),
         )
         assert LASTING_ERROR not in found.settings
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_images_of_something_else_are_no_error_of_the_encoders(seed):
+    sound = logs.drawn("reach", seed, outliers.LENGTH, cameras=2)
+    wrong = outliers.images(0.05, 15.0, run=6)(sound, np.random.default_rng(seed))
+    body = logs.learned(seed + 1, cameras=2)
+    found = estimate_from_features(wrong.features, body, EstimationSettings())
+    assert LASTING_ERROR not in found.settings
 
 
 def test_noise_that_is_set_is_left_as_it_is():

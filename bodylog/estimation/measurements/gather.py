@@ -12,13 +12,17 @@ from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import EstimationSettings
 from ...types import Array, Features, Finding, Health, Series
 from ..noise.angle_unit import unit_of
-from . import touch, track
+from . import posture, touch, track
 from .contract import Sense, build_health
 from .long_arrays import any_of_row, index_true_rows
 from .records import Encoders, Evidence
 from .track import find_ascending_times, find_longest_gap
 
-SENSES: tuple[tuple[str, Sense], ...] = (("vision", track.read_tracks), ("touch", touch.read_touch))
+SENSES: tuple[tuple[str, Sense], ...] = (
+    ("vision", track.read_tracks),
+    ("vision", posture.read_postures),
+    ("touch", touch.read_touch),
+)
 """Senses other than encoders, each with the group it belongs to, in the order of gathering."""
 
 

@@ -14,6 +14,7 @@ from ...types import LASTING_ERROR, Array, Estimate, Fault, Finding, Series
 from ..inference.leave_one_out import project_covariance
 from ..inference.problem import FilterProblem
 from ..measurements.long_arrays import find_finite_rows as seen_rows
+from ..measurements.posture import PostureModel
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
 from ..noise.lasting_error import FrameBelief, find_lasting_error
@@ -67,6 +68,11 @@ def build_estimate(
         for s, place in zip(evidence.sightings, places, strict=True)
     }
     errors = {name: error for name, (error, _, _) in sights.items()}
+    in_images = {
+        s.name
+        for s in evidence.sightings
+        if s.name != "touch" and not isinstance(s.model, PostureModel)
+    }
     if evidence.encoders is not None and np.isfinite(evidence.encoders.values).any():
         rows = beliefs.encoder_errors[line.encoders]
         errors["encoders"] = Series(
@@ -83,8 +89,8 @@ def build_estimate(
         errors,
         np.diff(np.cumsum(beliefs.nats)[at], prepend=0.0),
         evidence.used,
-        {name: predicted for name, (_, predicted, _) in sights.items() if name != "touch"},
-        {name: cov for name, (_, _, cov) in sights.items() if name != "touch"},
+        {name: predicted for name, (_, predicted, _) in sights.items() if name in in_images},
+        {name: cov for name, (_, _, cov) in sights.items() if name in in_images},
         {**beliefs.settings, **hypotheses},
         series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
         (*evidence.faults, *beliefs.faults),

@@ -9,13 +9,14 @@ from functools import partial
 import numpy as np
 
 from ...errors import BodylogError
+from ...wording import list_in_words
 from ..formats import payload_views
 from ..images import messages
 from ..joint_units import joint_unit
 from ..limits import LIMITS, Input
 from ..records import Array, Batch
 from .episode_log import JOINTS, EpisodeCamera, EpisodeLog, EpisodeSignal
-from .lerobot_layout import DatasetLayout
+from .lerobot_layout import TASK_TABLE, TASKS, DatasetLayout, read_task_texts
 
 BLACK_GREY = 20
 """Grey levels: black in video is 16 (BT.601), and a covered sensor's noise a few levels more."""
@@ -219,12 +220,19 @@ def of_dataset(known: DatasetLayout) -> Iterator[str]:
     """Problems of the dataset as a whole: info.json against the other files."""
     there = known.present()
     info = known.info
+    old = known.one_file_each
     listed = len(known.rows)
     if isinstance(total := info.get("total_episodes"), int) and total != listed:
         yield f"info.json says total_episodes {total}, {listed} are listed"
-    if len(there) != listed:
-        yield f"{listed} episodes are listed, the tables of {len(there)} are there"
+    if missing := sorted(set(known.rows).difference(there)):
+        yield (
+            f"{listed} episodes are listed, the tables of {len(there)} are there; without a table: "
+            f"{list_in_words([*map(str, missing)])}"
+        )
     lengths = [row.get("length") for row in known.rows.values()]
     whole = sum(length for length in lengths if isinstance(length, int))
     if isinstance(total := info.get("total_frames"), int) and total != whole:
         yield f"info.json says total_frames {total}, the episodes listed have {whole}"
+    tasks = len(read_task_texts(known))
+    if isinstance(total := info.get("total_tasks"), int) and total != tasks:
+        yield f"info.json says total_tasks {total}, {TASKS if old else TASK_TABLE} lists {tasks}"

@@ -42,8 +42,10 @@ def of_file(first: bytes) -> Opener | None:
 
 
 def is_episode_dataset(folder: Path) -> bool:
-    """Whether a folder is a dataset of episodes."""
-    return (folder / "meta" / "info.json").is_file()
+    """Whether a folder is a dataset of episodes, or was one before its info.json was lost."""
+    meta = folder / "meta"
+    listed = (meta / "episodes.jsonl").is_file() or (meta / "episodes").is_dir()
+    return listed or (meta / "info.json").is_file()
 
 
 def episode_files(folder: Path, number: int | None) -> tuple[Path, ...]:

@@ -132,7 +132,10 @@ class DatasetLayout:
 
 def read_dataset_layout(folder: Path) -> DatasetLayout:
     """The layout of a dataset; FormatError or LogError for broken meta files."""
-    info = _require_inside_dataset(folder / INFO, folder).stat()
+    path = _require_inside_dataset(folder / INFO, folder)
+    if not path.is_file():
+        raise LogError(f"{path}: there is no such file; is the dataset downloaded completely?")
+    info = path.stat()
     tables = _episode_tables(folder)
     listed = [path.stat() for path in (folder / EPISODES, *tables) if path.is_file()]
     return _read_cached_layout(folder, *((one.st_mtime_ns, one.st_size) for one in (info, *listed)))

@@ -35,6 +35,12 @@ _REVERSAL_SHARE = 0.75
 """Changes that fall to this share towards an instant from
 both sides: a motion that stops or reverses, no repeat.
 """
+MOST_COPIES = 4
+"""Frames in a row that show one picture: a film of 60 Hz of a camera of 15 Hz."""
+_LIVE_SHARE = 0.5
+_LIVE_PERCENT = 90.0
+"""A repeat has less than this share of the noise that a live camera has, which stands at this
+percentile of a film: of frames stored four times a quarter is live."""
 _LEAST_JUDGED = 20
 """Moving frames that suffice for a share; with fewer,
 frames that are equal in every pixel count as well.
@@ -115,8 +121,9 @@ class RepeatSearch:
         """Judge the frames so far."""
         change = np.array(self._change)
         equal = np.array(self._equal, bool)
-        repeated, judged = _judge_repeats(change, equal)
-        return FrameRepeats(np.array(self._t), repeated, judged, change, np.array(self._noise))
+        noise = np.array(self._noise)
+        repeated, judged = _judge_repeats(change, equal, noise)
+        return FrameRepeats(np.array(self._t), repeated, judged, change, noise)
 
 
 def find_repeats(frames: Callable[[], Iterable[LazyImage]]) -> FrameRepeats:
@@ -154,8 +161,12 @@ def shrink_grey(image: Array) -> Array:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
-def _judge_repeats(change: Array, equal: Array) -> tuple[Array, Array]:
-    """Which frames repeat their predecessor, and for which that can be decided, both (N,)."""
+def _judge_repeats(change: Array, equal: Array, noise_grey: Array) -> tuple[Array, Array]:
+    """Which frames repeat their predecessor, and for which that can be decided, both (N,).
+
+    A frame without the noise of a live camera may have repeats before and after it: the motion
+    beside it is then up to MOST_COPIES frames away.
+    """
     finite = change[np.isfinite(change) & ~equal]
     noise = min(float(np.percentile(finite, 5.0)), _MOST_NOISE_GREY) if len(finite) else 0.0
     motion = np.where(np.isfinite(change) & ~equal, np.maximum(change - noise, 0.0), 0.0)
@@ -169,10 +180,26 @@ def _judge_repeats(change: Array, equal: Array) -> tuple[Array, Array]:
         & ~(slows & quickens)
         & ~first
     )
+    live = _LIVE_SHARE * float(np.nanpercentile(noise_grey, _LIVE_PERCENT)) if len(finite) else 0.0
+    far = np.minimum(_greatest_before(motion), _greatest_before(motion[::-1])[::-1])
+    between_motion |= (
+        (noise_grey < live)
+        & (far >= _LEAST_MOTION_GREY)
+        & (motion <= _REPEAT_SHARE * far)
+        & ~(slows & quickens)
+        & ~first
+    )
     repeated = (equal & ~first) | between_motion
     moving = between_motion | (motion >= _LEAST_MOTION_GREY)
     judged = moving if moving.sum() >= _LEAST_JUDGED else moving | repeated
     return repeated, judged
+
+
+def _greatest_before(motion: Array) -> Array:
+    """The greatest motion of the MOST_COPIES frames before each (N,)."""
+    padded = np.pad(motion, (MOST_COPIES, 0))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, MOST_COPIES)
+    return np.asarray(windows[: len(motion)].max(axis=1))
 
 
 def _motion_before_frames(motion: Array) -> tuple[Array, Array]:

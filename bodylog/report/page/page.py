@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from ...io.atomic_files import replace_atomically
 from ...types import Estimate, Features, Recording, Score
-from ..figures import reprojection
+from ..figures import reprojection, surface_sheet
 from ..viewers.image_overlay import OverlayPicture
 from .data import background_marks, most_points, panels_as_json
 from .tables import (
@@ -36,10 +36,12 @@ def write_report_page(
     provenance: Mapping[str, str],
     verdict: Sequence[str] = (),
     headline: Mapping[str, str] = MappingProxyType({}),
+    surface: Sequence[OverlayPicture] = (),
 ) -> None:
     """Write the page to `out`, atomically: no network, the same bytes for the same input.
 
-    verdict: sentences at the top · headline: the main figures by name, each a card.
+    verdict: sentences at the top · headline: the main figures by name, each a card · surface:
+    pictures of the robot's own surface.
     """
     drawn = list_panels(recording, features, estimate)
     groups = (
@@ -55,6 +57,7 @@ def write_report_page(
         _plots_section(most_points(drawn), list_thinning_notes(features, estimate))
         if drawn
         else "",
+        surface_sheet.surface_section([_picture_figure(one) for one in surface], estimate),
         _picture_gallery(pictures, features.hand is not None),
         reprojection.render_section(reprojection.build_sheets(features, estimate), zeros),
         score_tables(scores),
@@ -80,17 +83,20 @@ def _plots_section(points: int, lines: Sequence[str]) -> str:
 def _picture_gallery(pictures: Sequence[OverlayPicture], hand: bool) -> str:
     if not pictures:
         return ""
-    shown = "\n".join(
-        f'<figure><img alt="the camera at {picture.t:.2f} s" '
-        f'src="data:image/jpeg;base64,{_picture_as_jpeg(picture)}">'
-        f"<figcaption>{escape_text(picture.caption)}</figcaption></figure>"
-        for picture in pictures
-    )
+    shown = "\n".join(_picture_figure(picture) for picture in pictures)
     key = (
         "green ring: measured · yellow cross and ellipse: predicted, 2σ"
         + " · red square: hand" * hand
     )
     return f'<h2>Pictures</h2>\n<p class="soft">{key}</p>\n<div class="pictures">\n{shown}\n</div>'
+
+
+def _picture_figure(picture: OverlayPicture) -> str:
+    return (
+        f'<figure><img alt="the camera at {picture.t:.2f} s" '
+        f'src="data:image/jpeg;base64,{_picture_as_jpeg(picture)}">'
+        f"<figcaption>{escape_text(picture.caption)}</figcaption></figure>"
+    )
 
 
 def _picture_as_jpeg(picture: OverlayPicture) -> str:

@@ -93,9 +93,13 @@ def draw_pictures(
     return tuple(drawn)
 
 
-def overlay_sheet(drawn: Sequence[OverlayPicture], out: Path, hand: bool = True) -> None:
+def overlay_sheet(
+    drawn: Sequence[OverlayPicture], out: Path, hand: bool = True, legend: str | None = None
+) -> None:
     """Write the images side by side, each with a caption
     below, as one PNG; UsageError: no image, suffix.
+
+    legend: what the marks mean; None for those of a track.
     """
     if not drawn:
         raise UsageError(
@@ -110,7 +114,7 @@ def overlay_sheet(drawn: Sequence[OverlayPicture], out: Path, hand: bool = True)
         top = i // _ACROSS * height
         left = i % _ACROSS * _TILE
         sheet[top : top + len(tile), left : left + _TILE] = tile
-    legend = (
+    legend = legend or (
         "green ring: measured | yellow cross, ellipse: predicted, 2 sigma"
         + " | red square: hand" * hand
     )
