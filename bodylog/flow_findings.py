@@ -30,6 +30,8 @@ ALTERNATING_SHARE = 0.9
 """Share of the gaps between its repeats that have an even
 number of frames; the rest are slips of the recorder.
 """
+LEAST_OF_ARM = 3
+"""Fewest joints of a numbered arm: numbers may count joints, too."""
 _SIDES = {"left": "left", "l": "left", "right": "right", "r": "right"}
 
 
@@ -76,8 +78,9 @@ def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None
     seen = merge_slow_repeats(seen)
     interval_s = float(np.median(np.diff(seen.times, axis=1)))
     joints = smooth_joints(read.joints, min(interval_s / KNOTS_PER_INTERVAL, LONGEST_KNOT_S))
-    groups = group_joints(joints.names)
-    return estimate_flow_delay(joints, seen.times, seen.flow, groups, _longest_row_time(seen))
+    arms = group_joints(joints.names)
+    row_time_s = _longest_row_time(seen)
+    return estimate_flow_delay(joints, seen.times, seen.flow, list(arms.values()), row_time_s)
 
 
 def alternating_repeats(repeats: "FrameRepeats") -> Array:
@@ -120,16 +123,37 @@ def _longest_row_time(seen: "GridFlow") -> float:
     return float(np.median(np.diff(seen.times, axis=1)))
 
 
-def group_joints(names: tuple[str, ...]) -> tuple[tuple[int, ...], ...]:
-    """Joints of the left side, of the right side and of
-    neither, by the words of their names; one group if alike.
-    """
-    sides: dict[str, list[int]] = {}
+def group_joints(names: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
+    """Joints of each arm, by what its names have in common: the left side, the right side and
+    neither; or a numbered word before the same joints, as in arm1_elbow and arm2_elbow; one group
+    without either."""
+    arms: dict[str, list[int]] = {}
     for number, name in enumerate(names):
         words = [word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)]
         side = next((_SIDES[word] for word in words if word in _SIDES), "")
-        sides.setdefault(side, []).append(number)
-    return tuple(tuple(group) for group in sides.values())
+        arms.setdefault(side, []).append(number)
+    if set(arms) == {""}:
+        parts = [re.split(r"[_./ -]", name, maxsplit=1) for name in names]
+        own: dict[str, list[int]] = {}
+        for number, part in enumerate(parts):
+            own.setdefault(part[0], []).append(number)
+        ends = {tuple("".join(parts[k][1:]) for k in group) for group in own.values()}
+        words = [re.sub(r"\d", "", arm) for arm in own]
+        if len(own) > 1 and len(ends) == 1 == len(set(words)) and len(ends.pop()) >= LEAST_OF_ARM:
+            arms = own
+    return {arm: tuple(group) for arm, group in arms.items()}
+
+
+def name_moving_arm(names: tuple[str, ...], found: "FlowDelay") -> str | None:
+    """The arm, of several, whose joints explain the motion of a camera's picture; None where the
+    evidence does not tell."""
+    from .estimation.timing.flow_delay import MIN_EVIDENCE_NATS
+
+    arms = {group: arm for arm, group in group_joints(names).items()}
+    arm = arms.get(found.joints, "")
+    if len(arms) < 2 or not arm or not found.certain or found.joints_nats < MIN_EVIDENCE_NATS:
+        return None
+    return f"the {arm} side" if arm in _SIDES else arm
 
 
 def smooth_joints(joints: Series, step_s: float) -> Series:

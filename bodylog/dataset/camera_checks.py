@@ -51,6 +51,10 @@ def measure_delays(reading: EpisodeReading) -> Iterator[Measurement]:
         size = f"{1e3 * abs(delay.seconds):.0f} ± {1e3 * delay.std_error:.0f} ms"
         text = f"{name}: images are {size} {way} against the joints" if late else ""
         yield Measurement(name, delay.seconds, delay.std_error, text, "warning", found.shared_std_s)
+        if film.arm is not None:
+            nats = f"{found.joints_nats:.0f} nats over any other arm"
+            text = f"{name}: its picture moves with {film.arm} ({nats})"
+            yield Measurement(name, float("nan"), None, text, "info")
 
 
 def measure_row_times(reading: EpisodeReading) -> Iterator[Measurement]:

@@ -86,7 +86,8 @@ def episode_evidence(
     figures {name: [value, standard error or null, the part of it that siblings share, the joint
     reading that it is about or null]} · joints: names, unit, low and high, t and curves of few
     points · action: the same · cameras {name: thumbnails and the view at rest (JPEG, base64), size,
-    stored_hz, mean_row: place of what moves, in image heights below the middle} ·
+    stored_hz, mean_row: place of what moves, in image heights below the middle, arm: whose
+    joints move its picture, of several} ·
     statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
     """
     return {
@@ -95,7 +96,7 @@ def episode_evidence(
         "action": None if reading.action is None else _sample_curves(reading.action),
         "cameras": {
             name: _camera_evidence(film.seen)
-            | {"mean_row": None if film.delay is None else film.delay.mean_row}
+            | {"mean_row": None if film.delay is None else film.delay.mean_row, "arm": film.arm}
             for name, film in reading.films.items()
         },
         "statistics": {

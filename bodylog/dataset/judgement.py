@@ -165,6 +165,7 @@ def _comparable_figures(
 ) -> dict[str, tuple[Array, Array, float]]:
     """Values, standard errors (N,) and resolution of each figure by which siblings are compared."""
     figures = sorted({figure for name in names for figure in evidence[name]["figures"]})
+    travels = _joint_travels(names, evidence)
     found = {}
     for figure in figures:
         check = check_of(figure)
@@ -174,7 +175,7 @@ def _comparable_figures(
         values = np.array([value for value, *_ in known])
         resolution = check.resolution
         if check.unit == "joint":
-            resolution *= _joint_travel(figure.partition("/")[2], names, evidence)
+            resolution *= travels.get(figure.partition("/")[2], travels.get("", 0.0))
         found[figure] = (
             values,
             np.array([own_std(std, shared) for _, std, shared, _ in known]),
@@ -188,19 +189,21 @@ def check_of(figure: str) -> Check | None:
     return BY_NAME.get(figure) or BY_NAME.get(figure.partition("/")[0])
 
 
-def _joint_travel(joint: str, names: Sequence[str], evidence: Mapping[str, Evidence]) -> float:
-    """What a joint, or the widest of all, moves in an episode, at the median over episodes."""
-    spans = []
+def _joint_travels(names: Sequence[str], evidence: Mapping[str, Evidence]) -> dict[str, float]:
+    """What each joint, and the widest of all (""), moves in an episode, at the median over
+    episodes."""
+    spans: dict[str, list[float]] = {}
     for name in names:
         joints = evidence[name]["joints"]
         if joints is None:
             continue
         own = {
-            one: np.ptp([value for value in curve if value is not None] or [0.0])
+            one: float(np.ptp([value for value in curve if value is not None] or [0.0]))
             for one, curve in zip(joints["names"], joints["curves"], strict=True)
         }
-        spans.append(own[joint] if joint in own else max(own.values(), default=0.0))
-    return float(np.median(spans)) if spans else 0.0
+        for joint, span in {**own, "": max(own.values(), default=0.0)}.items():
+            spans.setdefault(joint, []).append(span)
+    return {joint: float(np.median(some)) for joint, some in spans.items()}
 
 
 _AGAINST_JOINTS = ("delay", "delay/action", "error/action")
@@ -424,6 +427,7 @@ def _dataset_verdict(
     if others:
         yield f"differ from the others, perhaps for good reasons: {list_in_words(others)}"
     yield from _camera_sentences(evidence)
+    yield from _arm_sentences(evidence)
     for figure, one in pooled.items():
         yield _delay_sentence(figure, one)
         rolling = pooled_row_time(figure.partition("/")[2], names, evidence)
@@ -460,6 +464,23 @@ def _camera_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
             if some:
                 count = f"{len(some)} of {len(evidence)} episodes"
                 yield f"{camera}: {kind} images in {count}: {list_in_words(some)}"
+
+
+def _arm_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
+    """The arm, of several, with which each camera's picture moves, and the episodes in which it is
+    another."""
+    arms: dict[str, dict[str, list[str]]] = {}
+    for name, one in evidence.items():
+        for camera, about in one["cameras"].items():
+            if about.get("arm"):
+                arms.setdefault(camera, {}).setdefault(about["arm"], []).append(name)
+    for camera, episodes in sorted(arms.items()):
+        (most, agreeing), *others = sorted(episodes.items(), key=lambda one: -len(one[1]))
+        text = f"{camera}: its picture moves with {most}, in {len(agreeing)} of {len(evidence)}"
+        text += " episodes"
+        for arm, some in others:
+            text += f"; with {arm} in {list_in_words(some)}"
+        yield text + ("; cameras are exchanged, or another arm works there" if others else "")
 
 
 def _delay_sentence(figure: str, one: PooledDelay) -> str:

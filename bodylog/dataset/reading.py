@@ -11,7 +11,7 @@ import numpy as np
 
 from ..delay_findings import MAX_DURATION_S, MOST_FLOW_IMAGES, middle_of_recording
 from ..errors import LogError
-from ..flow_findings import delay_by_flow, has_motion
+from ..flow_findings import delay_by_flow, has_motion, name_moving_arm
 from ..io.values import FARTHEST
 from ..perception.surface.flow import measure_grid_flow
 from ..recording.cameras import camera_name_of_source
@@ -46,13 +46,15 @@ class CameraFilm:
     """A camera's images: what was seen of them (None of fewer than two), and the delay by flow
     (None: not tried).
 
-    count: its images · unreadable: those of them that cannot be decoded.
+    arm: that of several arms whose joints move the picture (None: not told) · count: its images ·
+    unreadable: those of them that cannot be decoded.
     """
 
     seen: "GridFlow | None"
     delay: "FlowDelay | None"
     count: int = 0
     unreadable: int = 0
+    arm: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,10 +94,7 @@ def read_episode(log: Path, settings: Settings) -> EpisodeReading:
     films = _films_of_log(read) if episode is None else _films_of_episode(episode, read)
     by_flow = settings.time.delay != "off" and settings.kinematics.urdf is None and has_motion(read)
     if by_flow:
-        films = {
-            name: replace(film, delay=delay_by_flow(read, film.seen))
-            for name, film in films.items()
-        }
+        films = {name: _with_delay(film, read) for name, film in films.items()}
     found = whole.joints
     joints = (
         None if found is None else StoredNumbers(found.t, found.values, found.names, found.unit)
@@ -104,6 +103,14 @@ def read_episode(log: Path, settings: Settings) -> EpisodeReading:
     if episode is not None:
         reading = _with_stored_rows(reading, episode)
     return replace(reading, findings=tuple(dict.fromkeys((*whole.findings, *reading.findings))))
+
+
+def _with_delay(film: CameraFilm, read: Recording) -> CameraFilm:
+    """The film with its delay against the joints, and the arm that moves its picture."""
+    found = delay_by_flow(read, film.seen)
+    if found is None or read.joints is None:
+        return film
+    return replace(film, delay=found, arm=name_moving_arm(read.joints.names, found))
 
 
 def _films_of_log(read: Recording) -> dict[str, CameraFilm]:

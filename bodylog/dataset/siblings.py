@@ -96,7 +96,6 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
     Student's bound, and `resolution`, the least spread that is believed, the normal one. Where
     values have standard errors std (N,), the spread is these times what their misfit asks for.
     """
-
     rest = np.flatnonzero(np.isfinite(values))
     if len(rest) < LEAST_EPISODES:
         return []
@@ -104,8 +103,7 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
     removed: list[Outlier] = []
     count = 0
     for _ in range(max(1, int(LARGEST_SHARE * len(rest)))):
-        found = [_compare_with_others(values, std, rest, int(k), resolution, tail) for k in rest]
-        farthest = max(found, key=lambda one: one.z / one.bound)
+        farthest = _find_farthest(values, std, rest, None, resolution, tail)
         removed.append(farthest)
         if farthest.z > farthest.bound:
             count = len(removed)
@@ -113,9 +111,24 @@ def find_outliers(values: Array, std: Array, resolution: float, looks: int) -> l
     outliers = [one.number for one in removed[:count]]
     sound = np.setdiff1d(np.flatnonzero(np.isfinite(values)), outliers)
     # distances beside further outliers are short: each is reported as it is farthest
-    alone = [_compare_with_others(values, std, sound, k, resolution, tail) for k in outliers]
+    alone = [
+        _find_farthest(values, std, np.append(sound, k), len(sound), resolution, tail)
+        for k in outliers
+    ]
     pairs = zip(removed[:count], alone, strict=True)
     return [max(pair, key=lambda one: one.z / one.bound) for pair in pairs]
+
+
+def _find_farthest(
+    values: Array, std: Array, rest: Array, place: int | None, resolution: float, tail: float
+) -> Outlier:
+    """The value among `rest` that is farthest from the others there, or the one at a `place`."""
+    others, spread, z, bound = _compare_with_others(values, std, rest, resolution, tail)
+    k = int(np.argmax(z / bound)) if place is None else place
+    number = int(rest[k])
+    value = float(values[number])
+    own = (float(column[k]) for column in (others, spread, z, bound))
+    return Outlier(number, value, *own)
 
 
 def find_step(values: Array, resolution: float, looks: int) -> Step | None:
@@ -152,32 +165,50 @@ def find_step(values: Array, resolution: float, looks: int) -> Step | None:
 
 
 def _compare_with_others(
-    values: Array, std: Array, rest: Array, number: int, resolution: float, tail: float
-) -> Outlier:
-    """One value against the others among `rest`: Student's bound for their spread, the normal one
-    for known errors; `tail` is the chance of either to be exceeded."""
+    values: Array, std: Array, rest: Array, resolution: float, tail: float
+) -> tuple[Array, Array, Array, Array]:
+    """Each value among `rest` (K,) against the others there: their mean, its spread about this, its
+    distance in spreads, and the bound, each (K,).
+
+    Student's bound is for their spread, the normal one for known errors; `tail` is the chance of
+    either to be exceeded.
+    """
     from scipy.special import ndtri, stdtrit
 
-    chosen = rest[rest != number]
-    others = values[chosen]
-    value = float(values[number])
-    freedom = max(len(others) - 1, 1)
-    if (std[chosen] > 0.0).all():
-        variances = std[chosen] ** 2 + resolution**2
-        misfit, mean, information = _weighted_squared_errors(values[chosen], variances**0.5, 0.0)
-        scale2 = (STATED_READINGS + misfit) / (STATED_READINGS + freedom)
-        spread = float(np.sqrt(scale2 * (std[number] ** 2 + resolution**2 + 1.0 / information)))
-        bound = float(-stdtrit(freedom + STATED_READINGS, tail))
-        return Outlier(number, value, mean, spread, abs(value - mean) / spread, bound)
-    mean = float(others.mean())
-    deviation = float(others.std(ddof=1)) if len(others) > 1 else 0.0
-    spread = deviation * (1.0 + 1.0 / len(others)) ** 0.5
-    known = float(np.hypot(std[number], resolution))
-    scale = float(np.hypot(spread, known))
-    student = float(-stdtrit(freedom, tail))
-    normal = float(-ndtri(tail))
-    bound = float(np.hypot(student * spread, normal * known)) / scale
-    return Outlier(number, value, mean, spread, abs(value - mean) / scale, bound)
+    centre = float(np.median(values[rest]))
+    y = values[rest] - centre
+    own2 = std[rest] ** 2 + resolution**2
+    count = len(rest) - 1
+    freedom = max(count - 1, 1)
+    mean, squares, information = _leave_each_out(y, 1.0 / own2)
+    scale2 = (STATED_READINGS + squares) / (STATED_READINGS + freedom)
+    spread = np.sqrt(scale2 * (own2 + 1.0 / information))
+    bound = np.full(len(rest), float(-stdtrit(freedom + STATED_READINGS, tail)))
+    unstated = _sum_of_others(np.where(std[rest] > 0.0, 0.0, 1.0)) > 0.0
+    plain, squares, _ = _leave_each_out(y, np.ones(len(rest)))
+    scatter = np.sqrt(squares / freedom * (1.0 + 1.0 / count))
+    scale = np.sqrt(scatter**2 + own2)
+    student, normal = float(-stdtrit(freedom, tail)), float(-ndtri(tail))
+    usual = np.sqrt((student * scatter) ** 2 + normal**2 * own2) / scale
+    mean = np.where(unstated, plain, mean)
+    z = np.abs(y - mean) / np.where(unstated, scale, spread)
+    return (mean + centre, np.where(unstated, scatter, spread), z, np.where(unstated, usual, bound))
+
+
+def _leave_each_out(y: Array, weights: Array) -> tuple[Array, Array, Array]:
+    """Of the others of each value y (K,): the weighted mean, squared errors and information."""
+    information = _sum_of_others(weights)
+    mean = _sum_of_others(weights * y) / information
+    squares = _sum_of_others(weights * y**2) - information * mean**2
+    return mean, np.maximum(squares, 0.0), information
+
+
+def _sum_of_others(x: Array) -> Array:
+    """Sum of all but one of x (K,), for each; without a difference, which a far value would
+    spoil."""
+    before = np.append(0.0, np.cumsum(x)[:-1])
+    after = np.append(np.cumsum(x[::-1])[:-1][::-1], 0.0)
+    return np.asarray(before + after)
 
 
 def own_std(std: float | None, shared_std: float) -> float:

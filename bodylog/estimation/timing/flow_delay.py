@@ -66,7 +66,8 @@ class FlowDelay:
     so that no mean over logs reduces it. mean_row: place of the moving cells, in image heights
     below the middle row · row_time: time (s) that a rolling shutter takes over the image, by the
     delays of upper and of lower cells, where these suffice. `joints`: indices of the joints that
-    explain the flow best. `certain`: whether the evidence suffices; if not, the value must not be
+    explain the flow best, `joints_nats` by how much better than any other group (infinite without
+    one). `certain`: whether the evidence suffices; if not, the value must not be
     used. `edge`: whether it lies at the end of the searched range.
     """
 
@@ -77,6 +78,7 @@ class FlowDelay:
     shared_std_s: float = 0.0
     mean_row: float = 0.0
     row_time: Delay | None = None
+    joints_nats: float = float("inf")
 
     @property
     def certain(self) -> bool:
@@ -110,13 +112,15 @@ def estimate_flow_delay(
     if not usable_scans:
         return None
     scan = max(usable_scans, key=lambda one: one.nats)
+    others = [scan.evidence - one.evidence for one in usable_scans if one is not scan]
     delay = _refined_delay(parts, scan)
     row = _mean_row(flow)
     row_std_s = abs(row) * row_time_s
     std_s = float(np.hypot(delay.std_error, row_std_s))
     total = Delay(delay.seconds, std_s)
     rolling = _measure_row_time(joints, times, flow, scan, delay.seconds)
-    return FlowDelay(total, scan.nats, scan.group, scan.edge, row_std_s, row, rolling)
+    better = min(others, default=float("inf"))
+    return FlowDelay(total, scan.nats, scan.group, scan.edge, row_std_s, row, rolling, better)
 
 
 def _measure_row_time(
@@ -207,12 +211,13 @@ def _mean_row(flow: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _GroupScan:
-    """The best of the delays that are tried first (s), by one group of joints, and its nats over
-    far ones."""
+    """The best of the delays that are tried first (s), by one group of joints, its evidence, and
+    the nats over far ones."""
 
     motion: "_JointMotion"
     group: tuple[int, ...]
     seconds: float
+    evidence: float
     nats: float
     edge: bool
 
@@ -230,7 +235,7 @@ def _scan_group(
     far = np.abs(tried - tried[best]) > FAR_S - 0.5 * GRID_STEP_S
     nats = float(evidence[best] - evidence[far].max())
     edge = best in (0, len(tried) - 1)
-    return _GroupScan(motion, group, float(tried[best]), nats, edge)
+    return _GroupScan(motion, group, float(tried[best]), float(evidence[best]), nats, edge)
 
 
 def _refined_delay(parts: Sequence[_FlowPart], scan: _GroupScan) -> Delay:
