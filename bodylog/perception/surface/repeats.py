@@ -35,6 +35,11 @@ _REVERSAL_SHARE = 0.75
 """Changes that fall to this share towards an instant from
 both sides: a motion that stops or reverses, no repeat.
 """
+_LONG_BEAT = 4
+"""Frames from one new image to the next, from which the frames beside a repeat do not tell it."""
+_LEAST_BEATS = 5
+_STEADY_SHARE = 0.75
+"""New images that come after the same number of frames, one more or one less: fewer are pauses."""
 _LEAST_JUDGED = 20
 """Moving frames that suffice for a share; with fewer,
 frames that are equal in every pixel count as well.
@@ -169,10 +174,29 @@ def _judge_repeats(change: Array, equal: Array) -> tuple[Array, Array]:
         & ~(slows & quickens)
         & ~first
     )
+    between_motion |= _long_copies(motion) & ~first
     repeated = (equal & ~first) | between_motion
     moving = between_motion | (motion >= _LEAST_MOTION_GREY)
     judged = moving if moving.sum() >= _LEAST_JUDGED else moving | repeated
     return repeated, judged
+
+
+def _long_copies(motion: Array) -> Array:
+    """Frames (N,) between new ones, where nearly all images are stored the same number of times,
+    more often than three: a film of a single pause has no such beat."""
+    found = np.zeros(len(motion), bool)
+    new = np.flatnonzero(motion >= _LEAST_MOTION_GREY)
+    gaps = np.diff(new)
+    if len(gaps) < _LEAST_BEATS:
+        return found
+    beat = float(np.median(gaps))
+    steady = np.abs(gaps - beat) <= 1.0
+    if beat < _LONG_BEAT or steady.mean() < _STEADY_SHARE:
+        return found
+    for begin, end in zip(new[:-1][steady].tolist(), new[1:][steady].tolist(), strict=True):
+        least = _REPEAT_SHARE * min(motion[begin], motion[end])
+        found[begin + 1 : end] = motion[begin + 1 : end] <= least
+    return found
 
 
 def _motion_before_frames(motion: Array) -> tuple[Array, Array]:
