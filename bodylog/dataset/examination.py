@@ -13,7 +13,7 @@ import numpy as np
 
 from ..result import Result, Scores
 from ..settings import Settings
-from ..types import Array, Finding, Score
+from ..types import Array, Finding, Recording, Score
 from .checks import CHECKS, figure_name
 from .reading import EpisodeReading, StoredNumbers, read_episode
 from .views import encode_view, picture_at_rest
@@ -47,30 +47,60 @@ def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, d
                 scores.append(Score(figure, one.value, check.unit, one.std))
                 if one.std is not None:
                     scores.append(Score(f"std/{figure}", one.std, check.unit))
+    by_surface = list[str]()
     if settings.kinematics.urdf is not None and settings.time.delay != "off":
-        _add_surface(log, settings, scores, findings, figures)
+        by_surface = _add_surface(log, settings, reading.read, scores, findings, figures)
     findings = [replace(one, text=one.text.replace(str(log), name)) for one in findings]
-    about = episode_evidence(reading, figures)
+    about = episode_evidence(reading, figures) | {"by_surface": by_surface}
     return Result(None, Scores(scores), reading.read.health, tuple(dict.fromkeys(findings))), about
 
 
 def _add_surface(
     log: Path,
     settings: Settings,
+    read: Recording,
     scores: list[Score],
     findings: list[Finding],
     figures: dict[str, list[float | None]],
-) -> None:
-    """Add what the robot's own surface tells of cameras and joint zeros."""
+) -> list[str]:
+    """Add what the robot's own surface tells of cameras and joint zeros, and return the figures
+    that are by it; what flow tells of the same stands beside, as flow/NAME."""
+    from ..recording.cameras import camera_name_of_source
     from ..surface_findings import examine_by_surface
 
     found = examine_by_surface(log, settings)
-    scores += found.scores
-    findings += found.findings
-    values = {one.name: one.value for one in found.scores}
-    for name, value in values.items():
-        if name.startswith("delay/"):
-            figures[name] = [value, values.get(f"std/{name}"), 0.0, None]
+    first = camera_name_of_source(read.roles["camera"]) if "camera" in read.roles else "camera"
+    known = [replace(one, name=_name_first_camera(one.name, first)) for one in found.scores]
+    values = {one.name: one.value for one in known}
+    told = [name for name in values if name.partition("/")[0] in ("delay", "row_time")]
+    for name in told:
+        if name in figures:
+            figures[f"flow/{name}"] = figures[name]
+        figures[name] = [values[name], values.get(f"std/{name}"), 0.0, None]
+    beside = {*told, *(f"std/{name}" for name in told)}
+    scores[:] = [
+        replace(one, name=_name_beside_surface(one.name)) if one.name in beside else one
+        for one in scores
+    ]
+    scores += known
+    prefix = f"{log}: camera: "
+    findings += [
+        replace(one, text=f"{log}: {first}: {one.text.removeprefix(prefix)}")
+        if one.text.startswith(prefix)
+        else one
+        for one in found.findings
+    ]
+    return told
+
+
+def _name_first_camera(name: str, first: str) -> str:
+    """A score of the first camera by the name that other checks give it."""
+    return f"{name.removesuffix('/camera')}/{first}" if name.endswith("/camera") else name
+
+
+def _name_beside_surface(name: str) -> str:
+    """What flow's score is called beside the surface's."""
+    return name.replace("std/", "std/flow/", 1) if name.startswith("std/") else f"flow/{name}"
 
 
 def _is_role_advice(finding: Finding) -> bool:
@@ -89,6 +119,7 @@ def episode_evidence(
     stored_hz, mean_row: place of what moves, in image heights below the middle, arm: whose
     joints move its picture, of several} ·
     statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
+    `examine_episode` adds by_surface, the figures that are by the robot's surface.
     """
     return {
         "figures": dict(sorted(figures.items())),

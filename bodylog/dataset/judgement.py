@@ -54,12 +54,14 @@ class StandsOut:
 @dataclass(frozen=True)
 class PooledDelay:
     """A delay over episodes (s): mean, the standard error that more episodes would reduce, the one
-    that they share, and the jitter between episodes that their own errors do not explain."""
+    that they share, and the jitter between episodes that their own errors do not explain; of how
+    many episodes it is by the robot's surface (0: by flow)."""
 
     mean: float
     own_std: float
     shared_std: float
     jitter: float
+    by_surface: int = 0
 
     @property
     def std(self) -> float:
@@ -325,16 +327,17 @@ def _pool_delays(
     """Delays over episodes by figure, without those of episodes that stand out in it."""
     odd = {(one.episode, figure) for one in outliers for figure in one.figures}
     figures = sorted(
-        {f for name in names for f in evidence[name]["figures"] if f.startswith("delay/")}
+        {f for name in names for f in evidence[name]["figures"] if "delay" in f.split("/")[:2]}
     )
     found = {}
     for figure in figures:
-        camera = figure.partition("/")[2]
+        camera = figure.partition("delay/")[2]
         rolling = pooled_row_time(camera, names, evidence)
+        by_surface = {name for name in names if figure in evidence[name].get("by_surface", ())}
         summary_findings = []
         for name in names:
             value, std, shared, _ = evidence[name]["figures"].get(figure, _UNMEASURED)
-            if std is None or (name, figure) in odd:
+            if std is None or (name, figure) in odd or (by_surface and name not in by_surface):
                 continue
             own = own_std(std, shared)
             method = FLOW_STD_S if shared > 0.0 and figure != "delay/action" else 0.0
@@ -347,7 +350,8 @@ def _pool_delays(
         if summary_findings:
             values, stds, shares = np.array(summary_findings).T
             one = pool_values(values, stds)
-            found[figure] = PooledDelay(one.mean, one.std, float(shares.mean()), one.jitter)
+            shared_std = float(shares.mean())
+            found[figure] = PooledDelay(one.mean, one.std, shared_std, one.jitter, len(by_surface))
     return found
 
 
@@ -378,6 +382,8 @@ def _dataset_scores(
         yield Score(figure, one.mean, "s", one.std)
         yield Score(f"std/{figure}", one.std, "s")
         yield Score(f"jitter/{figure}", one.jitter, "s")
+        if figure.startswith("flow/"):
+            continue
         rolling = pooled_row_time(figure.partition("/")[2], list(evidence), evidence)
         if rolling is not None:
             yield Score(f"row_time/{figure.partition('/')[2]}", rolling.mean, "s", rolling.std)
@@ -429,7 +435,9 @@ def _dataset_verdict(
     yield from _camera_sentences(evidence)
     yield from _arm_sentences(evidence)
     for figure, one in pooled.items():
-        yield _delay_sentence(figure, one)
+        yield _delay_sentence(figure, one, len(names))
+        if figure.startswith("flow/"):
+            continue
         rolling = pooled_row_time(figure.partition("/")[2], names, evidence)
         if rolling is not None and rolling.mean > SIGNIFICANT_SIGMA * rolling.std:
             size = f"{1e3 * rolling.mean:.0f} ± {1e3 * rolling.std:.0f} ms"
@@ -483,7 +491,7 @@ def _arm_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
         yield text + ("; cameras are exchanged, or another arm works there" if others else "")
 
 
-def _delay_sentence(figure: str, one: PooledDelay) -> str:
+def _delay_sentence(figure: str, one: PooledDelay, episodes: int) -> str:
     mean = one.mean
     std = one.std
     size = f"{1e3 * abs(mean):.0f} ± {1e3 * std:.0f} ms"
@@ -492,7 +500,12 @@ def _delay_sentence(figure: str, one: PooledDelay) -> str:
         between += f"; ± {1e3 * one.shared_std:.0f} ms of it are the method's, --urdf has less"
     if figure == "delay/action":
         return f"the state follows the action after {size}{between}"
-    name = figure.partition("/")[2]
+    name = figure.partition("delay/")[2]
+    if figure.startswith("flow/"):
+        way = "late" if mean > 0.0 else "early"
+        return f"{name}: by the picture's motion alone they are {size} {way}{between}"
+    if one.by_surface:
+        between += f"; by the robot's surface in {one.by_surface} of {episodes} episodes"
     if abs(mean) <= SIGNIFICANT_SIGMA * std:
         return f"{name}: no delay is significant ({size}{between})"
     return (

@@ -92,8 +92,7 @@ def read_episode(log: Path, settings: Settings) -> EpisodeReading:
     whole = recording.read_recording(log, settings, settings.input.strict)
     read = middle_of_recording(whole, MAX_DURATION_S, MOST_FLOW_IMAGES)
     films = _films_of_log(read) if episode is None else _films_of_episode(episode, read)
-    by_flow = settings.time.delay != "off" and settings.kinematics.urdf is None and has_motion(read)
-    if by_flow:
+    if settings.time.delay != "off" and has_motion(read):
         films = {name: _with_delay(film, read) for name, film in films.items()}
     found = whole.joints
     joints = (

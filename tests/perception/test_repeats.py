@@ -25,7 +25,7 @@ def judged(places: Array, noise: float = 0.0, seed: int = 0) -> FrameRepeats:
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
-@pytest.mark.parametrize("copies", [2, 3])
+@pytest.mark.parametrize("copies", [2, 3, 4, 6])
 def test_camera_stored_several_times(copies: int, noise: float) -> None:
     fresh = 40 + 20 * np.sin(0.25 * np.arange(60))
     found = judged(np.repeat(fresh, copies), noise)

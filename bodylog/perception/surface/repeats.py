@@ -35,12 +35,11 @@ _REVERSAL_SHARE = 0.75
 """Changes that fall to this share towards an instant from
 both sides: a motion that stops or reverses, no repeat.
 """
-MOST_COPIES = 4
-"""Frames in a row that show one picture: a film of 60 Hz of a camera of 15 Hz."""
-_LIVE_SHARE = 0.5
-_LIVE_PERCENT = 90.0
-"""A repeat has less than this share of the noise that a live camera has, which stands at this
-percentile of a film: of frames stored four times a quarter is live."""
+_LONG_BEAT = 4
+"""Frames from one new image to the next, from which the frames beside a repeat do not tell it."""
+_LEAST_BEATS = 5
+_STEADY_SHARE = 0.75
+"""New images that come after the same number of frames, one more or one less: fewer are pauses."""
 _LEAST_JUDGED = 20
 """Moving frames that suffice for a share; with fewer,
 frames that are equal in every pixel count as well.
@@ -121,9 +120,8 @@ class RepeatSearch:
         """Judge the frames so far."""
         change = np.array(self._change)
         equal = np.array(self._equal, bool)
-        noise = np.array(self._noise)
-        repeated, judged = _judge_repeats(change, equal, noise)
-        return FrameRepeats(np.array(self._t), repeated, judged, change, noise)
+        repeated, judged = _judge_repeats(change, equal)
+        return FrameRepeats(np.array(self._t), repeated, judged, change, np.array(self._noise))
 
 
 def find_repeats(frames: Callable[[], Iterable[LazyImage]]) -> FrameRepeats:
@@ -161,12 +159,8 @@ def shrink_grey(image: Array) -> Array:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
 
 
-def _judge_repeats(change: Array, equal: Array, noise_grey: Array) -> tuple[Array, Array]:
-    """Which frames repeat their predecessor, and for which that can be decided, both (N,).
-
-    A frame without the noise of a live camera may have repeats before and after it: the motion
-    beside it is then up to MOST_COPIES frames away.
-    """
+def _judge_repeats(change: Array, equal: Array) -> tuple[Array, Array]:
+    """Which frames repeat their predecessor, and for which that can be decided, both (N,)."""
     finite = change[np.isfinite(change) & ~equal]
     noise = min(float(np.percentile(finite, 5.0)), _MOST_NOISE_GREY) if len(finite) else 0.0
     motion = np.where(np.isfinite(change) & ~equal, np.maximum(change - noise, 0.0), 0.0)
@@ -180,26 +174,29 @@ def _judge_repeats(change: Array, equal: Array, noise_grey: Array) -> tuple[Arra
         & ~(slows & quickens)
         & ~first
     )
-    live = _LIVE_SHARE * float(np.nanpercentile(noise_grey, _LIVE_PERCENT)) if len(finite) else 0.0
-    far = np.minimum(_greatest_before(motion), _greatest_before(motion[::-1])[::-1])
-    between_motion |= (
-        (noise_grey < live)
-        & (far >= _LEAST_MOTION_GREY)
-        & (motion <= _REPEAT_SHARE * far)
-        & ~(slows & quickens)
-        & ~first
-    )
+    between_motion |= _long_copies(motion) & ~first
     repeated = (equal & ~first) | between_motion
     moving = between_motion | (motion >= _LEAST_MOTION_GREY)
     judged = moving if moving.sum() >= _LEAST_JUDGED else moving | repeated
     return repeated, judged
 
 
-def _greatest_before(motion: Array) -> Array:
-    """The greatest motion of the MOST_COPIES frames before each (N,)."""
-    padded = np.pad(motion, (MOST_COPIES, 0))
-    windows = np.lib.stride_tricks.sliding_window_view(padded, MOST_COPIES)
-    return np.asarray(windows[: len(motion)].max(axis=1))
+def _long_copies(motion: Array) -> Array:
+    """Frames (N,) between new ones, where nearly all images are stored the same number of times,
+    more often than three: a film of a single pause has no such beat."""
+    found = np.zeros(len(motion), bool)
+    new = np.flatnonzero(motion >= _LEAST_MOTION_GREY)
+    gaps = np.diff(new)
+    if len(gaps) < _LEAST_BEATS:
+        return found
+    beat = float(np.median(gaps))
+    steady = np.abs(gaps - beat) <= 1.0
+    if beat < _LONG_BEAT or steady.mean() < _STEADY_SHARE:
+        return found
+    for begin, end in zip(new[:-1][steady].tolist(), new[1:][steady].tolist(), strict=True):
+        least = _REPEAT_SHARE * min(motion[begin], motion[end])
+        found[begin + 1 : end] = motion[begin + 1 : end] <= least
+    return found
 
 
 def _motion_before_frames(motion: Array) -> tuple[Array, Array]:
