@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bodylog import calibration, pipeline
+from bodylog.body.kinematic.placements import Calibration
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import Chain, chain_between
 from bodylog.kinematics.rotations import invert_transform, make_transform
@@ -146,7 +147,7 @@ def hand_eye(method: str) -> Callable[[Split], Solution]:
     return solve
 
 
-def learn_calibration(split: Split, rows: Array) -> calibration.Calibration:
+def learn_calibration(split: Split, rows: Array) -> Calibration:
     """`bodylog fit` on some rows of a split's table, and the calibration of its body."""
     with TemporaryDirectory() as folder:
         head, *lines = split.table.read_text().splitlines()
