@@ -44,7 +44,7 @@ def _effector_poses(senses: "dict[str, KinematicGP]", found: Estimate) -> Poses 
     joints = found.joints
     chain = first.base.chain
     place, rotation, cov = pose_in_base(
-        first.base, first.rig, first.theta, first.root, joints.values, found.cov
+        first.base, first.rig, first.printed, first.root, joints.values, found.cov
     )
     return Poses(
         joints.t, place, quaternions_from_rotations(rotation), chain.start, joints.source_ns, cov

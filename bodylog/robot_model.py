@@ -213,7 +213,7 @@ def with_robot_chain(
 
     held = still_joint_angles(features, body.joints)
     senses = {
-        name: replace(one, base=find_base(known.robot, one.rig, one.theta, held))
+        name: replace(one, base=find_base(known.robot, one.rig, one.printed, held))
         if isinstance(one, KinematicGP) and one.base is None
         else one
         for name, one in body.senses.items()

@@ -17,6 +17,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from bodylog import calibration, pipeline
+from bodylog.body.kinematic.placements import Calibration
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import Chain, chain_between
 from bodylog.kinematics.rotations import invert_transform, make_transform
@@ -146,16 +147,21 @@ def hand_eye(method: str) -> Callable[[Split], Solution]:
     return solve
 
 
-def ours(split: Split) -> Solution:
-    """`bodylog fit` on the rows to learn from; the withheld images predicted by the calibration alone."""
+def learn_calibration(split: Split, rows: Array) -> Calibration:
+    """`bodylog fit` on some rows of a split's table, and the calibration of its body."""
     with TemporaryDirectory() as folder:
         head, *lines = split.table.read_text().splitlines()
         log = Path(folder) / "learn.csv"
-        log.write_text("\n".join([head, *(lines[k] for k in split.rows)]) + "\n")
+        log.write_text("\n".join([head, *(lines[k] for k in rows)]) + "\n")
         for picture in split.table.parent.glob("*.[pj][np]g"):
             copy(picture, folder)
         pipeline.fit([log], Path(folder) / "body.npz", split.settings)
-        found = calibration.load_calibration(Path(folder) / "body.npz")
+        return calibration.load_calibration(Path(folder) / "body.npz")
+
+
+def ours(split: Split) -> Solution:
+    """The calibration of the rows to learn from; the withheld images predicted by it alone."""
+    found = learn_calibration(split, split.rows)
     lens = found.lenses[0]
     zeros = {one.joint: one.value for one in found.zeros if one.identifiable}
     joints = np.array([zeros.get(name, 0.0) for name in split.chain.joints])

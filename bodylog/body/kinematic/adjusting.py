@@ -16,7 +16,7 @@ from ...kinematics.robot import Robot
 from ...types import Array, Features, Series
 from ..data.pairs import Pairs
 from ..senses import encoder_function
-from .placements import Calibration, calibration_of
+from .placements import Calibration, calibration_of, printed_unknowns
 from .sightings import ThingSightings
 
 STRETCHES = 30
@@ -75,10 +75,11 @@ def adjust_calibration(
     beside: Surroundings,
     theta: Array,
     covariance: Array,
-) -> tuple[Calibration, Adjusted]:
-    """The calibration of least error, and the adjustment
-    behind it; parts: the sightings, one for each sight.
+) -> tuple[Calibration, Adjusted, Adjusted]:
+    """The calibration of least error, the adjustment behind it,
+    and that of the body's own unknowns, as printed.
 
+    parts: the sightings, one for each sight.
     theta (P,), covariance (P,P): of the rig of `links` beside a process of residuals.
     """
     rig = links.calibrated.rig
@@ -97,7 +98,14 @@ def adjust_calibration(
         for one, group in zip(parts.values(), groups, strict=True)
     ]
     found = adjust(rig, data, start, links.calibrated.noise, known)
-    return calibration_of(found), found
+    own = np.ix_(moved, moved)
+    printed = Adjusted(
+        links.calibrated.rig,
+        printed_unknowns(found, links.calibrated.rig.joints)[moved],
+        found.covariance[own],
+        found.curvature[own],
+    )
+    return calibration_of(found), found, printed
 
 
 def _resting_joints(rig: Rig, resting: Resting) -> tuple[str, ...]:

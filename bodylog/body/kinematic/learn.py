@@ -236,9 +236,13 @@ def learn_residuals(
     if gains[worst] < 0.0:
         return leave_urdf_unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
     covariance = rig.prior[1] * (both.root @ both.root.T) * rig.prior[1][:, None]
-    calibration, adjusted = adjust_calibration(links, shown, beside, both.theta, covariance)
+    calibration, adjusted, printed = adjust_calibration(
+        links, shown, beside, both.theta, covariance
+    )
     offsets = (*calibration.zeros, *calibration.scales)
-    senses = {name: forward_models(rig, k, both, name) for k, name in enumerate(both.parts)}
+    senses = {
+        name: forward_models(rig, k, both, name, printed) for k, name in enumerate(both.parts)
+    }
     all_scores = [
         *(s for name, of in senses.items() for s in kinematic_scores(name, of, both.parts[name])),
         *zero_scores(offsets),

@@ -29,6 +29,9 @@ class KinematicGP(GP):
     (P,p): θ's covariance is root rootᵀ · lean (D,p,n): weights with which the samples predict
     root's columns · drift (D,) px²: variance of an error that lasts longer than a log · base: the
     chain from the robot's root to the marker, or to a moving camera, if known.
+
+    printed (P,): θ of the calibration, which has the least error without the process · unsure
+    (P,w): the inverse of its information is unsure unsureᵀ.
     """
 
     rig: Rig
@@ -36,13 +39,15 @@ class KinematicGP(GP):
     root: Array
     lean: Array
     drift: Array
+    printed: Array
+    unsure: Array
     base: Base | None = None
 
     @classmethod
-    def on(cls, plain: GP, rig: Rig, theta: Array, root: Array, lean: Array, drift: Array) -> Self:
+    def on(cls, plain: GP, rig: Rig, **unknowns: Any) -> Self:
         """Build the model on a residual process `plain`."""
         residual: dict[str, Any] = {field.name: getattr(plain, field.name) for field in fields(GP)}
-        return cls(**residual, rig=rig, theta=theta, root=root, lean=lean, drift=drift)
+        return cls(**residual, rig=rig, **unknowns)
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
         """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M)
@@ -81,8 +86,17 @@ class KinematicGP(GP):
         return value + seen.image[:, 0], slope + seen.slope[:, 0]
 
     def kinematics(self, x: Array) -> Array:
-        """Predict at x (N,M) rad by kinematics and camera alone: (N,D) px."""
-        return np.asarray(self._seen(np.atleast_2d(x)).image[:, 0])
+        """Predict at x (N,M) rad by the calibration alone: (N,D) px."""
+        return np.asarray(
+            self.rig.see(self.rig.sights[0], self.printed, np.atleast_2d(x)).image[:, 0]
+        )
+
+    def calibration_doubt(self, x: Array) -> Array:
+        """Effect (N,D,w), px, of one standard deviation of each
+        direction of the calibration that images leave open.
+        """
+        seen = self.rig.see(self.rig.sights[0], self.printed, x)
+        return np.asarray(seen.design[:, 0] @ self.unsure)
 
     def design(self, x: Array) -> Array:
         """Derivative by θ of kinematics and camera at x (N,M) rad: (N,D,P) px per unit of θ."""

@@ -50,7 +50,8 @@ def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal
     """The best of some postures (K,M) to record, chosen
     greedily by the error they leave over all of them.
 
-    Predictions are Gaussian together, through θ. The worth of a posture is how much its sighting
+    Predictions are Gaussian together, through the calibration that the adjustment's information
+    leaves open. The worth of a posture is how much its sighting
     lowers their variance, summed over all postures (I-optimality; Fedorov 1972): what serves
     predictions, while D-optimality would serve θ, whose directions matter unequally. EvidenceError
     where too few are visible.
@@ -88,14 +89,15 @@ def _predict_all_tracks(
     body: BodyModel, senses: Mapping[str, KinematicGP], x: Array, there: Array
 ) -> tuple[Array, Array]:
     """Covariance (KR,KR) px² of the predictions of all tracks
-    at x (K,M) by θ, posture by posture, and noise (K,R) px².
+    at x (K,M) by the calibration, posture by posture, and noise (K,R) px².
 
     R: u and v of each track, without covariance where it is not there (S,K). The residual process
     counts as noise: six sightings teach it little beyond their own surroundings.
     """
     each = zip(senses.values(), there, strict=True)
     rows = np.concatenate(
-        [np.where(one[:, None, None], sense.unknowns(x), 0.0) for sense, one in each], axis=1
+        [np.where(one[:, None, None], sense.calibration_doubt(x), 0.0) for sense, one in each],
+        axis=1,
     )
     count, width = rows.shape[:2]
     flat = rows.reshape(count * width, -1)

@@ -147,12 +147,23 @@ def calibration_of_body(model: BodyModel) -> Calibration:
     return Calibration(cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier)
 
 
-def calibration_of(found: Adjusted) -> Calibration:
-    """The calibration of an adjustment; poses and lenses hold with the zeros as given."""
-    known = (
+def _zeros_and_scales(found: Adjusted) -> tuple[Offset, ...]:
+    return (
         *identifiability.joint_zeros(found.rig, found.theta, found.covariance),
         *identifiability.joint_scales(found.rig, found.theta, found.covariance),
     )
+
+
+def printed_unknowns(found: Adjusted, joints: Sequence[str]) -> Array:
+    """θ (P,) with the zeros as given, and those of other joints at 0."""
+    known = _zeros_and_scales(found)
+    held = [one if one.joint in joints else replace(one, value=0.0) for one in known]
+    return _given_zeros(found.rig, found.theta, found.covariance, held, found.curvature)[0]
+
+
+def calibration_of(found: Adjusted) -> Calibration:
+    """The calibration of an adjustment; poses and lenses hold with the zeros as given."""
+    known = _zeros_and_scales(found)
     whole, spread = _given_zeros(found.rig, found.theta, found.covariance, known, found.curvature)
     given = replace(found, theta=whole, covariance=spread)
     cameras = dict[str, Placement]()

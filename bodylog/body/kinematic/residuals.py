@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...kinematics.adjustment import Adjusted
 from ...kinematics.identifiability import GIVEN
 from ...kinematics.rig import Rig, RigPrediction
 from ...types import Array
@@ -222,7 +223,9 @@ def _relinearise_residuals(rig: Rig, index: int, theta: Array, part: ResidualPar
     return linearise_residuals(rig, theta, part.pairs, seen, part.view, part.rows.spread)
 
 
-def forward_models(rig: Rig, index: int, found: Together, name: str) -> dict[str, KinematicGP]:
+def forward_models(
+    rig: Rig, index: int, found: Together, name: str, printed: Adjusted
+) -> dict[str, KinematicGP]:
     """The forward model of each track of a thing; they share
     θ and the residual process, evaluated at each point.
     """
@@ -232,6 +235,8 @@ def forward_models(rig: Rig, index: int, found: Together, name: str) -> dict[str
     share = np.broadcast_to(part.rows.spread.share, part.pairs.y.shape[1])
     root = (rig.prior[1][:, None] * found.root)[used]
     lean = np.einsum("dpm,pk->dkm", solved.lean, found.root)
+    values, vectors = np.linalg.eigh(printed.curvature / rig.prior[1] / rig.prior[1][:, None])
+    unsure = rig.prior[1][:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     centres = _choose_inducing_centres(part)
     made = {}
     for track, seen in part.tracks.items():
@@ -249,6 +254,8 @@ def forward_models(rig: Rig, index: int, found: Together, name: str) -> dict[str
             root=root,
             lean=lean * near,
             drift=part.drift * share,
+            printed=printed.theta[used],
+            unsure=unsure[used],
         )
     return made
 

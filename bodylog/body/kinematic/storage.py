@@ -13,7 +13,7 @@ from ...types import Array
 from ..gp.model import GP
 from .model import KinematicGP
 
-# k steps and one, h steps, p unknowns, q directions of them; digits are sizes
+# k steps and one, h steps, p unknowns, q and w directions of them; digits are sizes
 SHAPES = {
     "chain": "k44",
     "steps": "h4",
@@ -25,6 +25,8 @@ SHAPES = {
     "root": "pq",
     "lean": "dqn",
     "drift": "d",
+    "printed": "p",
+    "unsure": "pw",
     "points": "13",
 }
 BASE = {"base": "x44", "base_steps": "y4", "base_tool": "44"}
@@ -33,6 +35,7 @@ _BASE_NAMES = ("base_start", "base_end", "base_tool", "base_thing")
 _SCALED = "scales"
 """Present, with the value "unknown", where each joint's scale is one more unknown."""
 _THINGS = ("marker", "camera")
+_UNKNOWNS = ("theta", "root", "lean", "drift", "printed", "unsure")
 _NAMES = ("camera", "camera_link", "marker", "marker_link", "sight", "start", "end")
 
 
@@ -62,6 +65,8 @@ def kinematic_arrays(model: KinematicGP) -> dict[str, Array]:
         "root": model.root,
         "lean": model.lean,
         "drift": model.drift,
+        "printed": model.printed,
+        "unsure": model.unsure,
         "points": sight.points,
     }
 
@@ -111,7 +116,12 @@ def build_kinematic_gp(
     own = 2 * count if _SCALED in header else count
     for field in ("chain", "camera", "marker"):
         insist_rigid(found[field], field)
-    for field, most in (("theta", _LARGEST), ("lens", _LARGEST), ("points", _FARTHEST)):
+    for field, most in (
+        ("theta", _LARGEST),
+        ("printed", _LARGEST),
+        ("lens", _LARGEST),
+        ("points", _FARTHEST),
+    ):
         insist_sound(
             (np.abs(found[field]) <= most).all(),
             field,
@@ -137,7 +147,8 @@ def build_kinematic_gp(
         doubt[end : end + count],
         doubt[end + count :],
     )
-    model = KinematicGP.on(plain, rig, found["theta"], found["root"], found["lean"], found["drift"])
+    unknowns = {name: found[name] for name in _UNKNOWNS}
+    model = KinematicGP.on(plain, rig, **unknowns)
     return replace(model, base=_build_base(joints, found, header))
 
 
