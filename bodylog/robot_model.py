@@ -48,13 +48,14 @@ def find_robot(
 
     from .body.kinematic.learn import Robotics
     from .kinematics import urdf
+    from .known_camera import known_markers
     from .recording.robot_description import read_robot_description
 
     descriptions = [read_robot_description(log, settings.input) for log in logs]
     if (known := _robot_of_frame(features)) is not None and chosen.urdf is None:
-        return Robotics(
-            known, _build_camera_hints(known, descriptions, features, settings), 0.0, True, 0.0
-        ), ()
+        hints = _build_camera_hints(known, descriptions, features, settings)
+        markers = known_markers(settings.marker, features, known)
+        return Robotics(known, hints, 0.0, True, 0.0, markers), ()
     texts = [(log, one.urdf) for log, one in zip(logs, descriptions, strict=True) if one.urdf]
     if chosen.urdf not in (None, FROM_LOG):
         found = urdf.load_urdf(Path(str(chosen.urdf)), settings.input)
@@ -71,7 +72,9 @@ def find_robot(
         raise LogError(_NO_URDF.format(logs[0]))
     asked = chosen.urdf is not None
     hints = _build_camera_hints(found, descriptions, features, settings)
-    return Robotics(found, hints, radians(chosen.offset_prior), asked, chosen.scale_prior), ()
+    doubt = radians(chosen.offset_prior)
+    markers = known_markers(settings.marker, features, found)
+    return Robotics(found, hints, doubt, asked, chosen.scale_prior, markers), ()
 
 
 def _robot_of_frame(features: Sequence[Features]) -> "Robot | None":
@@ -79,7 +82,7 @@ def _robot_of_frame(features: Sequence[Features]) -> "Robot | None":
     from .kinematics.frame_robot import frame_robot
     from .logs.tables.frame_columns import frame_of
 
-    names = {found.joints.names for found in features if found.joints is not None and found.poses}
+    names = {found.joints.names for found in features if found.joints is not None}
     coordinates = names.pop() if len(names) == 1 else ()
     frame = frame_of(coordinates)
     return None if frame is None else frame_robot(frame, coordinates)
