@@ -270,6 +270,10 @@ def _build_camera_hints(
 
     names = {name.rpartition("/")[0] for found in features for name in found.tracks}
     topics = {name: topic for found in features for name, topic in found.cameras.items()}
+    if len(names) == 1 and all(found.poses for found in features):
+        # a table's lens is that of its only camera, whether it has images or places in them
+        lenses = {topic.rpartition("/")[0] for one in descriptions for topic in one.cameras}
+        topics = {name: f"{lens}/image" for name in names for lens in lenses} | topics
     hints = {}
     for name in sorted(names):
         size = next(
@@ -280,11 +284,9 @@ def _build_camera_hints(
             for one in descriptions
             if (hint := describe_logged_camera(topics.get(name), one, robot)) is not None
         ]
-        hint = (
-            camera_hints[0]
-            if camera_hints
-            else CameraHint(size=size, extent=_image_extent(name, features))
-        )
+        hint = camera_hints[0] if camera_hints else CameraHint()
+        if hint.size is None:
+            hint = replace(hint, size=size, extent=_image_extent(name, features))
         hints[name] = hint if name else with_known(hint, settings.camera, robot)
     return hints
 
@@ -333,7 +335,8 @@ def describe_logged_camera(
     if info is None:
         return None
     link, pose = _find_mounting_link(info.frame, robot, description.transforms)
-    return CameraHint(link, pose, _lens_of_info(info), (info.width, info.height))
+    size = (info.width, info.height) if info.width and info.height else None
+    return CameraHint(link, pose, _lens_of_info(info), size)
 
 
 def _find_camera_info(

@@ -14,7 +14,8 @@ from bodylog.config import load_settings
 from bodylog.errors import EvidenceError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import chain_between
-from bodylog.kinematics.rotations import invert_transform, make_transform
+from bodylog.kinematics.rotations import invert_transform, make_transform, rotation_from_vector
+from bodylog.settings import MarkerSettings
 
 DATA = Path(__file__).parents[3] / "shared" / "real" / "franka"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the Franka's images (../shared/real/franka) are not at hand")
@@ -31,10 +32,10 @@ def rows_of(name, rows, folder):
     return path
 
 
-def learned(log, folder, robot=None):
+def learned(log, folder, robot=None, **known):
     """The calibration that fit writes, and what it printed."""
     settings = load_settings(DATA / "robot.toml")
-    settings = replace(settings, kinematics=replace(settings.kinematics, urdf=robot))
+    settings = replace(settings, kinematics=replace(settings.kinematics, urdf=robot), **known)
     result = pipeline.fit([log], folder / "body.npz", settings)
     return calibration.load_calibration(folder / "body.npz"), result
 
@@ -91,6 +92,20 @@ def test_joints_and_poses_agree_on_the_camera(robot, tmp_path):
     assert np.linalg.norm(apart) < 2.0 * std
     warnings = [one for one in result.findings if one.severity != "info"]
     assert len(result.verdict) + len(warnings) <= 12 and json.dumps(calibration.calibration_as_values(by_poses))
+
+
+def test_a_known_board_turned_about_the_base_is_the_zero_of_joint_1(robot, tmp_path):
+    log = rows_of("poses.csv", np.arange(12), tmp_path)
+    zeros = []
+    for turn in (0.0, np.radians(1.0)):
+        place = rotation_from_vector(np.array([0.0, 0.0, turn])) @ np.array([0.391, 0.133, -0.02])
+        known = (*place.tolist(), np.pi, 0.0, 0.0055 + turn)
+        marker = MarkerSettings(link="panda_link0", place=known, place_std=0.001, turn_std=0.1)
+        found, _ = learned(log, tmp_path, robot, marker=marker)
+        np.testing.assert_allclose(found.markers[0].pose[:3, 3], place, atol=0.003)
+        zeros.append({one.joint: one for one in found.zeros}["panda_joint1"])
+    assert all(one.identifiable and one.std < np.radians(0.25) for one in zeros)  # without it, it is not
+    assert abs(zeros[1].value - zeros[0].value - np.radians(1.0)) < np.radians(0.03)
 
 
 def test_board_moved_between_two_logs_is_found_and_the_zeros_stay_as_sure(robot, tmp_path):
