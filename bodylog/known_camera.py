@@ -1,7 +1,8 @@
-"""What a user knows of the first camera beforehand
-([camera]): its lens and its place, as a hint with doubt.
+"""What a user knows beforehand of the first camera ([camera]:
+lens and place) and a marker ([marker]), as hints with doubt.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -9,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from .errors import ConfigError
-from .settings import CameraSettings
-from .types import Array
+from .settings import CameraSettings, MarkerSettings
+from .types import Array, Features
 
 if TYPE_CHECKING:
-    from .kinematics.links import CameraHint
+    from .kinematics.links import CameraHint, MarkerHint
     from .kinematics.robot import Robot
 
 _MOST_BYTES = 1 << 20
@@ -30,10 +31,7 @@ def with_known(hint: "CameraHint", known: CameraSettings, robot: "Robot") -> "Ca
         hint = replace(hint, lens=lens, lens_std=None, size=size)
     if known.focal is not None:
         hint = _with_focal(hint, known)
-    if known.link is not None and known.link not in robot.links:
-        raise ConfigError(
-            f"[camera] link: found {known.link!r}, possible: {', '.join(robot.links[:30])}"
-        )
+    _require_link("camera", known.link, robot)
     if known.link is not None:
         hint = replace(hint, link=known.link, pose=None)
     return hint if known.place is None else _with_place(hint, known)
@@ -57,20 +55,59 @@ def _with_focal(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
 
 
 def _with_place(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
+    pose, std = _known_pose("camera", hint.link, known)
+    return replace(hint, pose=pose, pose_std=std)
+
+
+def known_markers(
+    known: MarkerSettings, features: Sequence[Features], robot: "Robot"
+) -> "dict[str, MarkerHint]":
+    """What [marker] says of a marker, by its name; empty without it.
+
+    ConfigError where the marker, its link or its place cannot be.
+    """
+    from .kinematics.links import MarkerHint
+
+    if known.link is None and known.place is None:
+        return {}
+    _require_link("marker", known.link, robot)
+    boards = {name: set(points[0]) for one in features for name, points in one.boards.items()}
+    corners = set().union(*boards.values())
+    tracks = {name for one in features for name in one.tracks if name not in corners}
+    names = sorted({name.rpartition("/")[2] for name in (*boards, *tracks)})
+    chosen = known.name or (names[0] if len(names) == 1 else None)
+    if chosen not in names:
+        found = "several" if known.name is None else repr(known.name)
+        raise ConfigError(f"[marker] name: found {found}, possible: {', '.join(names[:30])}")
+    pose, std = (
+        (None, np.zeros(6)) if known.place is None else _known_pose("marker", known.link, known)
+    )
+    return {chosen: MarkerHint(known.link, pose, std)}
+
+
+def _require_link(section: str, link: str | None, robot: "Robot") -> None:
+    if link is not None and link not in robot.links:
+        raise ConfigError(
+            f"[{section}] link: found {link!r}, possible: {', '.join(robot.links[:30])}"
+        )
+
+
+def _known_pose(
+    section: str, link: str | None, known: CameraSettings | MarkerSettings
+) -> tuple[Array, Array]:
+    """A given pose (4,4) in its link, m, and its std (6,), m and rad."""
     from .kinematics.rotations import make_transform, rotation_from_rpy
 
     assert known.place is not None
-    if hint.link is None:
-        raise ConfigError("[camera] place: in which link? give [camera] link as well")
+    if link is None:
+        raise ConfigError(f"[{section}] place: in which link? give [{section}] link as well")
     if len(known.place) != 6:
         raise ConfigError(
-            f"[camera] place: found {len(known.place)} numbers, possible: 6: {_PLACE}"
+            f"[{section}] place: found {len(known.place)} numbers, possible: 6: {_PLACE}"
         )
     values = np.array(known.place)
     std = np.array([known.place_std] * 3 + [np.radians(known.turn_std)] * 3)
-    return replace(
-        hint, pose=make_transform(rotation_from_rpy(values[3:]), values[:3]), pose_std=std
-    )
+    return make_transform(rotation_from_rpy(values[3:]), values[:3]), std
 
 
 def load_lens(path: Path) -> tuple[Array, tuple[int, int]]:

@@ -48,13 +48,14 @@ def find_robot(
 
     from .body.kinematic.learn import Robotics
     from .kinematics import urdf
+    from .known_camera import known_markers
     from .recording.robot_description import read_robot_description
 
     descriptions = [read_robot_description(log, settings.input) for log in logs]
     if (known := _robot_of_frame(features)) is not None and chosen.urdf is None:
-        return Robotics(
-            known, _build_camera_hints(known, descriptions, features, settings), 0.0, True, 0.0
-        ), ()
+        hints = _build_camera_hints(known, descriptions, features, settings)
+        markers = known_markers(settings.marker, features, known)
+        return Robotics(known, hints, 0.0, True, 0.0, markers), ()
     texts = [(log, one.urdf) for log, one in zip(logs, descriptions, strict=True) if one.urdf]
     if chosen.urdf not in (None, FROM_LOG):
         found = urdf.load_urdf(Path(str(chosen.urdf)), settings.input)
@@ -71,7 +72,9 @@ def find_robot(
         raise LogError(_NO_URDF.format(logs[0]))
     asked = chosen.urdf is not None
     hints = _build_camera_hints(found, descriptions, features, settings)
-    return Robotics(found, hints, radians(chosen.offset_prior), asked, chosen.scale_prior), ()
+    doubt = radians(chosen.offset_prior)
+    markers = known_markers(settings.marker, features, found)
+    return Robotics(found, hints, doubt, asked, chosen.scale_prior, markers), ()
 
 
 def _robot_of_frame(features: Sequence[Features]) -> "Robot | None":
@@ -79,7 +82,7 @@ def _robot_of_frame(features: Sequence[Features]) -> "Robot | None":
     from .kinematics.frame_robot import frame_robot
     from .logs.tables.frame_columns import frame_of
 
-    names = {found.joints.names for found in features if found.joints is not None and found.poses}
+    names = {found.joints.names for found in features if found.joints is not None}
     coordinates = names.pop() if len(names) == 1 else ()
     frame = frame_of(coordinates)
     return None if frame is None else frame_robot(frame, coordinates)
@@ -267,6 +270,10 @@ def _build_camera_hints(
 
     names = {name.rpartition("/")[0] for found in features for name in found.tracks}
     topics = {name: topic for found in features for name, topic in found.cameras.items()}
+    if len(names) == 1 and all(found.poses for found in features):
+        # a table's lens is that of its only camera, whether it has images or places in them
+        lenses = {topic.rpartition("/")[0] for one in descriptions for topic in one.cameras}
+        topics = {name: f"{lens}/image" for name in names for lens in lenses} | topics
     hints = {}
     for name in sorted(names):
         size = next(
@@ -277,11 +284,9 @@ def _build_camera_hints(
             for one in descriptions
             if (hint := describe_logged_camera(topics.get(name), one, robot)) is not None
         ]
-        hint = (
-            camera_hints[0]
-            if camera_hints
-            else CameraHint(size=size, extent=_image_extent(name, features))
-        )
+        hint = camera_hints[0] if camera_hints else CameraHint()
+        if hint.size is None:
+            hint = replace(hint, size=size, extent=_image_extent(name, features))
         hints[name] = hint if name else with_known(hint, settings.camera, robot)
     return hints
 
@@ -330,7 +335,8 @@ def describe_logged_camera(
     if info is None:
         return None
     link, pose = _find_mounting_link(info.frame, robot, description.transforms)
-    return CameraHint(link, pose, _lens_of_info(info), (info.width, info.height))
+    size = (info.width, info.height) if info.width and info.height else None
+    return CameraHint(link, pose, _lens_of_info(info), size)
 
 
 def _find_camera_info(

@@ -272,6 +272,30 @@ class CameraSettings:
 
 
 @dataclass(frozen=True)
+class MarkerSettings:
+    """[marker]: where a marker or board is, as far as it is known beforehand."""
+
+    name: str | None = declare_key(
+        None, "Marker that it is about.", noun="feature", unset="the only one"
+    )
+    link: str | None = declare_key(None, "Link that carries it.", noun="link", unset="by evidence")
+    place: tuple[float, ...] | None = declare_key(
+        None,
+        "Its frame in that link: x, y, z, roll, pitch, yaw.",
+        unit="m and rad",
+        low=-100,
+        high=100,
+        unset="estimated",
+    )
+    place_std: float = declare_key(
+        0.01, "Standard deviation of that place.", unit="m", low=1e-6, high=10
+    )
+    turn_std: float = declare_key(
+        2.0, "Standard deviation of that orientation.", unit="deg", low=1e-4, high=180
+    )
+
+
+@dataclass(frozen=True)
 class EstimationSettings:
     """[estimate]: how joint angles are estimated;
     variances set here replace those of `precision`.
@@ -397,6 +421,7 @@ class Settings:
     fit: FitSettings = field(default_factory=FitSettings)
     kinematics: KinematicsSettings = field(default_factory=KinematicsSettings)
     camera: CameraSettings = field(default_factory=CameraSettings)
+    marker: MarkerSettings = field(default_factory=MarkerSettings)
     estimate: EstimationSettings = field(default_factory=EstimationSettings)
     synchrony: ClockSettings = field(default_factory=ClockSettings)
 

@@ -9,8 +9,9 @@ from bodylog.errors import ConfigError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.links import INFO_LENS, CameraHint, MarkerTrack, Space
 from bodylog.kinematics.rotations import invert_transform, rotation_from_rpy
-from bodylog.known_camera import load_lens, with_known
-from bodylog.settings import CameraSettings
+from bodylog.known_camera import known_markers, load_lens, with_known
+from bodylog.settings import CameraSettings, MarkerSettings
+from bodylog.types import Features, Series
 from tests.kinematics import robots
 
 ROBOT = urdf.parse_urdf(robots.ARM, "arm.urdf")
@@ -74,3 +75,24 @@ def test_what_cannot_be_is_named(tmp_path):
         path.write_text(bad)
         with pytest.raises(ConfigError, match=words):
             load_lens(path)
+
+
+def test_a_marker_has_the_place_and_doubt_that_were_given():
+    seen = Series(np.zeros(1), np.ones((1, 2)), ("u", "v"), "px", np.zeros(1, np.int64))
+    one = [Features(None, {"tip": seen}, None, (), (), {})]
+    two = [Features(None, {"side/tip": seen, "ball": seen}, None, (), (), {})]
+    known = MarkerSettings(link="tool", place=(0.1, 0.0, 0.05, 0.0, 0.3, 0.0), place_std=0.003, turn_std=0.5)
+    hints = known_markers(known, one, ROBOT)
+    q = robots.angles(3)
+    track = MarkerTrack("", "tip", robots.seen(robots.rig(), robots.rig().prior[0], q, 0.1))
+    space = Space(ROBOT, robots.JOINTS, {}, 0.1, things=hints)
+    (found,) = space.rig([track], {"": "base"}, {"tip": "tool"}, {}).carriers
+    np.testing.assert_allclose(found.anchor[:3, 3], [0.1, 0.0, 0.05])
+    np.testing.assert_allclose(found.doubt, [0.003] * 3)  # a point has no turn
+    assert not known_markers(MarkerSettings(), two, ROBOT)
+    with pytest.raises(ConfigError, match=r"\[marker\] name: found several, possible: ball, tip"):
+        known_markers(known, two, ROBOT)
+    with pytest.raises(ConfigError, match=r"\[marker\] link: found 'head', possible: base"):
+        known_markers(MarkerSettings(link="head"), one, ROBOT)
+    with pytest.raises(ConfigError, match=r"\[marker\] place: in which link"):
+        known_markers(MarkerSettings(place=(0.0,) * 6), one, ROBOT)

@@ -57,6 +57,17 @@ class CameraHint:
 
 
 @dataclass(frozen=True, eq=False)
+class MarkerHint:
+    """A marker as somebody knows it: its link or None · pose (4,4) in
+    the link, m, or None · pose_std (6,): its prior std, m and rad.
+    """
+
+    link: str | None
+    pose: Array | None
+    pose_std: Array
+
+
+@dataclass(frozen=True, eq=False)
 class MarkerTrack:
     """Sightings of one marker in one camera, by name ·
     points (C,3) m of a rigid board, or one at the origin.
@@ -89,19 +100,23 @@ def find_links(
     doubt: float,
     scale: float = 0.0,
     carried: Mapping[str, str] | None = None,
+    things: Mapping[str, MarkerHint] | None = None,
 ) -> FoundLinks:
     """Find the most likely links of camera and marker
     for each track, then calibrate all tracks together.
 
     joints: names of the data's columns · still: angles of joints that did not move · doubt: prior
     std of joint zeros, rad · scale: prior std of joint scales; 0 keeps them at 1 · carried: links
-    of markers where they are known. Give the most reliable tracks first.
+    of markers where they are known · things: what is known of markers. Give the most reliable
+    tracks first.
     """
-    space = Space(robot, tuple(joints), still, doubt, scale)
+    things = things or {}
+    space = Space(robot, tuple(joints), still, doubt, scale, things)
     placed: dict[str, str] = {
         name: hint.link for name, hint in hints.items() if hint.link is not None
     }
-    markers = dict(carried or {})
+    markers = {name: hint.link for name, hint in things.items() if hint.link is not None}
+    markers |= carried or {}
     margin = None
     best = None
     for track in tracks.values():
@@ -202,6 +217,7 @@ class Space:
     still: Mapping[str, float]
     doubt: float
     scale: float = 0.0
+    things: Mapping[str, MarkerHint] = field(default_factory=dict)
 
     def chain(self, camera: str, marker: str) -> Chain:
         """The chain from the camera's link to the marker's,
@@ -269,7 +285,7 @@ class Space:
         )
         things = {track.marker: track for track in tracks}
         carriers = tuple(
-            _make_carrier(name, markers[name], len(track.points) > 1)
+            _make_carrier(name, markers[name], len(track.points) > 1, self.things.get(name))
             for name, track in things.items()
         )
         sights = tuple(
@@ -331,5 +347,8 @@ def hinted_camera(name: str, link: str, hint: CameraHint, robot: Robot) -> RigCa
     )
 
 
-def _make_carrier(name: str, link: str, rigid: bool) -> Carrier:
+def _make_carrier(name: str, link: str, rigid: bool, hint: MarkerHint | None) -> Carrier:
+    unknowns = 6 if rigid else 3
+    if hint is not None and hint.pose is not None and hint.link == link:
+        return Carrier(name, link, hint.pose, hint.pose_std[:unknowns])
     return Carrier(name, link, np.eye(4), np.full(6, ANYWHERE) if rigid else np.full(3, MARKER))

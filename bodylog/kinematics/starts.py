@@ -9,7 +9,7 @@ import numpy as np
 
 from ..types import Array
 from .calibration import Sighted
-from .rig import Rig, RigCamera
+from .rig import Carrier, Rig, RigCamera
 from .rotations import invert_transform, make_transform, nearest_rotation, vector_from_rotation
 
 _STEP = 0.1
@@ -31,7 +31,8 @@ def find_starts(rig: Rig, data: Sequence[Sighted]) -> tuple[Rig, list[Array]]:
             k for k in _sights_of_camera(rig, index) if rig.carriers[rig.sights[k].carrier].turns
         ]
         if boards and camera.doubt[3:6].max() >= _KNOWN:
-            known = {
+            known = {k for k, one in enumerate(rig.carriers) if _is_placed(one)}
+            known |= {
                 rig.sights[k].carrier
                 for before in range(index)
                 for k in _sights_of_camera(rig, before)
@@ -154,8 +155,13 @@ def _align_by_hand_eye(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
     return _anchor_camera(replace(rig, carriers=carriers), sight.camera, found[0])
 
 
+def _is_placed(carrier: Carrier) -> bool:
+    """Whether a board's pose is known beforehand."""
+    return carrier.turns and float(carrier.doubt[3:].max()) < _KNOWN
+
+
 def _place_by_known_board(rig: Rig, data: Sequence[Sighted], k: int) -> Rig:
-    """Place a further camera by a board that another camera has located."""
+    """Place a camera by a board that is known, or that another camera has located."""
     poses, links = board_poses(rig, data, k)
     sight = rig.sights[k]
     if not poses:

@@ -12,13 +12,13 @@ from ..io.values import reject_impossible
 from ..logs.decode.columns import Source, columns_of, read_topic_columns
 from ..logs.decode.parts import TopicColumns
 from ..logs.images import messages
-from ..logs.joint_units import joint_unit
+from ..logs.joint_units import UNIT, joint_unit
 from ..logs.joint_units import parse_count_unit as counted
 from ..logs.protocol import Log
 from ..logs.records import Array, Batch, Finding, Topic
 from ..logs.topics import has_independent_poses
 from ..settings import Settings
-from . import role_values
+from . import frame_topics, role_values
 from .clock_steps import ClockStep, Mended, Times, mend_clocks
 from .clocks import Timing, order_by_time
 from .roles import Role
@@ -136,6 +136,8 @@ def _read_role_columns(
 def _fields_of_role(role: Role) -> tuple[str, ...]:
     if role.role == "camera":
         return (messages.text_field(role.topics[0]),)
+    if paths := frame_topics.pose_paths(role):
+        return paths
     return (role.field,) if role.field else _JOINT_FIELDS
 
 
@@ -189,7 +191,9 @@ def _date_stream(
         if role.role == "joints" or counted(settings.body.unit) is None
         else "rad"
     )
-    unit = joint_unit(role.topics[0].metadata, unit_text)
+    # coordinates of a frame are in m and rad, whatever the unit of a robot's joints is
+    about = {UNIT: "rad"} if frame_topics.pose_paths(role) else role.topics[0].metadata
+    unit = joint_unit(about, unit_text)
     if by_name:
         converted = values if unit.factor == 1.0 else (values - unit.zero) * unit.factor
         keep, values, idle = role_values.merge_equal_stamps(timing.t_ns, converted)
@@ -241,6 +245,9 @@ def _signal_of_blocks(
         return role_values.joints_by_name(
             found, wanted, what, role.role == "joints", settings.input
         )
+    if frame_topics.pose_paths(role):
+        wanted = settings.body.joints if alone else None
+        return frame_topics.signal_of_poses(role, found, wanted, what, settings.input)
     signal = role_values.signal_of_arrays(found)
     if role.role == "skin" or not len(signal.rows):
         return role_values.reject_non_proximities(signal) if role.unsure else signal

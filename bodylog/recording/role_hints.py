@@ -7,7 +7,16 @@ from ..logs.images import messages
 from ..logs.records import Finding, Topic
 from ..settings import TopicSettings
 from .cameras import camera_name_of_source
-from .roles import RANKS, ROLES, Role, camera_rank, is_raw, joints_rank, problem_with_definition
+from .roles import (
+    RANKS,
+    ROLES,
+    Role,
+    camera_rank,
+    is_raw,
+    joints_rank,
+    pose_field,
+    problem_with_definition,
+)
 
 
 def advice_on_roles(found: Mapping[str, Role]) -> str:
@@ -29,6 +38,10 @@ def unused_joints(
         {topic.name for topic in topics if is_raw(topic) and joints_rank(topic) is not None}
     )
     used = [role.topic for role in found.values() if role.role == "joints"]
+    poses = sorted({topic.name for topic in topics if is_raw(topic) and pose_field(topic)})
+    if settings.joints is None and poses and not used:
+        text = "joints: none; poses may stand for them: type: [topics] joints = "
+        return (Finding("info", text + json.dumps(poses[0])),)
     others = [name for name in others if used and name not in used]
     if settings.joints is not None or not others:
         return ()

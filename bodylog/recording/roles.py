@@ -22,6 +22,16 @@ _ANGLES = ("joints", "truth", "reference")
 _FEWEST = 10
 """A further joint topic with fewer messages is not merged."""
 _JOINTS = "sensor_msgs/msg/JointState"
+_POSES = {
+    "geometry_msgs/msg/PoseStamped": "pose",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
+    "geometry_msgs/msg/TransformStamped": "transform",
+    "nav_msgs/msg/Odometry": "pose.pose",
+    "foxglove.PoseInFrame": "pose",
+    "tf2_msgs/msg/TFMessage": "",
+    "tf/msg/tfMessage": "",
+}
+"""The pose in messages of these types; tf has several, and a path tells which."""
 _ARRAYS = ("std_msgs/msg/Float32MultiArray", "std_msgs/msg/Float64MultiArray")
 _WISHED = re.compile(
     r"command|cmd|desired|target|goal|reference|setpoint|(^|/)actions?(/|$)", re.IGNORECASE
@@ -223,6 +233,11 @@ def _role_from_path(role: str, declared: str, topics: Sequence[Topic], name: str
             f'{name}: [topics] {role} = "{declared}", but {path.topic} is {what}; {possible}'
         )
     field = named or _default_field(role, best)
+    if field is None and role == "joints" and best.type in _POSES:
+        raise LogError(
+            f"{name}: {declared} holds the poses of several frames; say which: [topics] joints = "
+            f"'{path.topic}.transforms[:]{{child_frame_id==\"tool0\"}}.transform'"
+        )
     if field is None:
         raise LogError(
             f"{name}: {declared} ({best.type}) has no array; say which: [topics] {role} = "
@@ -249,6 +264,11 @@ def _is_mistaken_topic(role: str, topic: Topic) -> bool:
     return not {field.name for field in definition.types[definition.root]}.issuperset(
         messages.FIELDS
     )
+
+
+def pose_field(topic: Topic) -> str | None:
+    """The pose in a topic's messages, "" where a path must tell which; None without poses."""
+    return _POSES.get(topic.type)
 
 
 def joints_rank(topic: Topic) -> tuple[int, ...] | None:
@@ -298,6 +318,8 @@ def _default_field(role: str, topic: Topic) -> str | None:
     """
     if role == "camera" or topic.type == _JOINTS:
         return ""
+    if role == "joints" and topic.type in _POSES:
+        return pose_field(topic) or None
     if topic.encoding in ("json", "protobuf"):
         return None
     return array_field(definition_of(topic)) if problem_with_definition(topic) is None else None

@@ -1,6 +1,7 @@
 """A Franka's camera in hand: learned from half of a session, from joints or from poses of its flange."""
 
 import json
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,9 @@ from bodylog.config import load_settings
 from bodylog.errors import EvidenceError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import chain_between
-from bodylog.kinematics.rotations import invert_transform, make_transform
+from bodylog.kinematics.rotations import invert_transform, make_transform, rotation_from_vector
+from bodylog.settings import MarkerSettings
+from tests.kinematics.bullet import ends_of
 
 DATA = Path(__file__).parents[3] / "shared" / "real" / "franka"
 pytestmark = pytest.mark.skipif(not DATA.is_dir(), reason="the Franka's images (../shared/real/franka) are not at hand")
@@ -31,10 +34,10 @@ def rows_of(name, rows, folder):
     return path
 
 
-def learned(log, folder, robot=None):
+def learned(log, folder, robot=None, **known):
     """The calibration that fit writes, and what it printed."""
     settings = load_settings(DATA / "robot.toml")
-    settings = replace(settings, kinematics=replace(settings.kinematics, urdf=robot))
+    settings = replace(settings, kinematics=replace(settings.kinematics, urdf=robot), **known)
     result = pipeline.fit([log], folder / "body.npz", settings)
     return calibration.load_calibration(folder / "body.npz"), result
 
@@ -44,6 +47,14 @@ def flange_poses(rows):
     q = np.column_stack([table[f"panda_joint{k}"] for k in range(1, 8)])[rows]
     matrix = [[table[f"O_T_EE_{r}{c}"] for c in range(4)] for r in range(4)]
     return q, np.moveaxis(np.array(matrix), -1, 0)[rows]
+
+
+def frames_by_pybullet(written, q, folder):
+    """Poses of the links of a written URDF at readings q (N,7), by another library; without meshes, which are not here."""
+    pybullet = pytest.importorskip("pybullet")
+    text = re.sub(r"<(visual|collision)\b.*?</\1>|<limit[^>]*/>", "", written.read_text(), flags=re.DOTALL)
+    readings = [{f"panda_joint{k + 1}": value for k, value in enumerate(row)} for row in q.tolist()]
+    return [ends_of(pybullet, text, one, folder) for one in readings]
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +84,11 @@ def test_board_stays_where_it_is_over_images_held_out(robot, tmp_path):
         places.append((make_transform(arm.rotation[row], arm.place[row]) @ found.cameras[0].pose @ board)[:3, 3])
     scatter = np.linalg.norm(np.array(places) - np.mean(places, axis=0), axis=1)
     assert 1e3 * np.sqrt(np.mean(scatter**2)) < 2.5
+    calibration.write_calibration(found, tmp_path / "written.urdf", Path(robot), {})
+    elsewhere = frames_by_pybullet(tmp_path / "written.urdf", q, tmp_path)
+    for row in range(len(test)):
+        expected = make_transform(arm.rotation[row], arm.place[row]) @ found.cameras[0].pose
+        np.testing.assert_allclose(elsewhere[row]["camera_optical_frame"], expected, atol=1e-6)
 
 
 def test_joints_and_poses_agree_on_the_camera(robot, tmp_path):
@@ -80,7 +96,8 @@ def test_joints_and_poses_agree_on_the_camera(robot, tmp_path):
     by_joints, result = learned(rows_of("both.csv", every, tmp_path), tmp_path, robot)
     assert {one.joint for one in by_joints.zeros} <= {f"panda_joint{k}" for k in range(1, 8)}
     by_poses, _ = learned(rows_of("ee_poses.csv", every, tmp_path), tmp_path)
-    assert not by_poses.zeros and any("do not tell the joints' zeros" in one.text for one in by_poses.findings)
+    said = [one.text for one in by_poses.findings if one.severity == "warning"]
+    assert not by_poses.zeros and said == ["poses of O_T_EE alone do not tell the joints' zeros; learn from joints with --urdf"]
     assert by_poses.cameras[0].link == "O_T_EE" and by_poses.markers[0].link == "base"
     q, flange = flange_poses(every)
     chain = chain_between(urdf.load_urdf(Path(robot)), "panda_link0", by_joints.cameras[0].link)
@@ -91,6 +108,20 @@ def test_joints_and_poses_agree_on_the_camera(robot, tmp_path):
     assert np.linalg.norm(apart) < 2.0 * std
     warnings = [one for one in result.findings if one.severity != "info"]
     assert len(result.verdict) + len(warnings) <= 12 and json.dumps(calibration.calibration_as_values(by_poses))
+
+
+def test_a_known_board_turned_about_the_base_is_the_zero_of_joint_1(robot, tmp_path):
+    log = rows_of("poses.csv", np.arange(12), tmp_path)
+    zeros = []
+    for turn in (0.0, np.radians(1.0)):
+        place = rotation_from_vector(np.array([0.0, 0.0, turn])) @ np.array([0.391, 0.133, -0.02])
+        known = (*place.tolist(), np.pi, 0.0, 0.0055 + turn)
+        marker = MarkerSettings(link="panda_link0", place=known, place_std=0.001, turn_std=0.1)
+        found, _ = learned(log, tmp_path, robot, marker=marker)
+        np.testing.assert_allclose(found.markers[0].pose[:3, 3], place, atol=0.003)
+        zeros.append({one.joint: one for one in found.zeros}["panda_joint1"])
+    assert all(one.identifiable and one.std < np.radians(0.25) for one in zeros)  # without it, it is not
+    assert abs(zeros[1].value - zeros[0].value - np.radians(1.0)) < np.radians(0.03)
 
 
 def test_board_moved_between_two_logs_is_found_and_the_zeros_stay_as_sure(robot, tmp_path):

@@ -9,12 +9,16 @@ import numpy as np
 import pytest
 
 from bodylog.errors import FormatError, InputError, LogError
+from bodylog.kinematics import urdf
 from bodylog.logs.formats import open_log
 from bodylog.logs.tables.pose_columns import assign_column_roles
 from bodylog.logs.tables.table_file import read_table_file
 from bodylog.pipeline import ingest, observe
 from bodylog.recording import recording
+from bodylog.recording.robot_description import read_robot_description
+from bodylog.robot_model import _build_camera_hints
 from bodylog.settings import BodySettings, Settings
+from tests.kinematics import robots
 
 NAMES = ("pan", "lift")
 Q = np.array([[0.1, -0.2], [3.1, 0.3], [-3.1, 0.4]])
@@ -190,3 +194,35 @@ def test_a_unit_of_joints_does_not_convert_coordinates_of_a_frame(tmp_path):
     assert plain is not None and converted is not None and plain.unit == converted.unit == "rad"
     np.testing.assert_array_equal(converted.values, plain.values)
     np.testing.assert_allclose(plain.values[:, 0], [0.1, 0.2, 0.3, 0.4])
+
+
+@pytest.mark.parametrize("image", ["", "side.png"])
+def test_columns_of_a_lens_are_the_cameras_and_no_joints(tmp_path, image):
+    if image:
+        cv2.imwrite(str(tmp_path / image), np.zeros((48, 64, 3), np.uint8))
+    head = "pan,tip_u,tip_v,fx,fy,cx,cy,k1,p1" + (",picture" if image else "")
+    rows = [f"0.{k},{k},2,633,634,320.5,240.5,-0.06,0.001" + (f",{image}" if image else "") for k in range(1, 5)]
+    path = _csv(tmp_path, head, *rows)
+    _, found = observe(path, Settings())
+    assert found.joints.names == ("pan",)
+    described = read_robot_description(path)
+    (topic,) = described.cameras
+    assert topic == ("/picture/camera_info" if image else "/camera/camera_info")
+    robot = urdf.parse_urdf(robots.ARM, "arm")
+    hint = _build_camera_hints(robot, [described], [found], Settings())[""]
+    np.testing.assert_allclose(np.exp(hint.lens[0]) * np.array([1, np.exp(hint.lens[1])]), [633, 634])
+    np.testing.assert_allclose(hint.lens[2:], [320.5, 240.5, -0.06, 0.0])
+    assert hint.lens_std is None and hint.link is None
+
+
+@pytest.mark.parametrize(
+    ("lens", "words"),
+    [
+        (("633,633,1,1", "634,633,1,1"), r"column fx: found 633 to 634; possible: the same number in every row"),
+        (("633,-1,1,1",) * 2, r"column fy: found -1; possible: px, above 0"),
+    ],
+)
+def test_a_lens_that_cannot_be_is_refused(tmp_path, lens, words):
+    path = _csv(tmp_path, "pan,fx,fy,cx,cy", *(f"0.1,{one}" for one in lens))
+    with pytest.raises(LogError, match=words):
+        open_log(path)

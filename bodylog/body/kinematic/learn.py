@@ -3,13 +3,13 @@ mean of each track, a Gaussian process on the residuals.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ...body_model import WITHOUT_URDF
 from ...errors import ModelError
-from ...kinematics.links import CameraHint, FoundLinks, MarkerTrack, find_links
+from ...kinematics.links import CameraHint, FoundLinks, MarkerHint, MarkerTrack, find_links
 from ...kinematics.robot import Robot, reason_implausible
 from ...runtime.blas_threads import one_thread
 from ...settings import Settings
@@ -39,7 +39,7 @@ class Robotics:
     """A robot: its URDF · hints by camera name · doubt: prior
     std of joint zeros, rad · whether the user asked for it.
 
-    scale: prior std of joint scales; 0 keeps them at 1.
+    scale: prior std of joint scales; 0 keeps them at 1 · markers: what is known of them, by name.
     """
 
     robot: Robot
@@ -47,6 +47,7 @@ class Robotics:
     doubt: float
     asked: bool = True
     scale: float = 0.0
+    markers: Mapping[str, MarkerHint] = field(default_factory=dict)
 
 
 @one_thread("scipy.linalg")
@@ -88,7 +89,7 @@ def learn_kinematics(
     left_out = dict[str, str]()
     for _ in range(len(parts)):
         seen = {name: track_of_sightings(name, one) for name, one in parts.items()}
-        links = find_links(robot, names, held, seen, given.hints, given.doubt, given.scale)
+        links = _find_links_given(given, names, held, seen, given.hints)
         links, moves = find_moves(links, parts, found.joints, settings.fit.seed)
         if (
             any(find_unexplained_tracks(links, parts))
@@ -129,7 +130,7 @@ def _linked_by_one_log(
     log = int(np.argmax(np.bincount(numbers)))
     alone = {name: one.rows(np.flatnonzero(one.whole.log == log)) for name, one in parts.items()}
     first = {name: track_of_sightings(name, one) for name, one in alone.items() if len(one.whole.x)}
-    found = find_links(given.robot, names, held, first, given.hints, given.doubt, given.scale)
+    found = _find_links_given(given, names, held, first, given.hints)
     rig = found.calibrated.rig
     hints = dict(given.hints)
     carried = dict[str, str]()
@@ -140,7 +141,21 @@ def _linked_by_one_log(
         )
         carried[one.marker] = rig.carriers[sight.carrier].link
     seen = {name: track_of_sightings(name, one) for name, one in parts.items()}
-    return find_links(given.robot, names, held, seen, hints, given.doubt, given.scale, carried)
+    return _find_links_given(given, names, held, seen, hints, carried)
+
+
+def _find_links_given(
+    given: Robotics,
+    names: Sequence[str],
+    held: Mapping[str, float],
+    seen: Mapping[str, MarkerTrack],
+    hints: Mapping[str, CameraHint],
+    carried: Mapping[str, str] | None = None,
+) -> FoundLinks:
+    """The links of cameras and markers, with what is known of them."""
+    return find_links(
+        given.robot, names, held, seen, hints, given.doubt, given.scale, carried, given.markers
+    )
 
 
 def _drop_unexplained_tracks(found: LearnedBody, left_out: Mapping[str, str]) -> LearnedBody:

@@ -283,7 +283,7 @@ def _without_zeros(joints: tuple[str, ...]) -> Finding:
     if frame is None:
         return Finding("info", "no joint's zero was estimated: [kinematics] offset_prior is 0")
     return Finding(
-        "info",
+        "warning",
         f"poses of {frame} alone do not tell the joints' zeros; learn from joints with --urdf",
     )
 

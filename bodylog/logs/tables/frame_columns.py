@@ -57,6 +57,22 @@ def frame_poses(numbers: Mapping[str, Array], path: str) -> list[FramePoses]:
     return [*_read_matrices(numbers, path), *_frame_positions(numbers, path)]
 
 
+def poses_of_quaternions(
+    name: str, place: Array, turn: Array, path: str, columns: tuple[str, ...] = ()
+) -> FramePoses:
+    """A frame's poses from places (N,3) m and quaternions
+    x, y, z, w (N,4); LogError where they are none.
+    """
+    rotation = _of_quaternions(turn, name, path)
+    return _check_frame_poses(FramePoses(name, columns, place, rotation), path)
+
+
+def sound_poses(place: Array, turn: Array) -> Array:
+    """Which (N,) places (N,3) m and quaternions (N,4) are poses of a robot."""
+    near: Array = np.asarray((np.abs(place) <= _FARTHEST_M).all(axis=1))
+    return np.asarray(near & (np.abs(np.linalg.norm(turn, axis=1) - 1.0) <= _MOST_OFF))
+
+
 def frame_of(joints: tuple[str, ...]) -> str | None:
     """The frame whose six coordinates these joints are; None where they are others."""
     name = joints[0].rpartition(".")[0] if joints else ""
@@ -93,12 +109,11 @@ def _frame_positions(numbers: Mapping[str, Array], path: str) -> Iterator[FrameP
         place, turn = (
             np.column_stack([numbers[found[axis]] for axis in axes]) for axes in (PLACE, turned)
         )
-        rotation = (
-            _of_quaternions(turn, name, path)
-            if turned == _QUATERNION
-            else _of_angles(turn, name, path)
-        )
         columns = tuple(found[axis] for axis in (*PLACE, *turned))
+        if turned == _QUATERNION:
+            yield poses_of_quaternions(name, place, turn, path, columns)
+            continue
+        rotation = _of_angles(turn, name, path)
         yield _check_frame_poses(FramePoses(name, columns, place, rotation), path)
 
 

@@ -25,6 +25,10 @@ _LABEL = re.compile(
 )
 _PLACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[uv])")
 _STD = re.compile(r"(?P<name>.+)[_.](?:std[_.](?P<axis>[uv])|(?P<before>[uv])[_.]std|std)")
+LENS = ("fx", "fy", "cx", "cy")
+"""Columns with the camera's focal lengths and centre, px."""
+DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+SIZE = ("width", "height")
 _SPACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[xyz]|q[xyzw])", re.IGNORECASE)
 
 
@@ -34,6 +38,7 @@ class PoseColumns:
     std {name: (N,2) px} · images {column: files} · t (N,) s.
 
     `time`: the column of times, None if rows are numbered · notes on the roles of the columns.
+    lens {LENS and others: number}: of the camera; empty without its columns.
     """
 
     joints: Mapping[str, Array]
@@ -43,6 +48,7 @@ class PoseColumns:
     t: Array
     time: str | None
     notes: tuple[str, ...]
+    lens: Mapping[str, float]
 
 
 def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
@@ -52,6 +58,7 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     images = {name: files for name, files in table.texts.items() if _name_image_files(files)}
     time, t = _take_time_column(left, table.rows, notes)
     tracks, std = _take_track_columns(left)
+    lens = _take_lens_columns(left, path)
     labels = [name for name in left if is_label_column(name)]
     frames = frame_poses(left, path)
     spaces = list(
@@ -81,9 +88,10 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
             f"are {have}"
         )
     notes += _describe_used_columns(joints, tracks, images, time)
+    notes += [f"the camera's lens: {', '.join(lens)}"] if lens else []
     if unused:
         notes.append(f"columns not used: {', '.join(unused)}")
-    return PoseColumns(joints, tracks, std, images, t, time, tuple(notes))
+    return PoseColumns(joints, tracks, std, images, t, time, tuple(notes), lens)
 
 
 def _name_image_files(files: Array) -> bool:
@@ -170,6 +178,31 @@ def _track_std(found: Mapping[str, str], left: dict[str, Array]) -> Array:
     unknown = np.full(len(next(iter(columns.values()))), np.nan) if both is None else both
     std = np.column_stack([columns.get("u", unknown), columns.get("v", unknown)])
     return np.where(std > 0, std, np.nan)
+
+
+def _take_lens_columns(left: dict[str, Array], path: str) -> dict[str, float]:
+    """The numbers of a lens, removed from `left`: LENS, and of DISTORTION and SIZE what is there.
+
+    LogError where a number is not the same in every row, or no lens can have it.
+    """
+    if not set(LENS) <= set(left):
+        return {}
+    found = {}
+    for name in (*LENS, *DISTORTION, *SIZE):
+        if name not in left:
+            continue
+        known = left.pop(name)
+        known = known[np.isfinite(known)]
+        value = float(known[0]) if len(known) else 0.0
+        if len(known) and np.ptp(known) > 1e-6 * max(abs(value), 1.0):
+            raise LogError(
+                f"{path}: column {name}: found {known.min():g} to {known.max():g}; possible: the "
+                "same number in every row, for it is the camera's"
+            )
+        if name in ("fx", "fy") and value <= 0.0:
+            raise LogError(f"{path}: column {name}: found {value:g}; possible: px, above 0")
+        found[name] = value
+    return found
 
 
 def _find_space_columns(left: Mapping[str, Array]) -> list[str]:

@@ -19,12 +19,13 @@ from ..records import Array, Batch, Finding, Outgoing, Topic
 from ..topic_names import TRACK, TRACK_NAMES, escape_topic_name
 from ..topics import INDEPENDENT
 from .frame_columns import frame_of
-from .pose_columns import assign_column_roles, in_degrees
+from .pose_columns import DISTORTION, LENS, SIZE, PoseColumns, assign_column_roles, in_degrees
 from .table_file import read_table_file, table_format
 
 JOINTS = "/joint_states"
 JOINT_STATE = "sensor_msgs/msg/JointState"
 VECTOR = "bodylog_msgs/msg/Vector"
+CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 COMPRESSED = "sensor_msgs/msg/CompressedImage"
 _LARGEST = 64 << 20
 _AS_THEY_ARE = (".jpg", ".jpeg", ".png", ".webp")
@@ -58,7 +59,11 @@ class PoseLog:
         # a stamp of zero means no stamp, so times begin a second after it
         t = found.t if first >= 1.0 else found.t - first + 1.0
         self._ns = np.rint(t * 1e9).astype(np.int64)
-        self._outgoing = [*self._joints(found.joints), *self._tracks(found.tracks, found.std)]
+        self._outgoing = [
+            *self._joints(found.joints),
+            *self._tracks(found.tracks, found.std),
+            *self._lens(found),
+        ]
         self._images = {
             len(self._outgoing) + k: files for k, files in enumerate(found.images.values())
         }
@@ -142,6 +147,32 @@ class PoseLog:
                 ("float64[]", data),
             ]
             yield self._outgoing_of(TRACK + escape_topic_name(name), VECTOR, fields)
+
+    def _lens(self, found: PoseColumns) -> Iterator[Outgoing]:
+        """The lens of the camera, as its CameraInfo at the first row."""
+        if not found.lens:
+            return
+        camera = escape_topic_name(next(iter(found.images), "camera"))
+        fx, fy, cx, cy = (found.lens[name] for name in LENS)
+        radial = [found.lens.get(name, 0.0) for name in DISTORTION]
+        width, height = (round(found.lens.get(name, 0.0)) for name in SIZE)
+        matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+        projection = np.hstack([matrix, np.zeros((3, 1))])
+        fields: list[CdrField] = [
+            *cdr.cdr_header_field(self._ns[:1]),
+            ("uint32", height),
+            ("uint32", width),
+            ("string", "plumb_bob"),
+            ("float64[]", np.array([radial])),
+            *(("float64*", one.reshape(1, -1)) for one in (matrix, np.eye(3), projection)),
+            *[("uint32", 0)] * 6,
+            ("bool", 0),
+        ]
+        made = cdr.serialise_messages(1, fields)
+        topic = f"/{camera}/camera_info"
+        text = known_definition(CAMERA_INFO) or b""
+        stamps = self._ns[:1]
+        yield Outgoing(topic, CAMERA_INFO, text, stamps, made.data, made.offset, made.length)
 
     def _outgoing_of(self, topic: str, kind: str, fields: Sequence[CdrField]) -> Outgoing:
         made = cdr.serialise_messages(len(self._ns), fields)
