@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .body_model import BodyModel, Surface, SurfaceCamera
+from .body_model import BodyModel, Surface, SurfaceCamera, name_surface_sense
 from .delay_findings import middle_of_recording
 from .errors import EvidenceError, ModelError
 from .log_estimate import estimate_log, infer
@@ -137,11 +137,6 @@ def estimate_by_surface(
     return replace(found, findings=(*found.findings, *findings))
 
 
-def sense_of_camera(camera: str) -> str:
-    """The sense that a camera's images of the surface are."""
-    return "surface" if camera == "camera" else f"{camera}/surface"
-
-
 def _faults_of_surface(
     judged: Sequence[CameraJudgement], since: float, learned: BodyModel
 ) -> tuple[Fault, ...]:
@@ -174,7 +169,7 @@ def _with_surface_readings(
         told = read_postures(one.linked, learned.joints, start_ns, one.delay[1])
         if told is not None:
             less_too = [offsets.get(name, 0.0) for name in told.names]
-            postures[sense_of_camera(one.camera)] = replace(told, values=told.values - less_too)
+            postures[name_surface_sense(one.camera)] = replace(told, values=told.values - less_too)
     return replace(features, joints=replace(joints, values=joints.values - less), postures=postures)
 
 
@@ -418,8 +413,8 @@ def _with_judgement(
             "moved"
         )
         findings.append(Finding("info", f"{one.camera}: {text}"))
-    findings.append(Finding("info", describe_foreign(one.camera, one.linked)))
-    told = postures.get(sense_of_camera(one.camera))
+    findings.append(Finding("info", describe_foreign(one.camera, one.linked.foreign_share)))
+    told = postures.get(name_surface_sense(one.camera))
     if told is not None:
         findings.append(Finding("info", describe_postures(one.camera, told)))
     views = views_as_values(one.linked, surface_space(learned.surface))

@@ -4,17 +4,14 @@ each image tells, the share that follows no link, and views for people.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import EvidenceError, ModelError
 from .surface_calibration import LEAST_RANGE
-from .types import Array, PostureReadings, Recording
+from .types import Array, PostureReadings
 
 if TYPE_CHECKING:
     from .kinematics.landmarks import LandmarkModel, LandmarkSightings
     from .kinematics.links import Space
-    from .settings import Settings
 
 FOREIGN = -1
 """Number of the body of a piece that follows none."""
@@ -44,8 +41,8 @@ class LinkedTracks:
 
     @property
     def foreign_share(self) -> float:
-        """The share of sightings whose corners follow neither the robot nor the scene."""
-        return float((self.body[self.seen.piece] == FOREIGN).mean())
+        """The share of corners that follow neither the robot nor the scene."""
+        return float((self.body == FOREIGN).mean())
 
     def summarise(self) -> tuple[list[str], int, dict[str, Any]]:
         """The links that bear corners, the number of images,
@@ -88,38 +85,11 @@ def link_tracks(model: "LandmarkModel", phi: Array, seen: "LandmarkSightings") -
     return LinkedTracks(model, phi, seen, np.where(sound, chosen.body, FOREIGN), chosen.places)
 
 
-def linked_cameras(
-    log: Path, read: Recording, settings: "Settings", body: Path | None
-) -> Iterator[tuple[str, LinkedTracks]]:
-    """Yield each camera of a log with its corners by link: by a body of the robot's surface, or
-    by the log itself and a URDF. EvidenceError where no arm is seen, ModelError where the body has
-    no surface.
-    """
-    from .body import storage
-    from .surface_calibration import calibrate_cameras, smoothed_motion
-    from .surface_estimate import judge_by_camera
-
-    if body is None:
-        for found in calibrate_cameras([(log, read)], settings):
-            if isinstance(found, EvidenceError):
-                raise found
-            linked = link_tracks(found.fit.model, found.fit.phi, found.seen)
-            yield found.camera or "camera", linked
-        return
-    learned = storage.load_body(body)
-    if learned.surface is None or read.joints is None:
-        raise ModelError(f"{body}: it has no surface of a robot; leave --body out")
-    motion = smoothed_motion(read.joints, learned.joints)
-    for camera in learned.surface.cameras:
-        yield camera.name, judge_by_camera(log, read, learned.surface, camera, motion).linked
-
-
-def describe_foreign(camera: str, linked: LinkedTracks) -> str:
-    """The share of foreign tracks in words."""
-    text = "of the moving corners follow neither a link nor the scene"
+def describe_foreign(camera: str, share: float) -> str:
+    """The share of foreign corners in words."""
     return (
-        f"{camera}: {linked.foreign_share:.0%} {text} (people, held things, cloth, shadows, "
-        "corners that slide); they are left out"
+        f"{camera}: {share:.0%} of the moving corners are foreign and left out: they follow neither "
+        "a link nor the scene (people, held things, cloth, shadows, corners that slide)"
     )
 
 

@@ -73,7 +73,7 @@ def draw_surface(image: Array, view: SurfaceView) -> Array:
     for u, v, a, b, number in np.asarray(view.corners, float).reshape(-1, 5):
         ink = link_colour(int(number))
         ring, cross = np.array([u, v]) * scale, np.array([a, b]) * scale
-        for width, colour in ((3, _RIM), (1, ink)):
+        for width, colour in ((4, _RIM), (2, ink)):
             cv2.circle(drawn, _fixed(ring), 6 << _FINE, colour, width, cv2.LINE_AA, _FINE)
         for arm in (np.array([4.0, 0.0]), np.array([0.0, 4.0])):
             begin, end = _fixed(cross - arm), _fixed(cross + arm)
