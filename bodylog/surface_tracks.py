@@ -50,13 +50,13 @@ class LinkedTracks:
         """
         import numpy as np
 
-        moves = self.moves
-        links = [self.model.bodies[number].link for number in np.unique(self.body[moves])]
+        moving = self.on_moving_links
+        links = [self.model.bodies[number].link for number in np.unique(self.body[moving])]
         images = np.unique(self.seen.t)
         row = {
             "kind": "surface",
-            "seen": len(np.unique(self.seen.t[moves[self.seen.piece]])) / len(images),
-            "strays_px": float(np.std(self.seen.uv[moves[self.seen.piece]], axis=0).mean()),
+            "seen": len(np.unique(self.seen.t[moving[self.seen.piece]])) / len(images),
+            "strays_px": float(np.std(self.seen.uv[moving[self.seen.piece]], axis=0).mean()),
             "explained": 1.0 - self.foreign_share,
             "arm": True,
             "why_not": None,
@@ -65,7 +65,7 @@ class LinkedTracks:
         return links, len(images), row
 
     @property
-    def moves(self) -> Array:
+    def on_moving_links(self) -> Array:
         """Which pieces (K,) lie on links that move before the camera."""
         import numpy as np
 
@@ -108,7 +108,7 @@ def read_postures(
     from .kinematics.landmark_adjustment import Landmarks, reduce_normal
     from .kinematics.landmark_postures import UNTOLD_STD, posture_readings
 
-    used = np.flatnonzero(linked.moves)
+    used = np.flatnonzero(linked.on_moving_links)
     if not len(used):
         return None
     seen = linked.seen.take(used)
@@ -126,22 +126,22 @@ def read_postures(
     return PostureReadings(t, angles, cov, tuple(names), source)
 
 
-def describe_postures(camera: str, told: PostureReadings) -> str:
+def describe_postures(camera: str, found: PostureReadings) -> str:
     """How well images tell each joint, in words, and of which they tell nothing."""
     import numpy as np
 
     from .kinematics.landmark_postures import UNTOLD_STD
 
-    std = np.sqrt(np.median(np.einsum("nii->ni", told.cov), axis=0))
+    std = np.sqrt(np.median(np.einsum("nii->ni", found.cov), axis=0))
     shown = [
         f"{name} {1e3 * size:.2g}"
-        for name, size in zip(told.names, std, strict=True)
+        for name, size in zip(found.names, std, strict=True)
         if size <= _TOLD_SHARE * UNTOLD_STD
     ]
     nothing = [
-        name for name, size in zip(told.names, std, strict=True) if size > _TOLD_SHARE * UNTOLD_STD
+        name for name, size in zip(found.names, std, strict=True) if size > _TOLD_SHARE * UNTOLD_STD
     ]
-    text = f"{camera}: {len(told.t)} images tell the posture, each to (mrad): {', '.join(shown)}"
+    text = f"{camera}: {len(found.t)} images tell the posture, each to (mrad): {', '.join(shown)}"
     return text + (f"; nothing of {', '.join(nothing)}" if nothing else "")
 
 
@@ -149,7 +149,7 @@ def views_as_values(linked: LinkedTracks, space: "Space") -> dict[str, Any]:
     """What a person sees of one camera of a log, as plain values.
 
     foreign: share of the sightings · links: names of the bodies · images: of some images t (s), the
-    skeleton's segments (S,4) px and the corners (k,5): u, v as measured and as foretold, and the
+    skeleton's segments (S,4) px and the corners (k,5): u, v as measured and as predicted, and the
     number of the body.
     """
     import numpy as np
@@ -157,7 +157,7 @@ def views_as_values(linked: LinkedTracks, space: "Space") -> dict[str, Any]:
     own = linked.seen.take(np.flatnonzero(linked.body != FOREIGN))
     kept = linked.body != FOREIGN
     predicted = linked.model.predict(linked.phi, own, linked.body[kept], linked.places[kept]).image
-    moving = linked.moves[kept][own.piece]
+    moving = linked.on_moving_links[kept][own.piece]
     instants, counts = np.unique(own.t[moving], return_counts=True)
     if not len(instants):
         return {"foreign": linked.foreign_share, "links": [], "images": []}

@@ -38,7 +38,7 @@ def judged(images, foreign=0.25, links=("base", "<b>upper</b>")):
     return replace(found, settings={**found.settings, SURFACE_VIEWS: views})
 
 
-def test_ring_is_where_a_corner_is_measured_and_cross_where_it_is_foretold():
+def test_ring_is_where_a_corner_is_measured_and_cross_where_it_is_predicted():
     corners = np.array([[100.0, 80.0, 200.0, 150.0, 2]])
     drawn = draw_surface(GREY, SurfaceView(0.0, NONE, corners))
     scale = WIDTH / 320
