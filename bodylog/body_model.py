@@ -118,6 +118,16 @@ class SurfaceCamera:
     picture: Array
     landmarks: LandmarkMap | None = None
 
+    @property
+    def sense(self) -> str:
+        """The name of the sense that its images of the surface are."""
+        return name_surface_sense(self.name)
+
+
+def name_surface_sense(camera: str) -> str:
+    """The sense that a camera's images of the surface are; "camera" is the first."""
+    return "surface" if camera == "camera" else f"{camera}/surface"
+
 
 @dataclass(frozen=True, eq=False)
 class Surface:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .body_model import BodyModel, Surface, SurfaceCamera
+from .body_model import BodyModel, Surface, SurfaceCamera, name_surface_sense
 from .delay_findings import middle_of_recording
 from .errors import EvidenceError, ModelError
 from .log_estimate import estimate_log, infer
@@ -133,13 +133,8 @@ def estimate_by_surface(
     )
     for one in judged:
         found = _with_judgement(found, one, sensed.postures, learned)
-    found = _with_offset_doubts(found, faults)
+    found = _add_offset_variances(found, faults)
     return replace(found, findings=(*found.findings, *findings))
-
-
-def sense_of_camera(camera: str) -> str:
-    """The sense that a camera's images of the surface are."""
-    return "surface" if camera == "camera" else f"{camera}/surface"
 
 
 def _faults_of_surface(
@@ -171,14 +166,16 @@ def _with_surface_readings(
     less = [offsets.get(name, 0.0) for name in joints.names]
     postures = dict[str, PostureReadings]()
     for one in judged:
-        told = read_postures(one.linked, learned.joints, start_ns, one.delay[1])
-        if told is not None:
-            less_too = [offsets.get(name, 0.0) for name in told.names]
-            postures[sense_of_camera(one.camera)] = replace(told, values=told.values - less_too)
+        reading = read_postures(one.linked, learned.joints, start_ns, one.delay[1])
+        if reading is not None:
+            less_too = [offsets.get(name, 0.0) for name in reading.names]
+            postures[name_surface_sense(one.camera)] = replace(
+                reading, values=reading.values - less_too
+            )
     return replace(features, joints=replace(joints, values=joints.values - less), postures=postures)
 
 
-def _with_offset_doubts(found: Estimate, faults: Sequence[Fault]) -> Estimate:
+def _add_offset_variances(found: Estimate, faults: Sequence[Fault]) -> Estimate:
     """The estimate with the surface's faults, and the variances of the offsets taken out."""
     cov = found.cov.copy()
     for fault in faults:
@@ -418,10 +415,10 @@ def _with_judgement(
             "moved"
         )
         findings.append(Finding("info", f"{one.camera}: {text}"))
-    findings.append(Finding("info", describe_foreign(one.camera, one.linked)))
-    told = postures.get(sense_of_camera(one.camera))
-    if told is not None:
-        findings.append(Finding("info", describe_postures(one.camera, told)))
+    findings.append(Finding("info", describe_foreign(one.camera, one.linked.foreign_share)))
+    reading = postures.get(name_surface_sense(one.camera))
+    if reading is not None:
+        findings.append(Finding("info", describe_postures(one.camera, reading)))
     views = views_as_values(one.linked, surface_space(learned.surface))
     settings[SURFACE_VIEWS] = {**settings.get(SURFACE_VIEWS, {}), one.camera: views}
     return replace(found, settings=settings, findings=tuple(findings))

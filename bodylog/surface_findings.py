@@ -8,10 +8,11 @@ from pathlib import Path
 from . import delay_findings
 from .body_model import BodyModel
 from .delay_findings import ExaminedDelays, middle_of_recording
-from .errors import EvidenceError
+from .errors import EvidenceError, ModelError
 from .settings import Settings
 from .surface_calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, calibrate_cameras
-from .types import Finding, Score
+from .surface_tracks import LinkedTracks, describe_foreign, link_tracks
+from .types import Finding, Recording, Score
 
 SIGNIFICANT_SIGMA = 3.0
 LATE_S = 0.003
@@ -71,6 +72,32 @@ def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedD
     )
 
 
+def linked_cameras(
+    log: Path, read: Recording, settings: Settings, body: Path | None
+) -> Iterator[tuple[str, LinkedTracks]]:
+    """Yield each camera of a log with its corners by link: by a body of the robot's surface, or
+    by the log itself and a URDF. EvidenceError where no arm is seen, ModelError where the body has
+    no surface.
+    """
+    from .body import storage
+    from .surface_calibration import smoothed_motion
+    from .surface_estimate import judge_by_camera
+
+    if body is None:
+        for found in calibrate_cameras([(log, read)], settings):
+            if isinstance(found, EvidenceError):
+                raise found
+            linked = link_tracks(found.fit.model, found.fit.phi, found.seen)
+            yield found.camera or "camera", linked
+        return
+    learned = storage.load_body(body)
+    if learned.surface is None or read.joints is None:
+        raise ModelError(f"{body}: it has no surface of a robot; leave --body out")
+    motion = smoothed_motion(read.joints, learned.joints)
+    for camera in learned.surface.cameras:
+        yield camera.name, judge_by_camera(log, read, learned.surface, camera, motion).linked
+
+
 def scores_of(one: SurfaceCalibration) -> Iterator[Score]:
     """Delay, row time, focal length and zeros with
     their deviations; the delay is the first log's.
@@ -118,6 +145,7 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
         used = f"{one.landmarks.count} landmarks are found again and again on"
     text = f"{used} {links} links, {fit.error_px:.2f} px off per axis"
     yield Finding("info", f"{name}: {text}")
+    yield Finding("info", describe_foreign(name, 1.0 - one.used_share))
     delay = float(one.delays[0])
     error = float(one.delay_std[0])
     words = f"{name}: {describe_delay(delay, error)}, by the robot's surface"

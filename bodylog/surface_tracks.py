@@ -4,17 +4,14 @@ each image tells, the share that follows no link, and views for people.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .errors import EvidenceError, ModelError
 from .surface_calibration import LEAST_RANGE
-from .types import Array, PostureReadings, Recording
+from .types import Array, PostureReadings
 
 if TYPE_CHECKING:
     from .kinematics.landmarks import LandmarkModel, LandmarkSightings
     from .kinematics.links import Space
-    from .settings import Settings
 
 FOREIGN = -1
 """Number of the body of a piece that follows none."""
@@ -44,8 +41,8 @@ class LinkedTracks:
 
     @property
     def foreign_share(self) -> float:
-        """The share of sightings whose corners follow neither the robot nor the scene."""
-        return float((self.body[self.seen.piece] == FOREIGN).mean())
+        """The share of corners that follow neither the robot nor the scene."""
+        return float((self.body == FOREIGN).mean())
 
     def summarise(self) -> tuple[list[str], int, dict[str, Any]]:
         """The links that bear corners, the number of images,
@@ -53,13 +50,13 @@ class LinkedTracks:
         """
         import numpy as np
 
-        moves = self.moves
-        links = [self.model.bodies[number].link for number in np.unique(self.body[moves])]
+        moving = self.on_moving_links
+        links = [self.model.bodies[number].link for number in np.unique(self.body[moving])]
         images = np.unique(self.seen.t)
         row = {
             "kind": "surface",
-            "seen": len(np.unique(self.seen.t[moves[self.seen.piece]])) / len(images),
-            "strays_px": float(np.std(self.seen.uv[moves[self.seen.piece]], axis=0).mean()),
+            "seen": len(np.unique(self.seen.t[moving[self.seen.piece]])) / len(images),
+            "strays_px": float(np.std(self.seen.uv[moving[self.seen.piece]], axis=0).mean()),
             "explained": 1.0 - self.foreign_share,
             "arm": True,
             "why_not": None,
@@ -68,7 +65,7 @@ class LinkedTracks:
         return links, len(images), row
 
     @property
-    def moves(self) -> Array:
+    def on_moving_links(self) -> Array:
         """Which pieces (K,) lie on links that move before the camera."""
         import numpy as np
 
@@ -88,38 +85,11 @@ def link_tracks(model: "LandmarkModel", phi: Array, seen: "LandmarkSightings") -
     return LinkedTracks(model, phi, seen, np.where(sound, chosen.body, FOREIGN), chosen.places)
 
 
-def linked_cameras(
-    log: Path, read: Recording, settings: "Settings", body: Path | None
-) -> Iterator[tuple[str, LinkedTracks]]:
-    """Yield each camera of a log with its corners by link: by a body of the robot's surface, or
-    by the log itself and a URDF. EvidenceError where no arm is seen, ModelError where the body has
-    no surface.
-    """
-    from .body import storage
-    from .surface_calibration import calibrate_cameras, smoothed_motion
-    from .surface_estimate import judge_by_camera
-
-    if body is None:
-        for found in calibrate_cameras([(log, read)], settings):
-            if isinstance(found, EvidenceError):
-                raise found
-            linked = link_tracks(found.fit.model, found.fit.phi, found.seen)
-            yield found.camera or "camera", linked
-        return
-    learned = storage.load_body(body)
-    if learned.surface is None or read.joints is None:
-        raise ModelError(f"{body}: it has no surface of a robot; leave --body out")
-    motion = smoothed_motion(read.joints, learned.joints)
-    for camera in learned.surface.cameras:
-        yield camera.name, judge_by_camera(log, read, learned.surface, camera, motion).linked
-
-
-def describe_foreign(camera: str, linked: LinkedTracks) -> str:
-    """The share of foreign tracks in words."""
-    text = "of the moving corners follow neither a link nor the scene"
+def describe_foreign(camera: str, share: float) -> str:
+    """The share of foreign corners in words."""
     return (
-        f"{camera}: {linked.foreign_share:.0%} {text} (people, held things, cloth, shadows, "
-        "corners that slide); they are left out"
+        f"{camera}: {share:.0%} of the moving corners are foreign and left out: they follow neither "
+        "a link nor the scene (people, held things, cloth, shadows, corners that slide)"
     )
 
 
@@ -138,7 +108,7 @@ def read_postures(
     from .kinematics.landmark_adjustment import Landmarks, reduce_normal
     from .kinematics.landmark_postures import UNTOLD_STD, posture_readings
 
-    used = np.flatnonzero(linked.moves)
+    used = np.flatnonzero(linked.on_moving_links)
     if not len(used):
         return None
     seen = linked.seen.take(used)
@@ -156,22 +126,22 @@ def read_postures(
     return PostureReadings(t, angles, cov, tuple(names), source)
 
 
-def describe_postures(camera: str, told: PostureReadings) -> str:
+def describe_postures(camera: str, found: PostureReadings) -> str:
     """How well images tell each joint, in words, and of which they tell nothing."""
     import numpy as np
 
     from .kinematics.landmark_postures import UNTOLD_STD
 
-    std = np.sqrt(np.median(np.einsum("nii->ni", told.cov), axis=0))
+    std = np.sqrt(np.median(np.einsum("nii->ni", found.cov), axis=0))
     shown = [
         f"{name} {1e3 * size:.2g}"
-        for name, size in zip(told.names, std, strict=True)
+        for name, size in zip(found.names, std, strict=True)
         if size <= _TOLD_SHARE * UNTOLD_STD
     ]
     nothing = [
-        name for name, size in zip(told.names, std, strict=True) if size > _TOLD_SHARE * UNTOLD_STD
+        name for name, size in zip(found.names, std, strict=True) if size > _TOLD_SHARE * UNTOLD_STD
     ]
-    text = f"{camera}: {len(told.t)} images tell the posture, each to (mrad): {', '.join(shown)}"
+    text = f"{camera}: {len(found.t)} images tell the posture, each to (mrad): {', '.join(shown)}"
     return text + (f"; nothing of {', '.join(nothing)}" if nothing else "")
 
 
@@ -179,7 +149,7 @@ def views_as_values(linked: LinkedTracks, space: "Space") -> dict[str, Any]:
     """What a person sees of one camera of a log, as plain values.
 
     foreign: share of the sightings · links: names of the bodies · images: of some images t (s), the
-    skeleton's segments (S,4) px and the corners (k,5): u, v as measured and as foretold, and the
+    skeleton's segments (S,4) px and the corners (k,5): u, v as measured and as predicted, and the
     number of the body.
     """
     import numpy as np
@@ -187,7 +157,7 @@ def views_as_values(linked: LinkedTracks, space: "Space") -> dict[str, Any]:
     own = linked.seen.take(np.flatnonzero(linked.body != FOREIGN))
     kept = linked.body != FOREIGN
     predicted = linked.model.predict(linked.phi, own, linked.body[kept], linked.places[kept]).image
-    moving = linked.moves[kept][own.piece]
+    moving = linked.on_moving_links[kept][own.piece]
     instants, counts = np.unique(own.t[moving], return_counts=True)
     if not len(instants):
         return {"foreign": linked.foreign_share, "links": [], "images": []}

@@ -369,7 +369,8 @@ def _find_surface(
     from .report.figures import surface_sheet
     from .report.viewers import image_overlay
     from .surface_calibration import camera_film
-    from .surface_tracks import describe_foreign, linked_cameras, trails_as_views
+    from .surface_findings import linked_cameras
+    from .surface_tracks import describe_foreign, trails_as_views
 
     rows = list[dict[str, Any]]()
     findings = list[Finding]()
@@ -379,7 +380,7 @@ def _find_surface(
         links, images, row = linked.summarise()
         count = max(count, images)
         rows.append({"name": f"surface of {camera}", **row})
-        text = describe_foreign(camera, linked)
+        text = describe_foreign(camera, linked.foreign_share)
         findings.append(Finding("info", f"{text}; corners on {', '.join(links)}"))
         if out is None:
             continue

@@ -47,6 +47,7 @@ LAYERS = (
      "joints_only", "learned_tests", "misfit", "next_postures", "online", "scoring",
      "surface_calibration", "surface_map", "verdict"},
     {"delay_findings", "flow_findings", "headline", "log_estimate", "result"},
+    {"surface_tracks"},
     {"surface_estimate"},
     {"surface_findings"},
     {"surface_body"},

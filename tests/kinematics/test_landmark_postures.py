@@ -60,7 +60,7 @@ def test_many_landmarks_of_a_link_share_an_error():
     built = model([motion(4)])
     phi = truth(built)
     for count in (10, 100):
-        body, places = np.full(count, 1), np.tile(built.bodies[1].centre + [0.1, 0.05, 0.0], (count, 1))
+        body, places = np.full(count, 1), np.tile(built.bodies[1].centre + np.array([0.1, 0.05, 0.0]), (count, 1))
         part = sightings(built, phi, body, places, frames=6)
         known = np.tile(1e8 * np.eye(3), (count, 1, 1))
         cov = posture_readings(built, phi, part, Landmarks(body, places), known)[2]
@@ -89,7 +89,8 @@ def test_camera_on_the_hand_sees_the_scene_as_landmarks_on_the_base():
     rng = np.random.default_rng(2)
     # far before the hand wherever it looks, so that every image shows them
     body = np.full(60, base)
-    turn, place = built.frames(phi, LandmarkSightings(np.zeros(1, int), np.zeros(1, int), np.array([8.0]), np.full((1, 2), 240.0), 480.0), base)
+    first = np.zeros(1, int)
+    turn, place = built.frames(phi, LandmarkSightings(first, first, np.array([8.0]), np.full((1, 2), 240.0), 480.0), base)
     ahead = np.column_stack([rng.uniform(-0.5, 0.5, (60, 2)), rng.uniform(1.5, 3.0, 60)])
     places = (ahead - place[0]) @ turn[0]
     part = sightings(built, phi, body, places)

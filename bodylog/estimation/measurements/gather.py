@@ -115,7 +115,8 @@ def choose_senses(visual: Iterable[str], body: BodyModel, settings: EstimationSe
     settings select; UsageError for an unknown name.
     """
     groups = {"encoders": list(body.joints), "vision": list(visual), "touch": ["touch"]}
-    singles = {*body.joints, *body.senses, *groups["vision"]}
+    surface = () if body.surface is None else (one.sense for one in body.surface.cameras)
+    singles = {*body.joints, *body.senses, *surface, *groups["vision"]}
     for name in (*(settings.senses or ()), *settings.without):
         if name not in groups and name not in singles:
             raise UsageError(

@@ -1,5 +1,5 @@
 """The robot's own surface over images: the URDF's skeleton,
-and corners as measured and as foretold, or their tracks, by link.
+and corners as measured and as predicted, or their tracks, by link.
 """
 
 import math
@@ -16,7 +16,7 @@ from ..page.tables import escape_text
 from ..viewers.image_overlay import OverlayPicture, scale_image
 from .canvas import LINES
 
-LEGEND = "ring: measured | cross: foretold | white: skeleton of the URDF | a colour for each link"
+LEGEND = "ring: measured | cross: predicted | white: skeleton of the URDF | a colour for each link"
 WIDTH = 640
 _MARGIN = 0.2
 """Share of the arm's extent that is shown around it."""
@@ -34,7 +34,7 @@ _FARTHEST_PX = 1e5
 @dataclass(frozen=True, eq=False)
 class SurfaceView:
     """What is drawn on one image: t s · bones (S,4) px: segments of the skeleton · corners (k,5):
-    u, v measured, u, v foretold, number of the link · trails (link or −1, places (n,2) px).
+    u, v measured, u, v predicted, number of the link · trails (link or −1, places (n,2) px).
     """
 
     t: float
@@ -54,7 +54,7 @@ def link_colour(number: int) -> tuple[int, int, int]:
 
 def draw_surface(image: Array, view: SurfaceView) -> Array:
     """A copy of an image (H,W,3) BGR, WIDTH px wide, with the view on it: a ring where a corner
-    is measured, a cross where it is foretold, a line along each trail.
+    is measured, a cross where it is predicted, a line along each trail.
     """
     import cv2
 
@@ -63,8 +63,16 @@ def draw_surface(image: Array, view: SurfaceView) -> Array:
     for u, v, a, b in np.asarray(view.bones, float).reshape(-1, 4) * scale:
         if max(map(abs, (u, v, a, b))) < _FARTHEST_PX:
             for width, ink in ((5, _RIM), (2, _BONE)):
-                cv2.line(drawn, _fixed((u, v)), _fixed((a, b)), ink, width, cv2.LINE_AA, _FINE)
-            cv2.circle(drawn, _fixed((u, v)), 4 << _FINE, _BONE, -1, cv2.LINE_AA, _FINE)
+                cv2.line(
+                    drawn,
+                    _subpixel_place((u, v)),
+                    _subpixel_place((a, b)),
+                    ink,
+                    width,
+                    cv2.LINE_AA,
+                    _FINE,
+                )
+            cv2.circle(drawn, _subpixel_place((u, v)), 4 << _FINE, _BONE, -1, cv2.LINE_AA, _FINE)
     for number, places in view.trails:
         line = np.rint(np.asarray(places) * scale * (1 << _FINE)).astype(np.int32)
         for width, ink in ((4, _RIM), (2, link_colour(number))):
@@ -73,10 +81,10 @@ def draw_surface(image: Array, view: SurfaceView) -> Array:
     for u, v, a, b, number in np.asarray(view.corners, float).reshape(-1, 5):
         ink = link_colour(int(number))
         ring, cross = np.array([u, v]) * scale, np.array([a, b]) * scale
-        for width, colour in ((3, _RIM), (1, ink)):
-            cv2.circle(drawn, _fixed(ring), 6 << _FINE, colour, width, cv2.LINE_AA, _FINE)
+        for width, colour in ((4, _RIM), (2, ink)):
+            cv2.circle(drawn, _subpixel_place(ring), 6 << _FINE, colour, width, cv2.LINE_AA, _FINE)
         for arm in (np.array([4.0, 0.0]), np.array([0.0, 4.0])):
-            begin, end = _fixed(cross - arm), _fixed(cross + arm)
+            begin, end = _subpixel_place(cross - arm), _subpixel_place(cross + arm)
             cv2.line(drawn, begin, end, (255, 255, 255), 1, cv2.LINE_AA, _FINE)
     return drawn
 
@@ -90,7 +98,7 @@ def surface_pictures(recording: Recording, estimate: Estimate) -> tuple[OverlayP
         for t, image in pick_images(frames, [view.t for view in views]).items():
             view = next(one for one in views if one.t == t)
             drawn = draw_surface(*_crop_to_arm(image, view))
-            pictures.append(OverlayPicture(t, drawn, _caption(camera, view)))
+            pictures.append(OverlayPicture(t, drawn, _describe_view(camera, view)))
     return tuple(pictures)
 
 
@@ -145,13 +153,13 @@ def surface_section(pictures: Sequence[str], estimate: Estimate) -> str:
             lines.append(f"{camera}: {foreign:.0%} {text}")
         links = found.get("links")
         if isinstance(links, list):
-            lines.append(f"{camera}: {_legend(links, found.get('images'))}")
-    told = "".join(f'<p class="soft">{line}</p>\n' for line in lines)
+            lines.append(f"{camera}: {_list_links(links, found.get('images'))}")
+    explained = "".join(f'<p class="soft">{line}</p>\n' for line in lines)
     shown = "\n".join(pictures)
-    return f'<h2>The robot\'s own surface</h2>\n{told}<div class="pictures">\n{shown}\n</div>'
+    return f'<h2>The robot\'s own surface</h2>\n{explained}<div class="pictures">\n{shown}\n</div>'
 
 
-def _legend(links: Sequence[Any], images: Any) -> str:
+def _list_links(links: Sequence[Any], images: Any) -> str:
     """The links whose corners are drawn, each in its colour."""
     shown = sorted({int(row[4]) for view in _declared_views(images) for row in view.corners})
     parts = list[str]()
@@ -163,7 +171,7 @@ def _legend(links: Sequence[Any], images: Any) -> str:
     return " · ".join(parts)
 
 
-def _caption(camera: str, view: SurfaceView) -> str:
+def _describe_view(camera: str, view: SurfaceView) -> str:
     off = view.corners[:, :2] - view.corners[:, 2:4]
     size = float(np.sqrt(np.square(off).mean())) if len(off) else 0.0
     return f"{camera} · {view.t:.2f} s · {len(off)} corners, {size:.2f} px off per axis (RMS)"
@@ -189,5 +197,5 @@ def _declared_views(images: Any) -> Iterator[SurfaceView]:
                 yield SurfaceView(t, bones, corners)
 
 
-def _fixed(place: Any) -> tuple[int, int]:
+def _subpixel_place(place: Any) -> tuple[int, int]:
     return round(float(place[0]) * (1 << _FINE)), round(float(place[1]) * (1 << _FINE))
