@@ -41,14 +41,14 @@ def _check_statistics(
     from ..logs.datasets.lerobot_layout import EPISODE_STATISTICS, STATISTICS, stored_statistics
     from ..logs.datasets.statistics import combine_statistics
 
-    of_each = known.version.startswith("v2.1")
-    path = known.folder / (EPISODE_STATISTICS if of_each else STATISTICS)
-    if not path.is_file():
+    of_each = known.folder / EPISODE_STATISTICS
+    if not of_each.is_file() and not (known.folder / STATISTICS).is_file():
+        path = of_each if known.version.startswith("v2.1") else known.folder / STATISTICS
         yield f"{path}: there is no such file; is the dataset downloaded completely?"
         return
     each, whole = stored_statistics(known)
-    if of_each and (missing := sorted(set(names).difference(each))):
-        yield f"{path}: no statistics of episode {list_in_words([*map(str, missing)])}"
+    if of_each.is_file() and (missing := sorted(set(names).difference(each))):
+        yield f"{of_each}: no statistics of episode {list_in_words([*map(str, missing)])}"
     found = {
         number: evidence[name]["statistics"] for number, name in names.items() if name in evidence
     }

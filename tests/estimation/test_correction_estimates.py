@@ -10,6 +10,7 @@ from bodylog.estimation import METHODS, estimate_from_features
 from bodylog.evaluation.heldout import score_withheld_frames, withhold_frames
 from bodylog.evaluation.scores import against_truth
 from bodylog.settings import EstimationSettings
+from tests.estimation import mechanisms
 from tests.estimation.spoilt_logs import delayed
 
 
@@ -74,6 +75,30 @@ def test_delay_is_reported_and_corrected(world, method, seconds):
         left = estimate_from_features(features, drawn.body, replace(settings, bias="off"), "off")
         assert score(left, drawn, "rmse/joint") > 1.3 * score(found, drawn, "rmse/joint")
     assert np.mean(found_to_be) == pytest.approx(np.mean(truly), abs=0.2)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_delay_that_is_not_believed_is_reported_with_its_error_and_why(world, seed):
+    drawn = world(seed, camera_hz=20.0)
+    track = drawn.features.tracks["effector"]
+    late = track.t > np.median(track.t)
+    stepped = replace(track, t=track.t + 0.1 * late)
+    features = replace(drawn.features, tracks={"effector": stepped})
+    found = estimate_from_features(features, drawn.body, EstimationSettings())
+    measured = found.settings["delay_measured"]["camera"]
+    (text,) = (f.text for f in found.findings if "not applied, because" in f.text)
+    assert f"{abs(measured['seconds']):.4f} ± {measured['std_error']:.4f} s, not applied" in text
+    assert "delay" not in found.settings and measured["doubt"] in text
+
+
+def test_a_late_camera_of_a_real_arm_is_never_dropped_in_silence():
+    body = mechanisms.learned(1000, mechanisms.REALISTIC)
+    for seed in range(2):
+        sound = mechanisms.replayed(seed, mechanisms.REALISTIC, mechanisms.Fault())
+        found = estimate_from_features(delayed(sound, 0.04), body, EstimationSettings())
+        measured = found.settings["delay_measured"]["camera"]
+        assert measured["std_error"] > 0.0
+        assert any(f"{measured['seconds']:.4f} ±" in f.text for f in found.findings)
 
 
 def test_delay_is_measured_for_each_camera(world):
