@@ -67,9 +67,13 @@ _SOUND_CHANGE = 0.0015
 """rad (m: a tenth): how far a sound joint's zero differs between logs, one standard deviation."""
 _SWAY = 0.002
 """m and rad: how far a camera that did not move differs between logs, one standard deviation."""
-_SEARCHED_IMAGES = 12
+_SEARCHED_IMAGES = 4
 """Images in which landmarks are looked for under each hypothesis."""
 _SEARCH_REACH_PX = 10
+_SEARCH_STEP = 0.05
+"""rad (m: a tenth) between offsets under which landmarks are looked for: a hand of 0.15 m at 0.5 m
+then moves by about _SEARCH_REACH_PX.
+"""
 _BLUR_PX = 1.0
 """Blur of the shrunken pictures, so that pixels between others can be compared."""
 
@@ -79,8 +83,9 @@ class CameraJudgement:
     """What one camera tells of a log: delay (s) ± std, every hypothesis, and sentences; None
     without images of an arm.
 
-    identifiable: joints of the body whose offset the log shows · shift: of the still scene, px,
-    None where scenes differ · linked: the corners by the links that they follow.
+    identifiable: joints of which the log shows an offset as large as a faulty joint commonly has ·
+    shift: of the still scene, px, None where scenes differ · linked: the corners by the links that
+    they follow.
     """
 
     camera: str
@@ -195,7 +200,6 @@ def judge_by_camera(
 
     from .body.surface import landmark_model
     from .kinematics import landmark_hypotheses as hypotheses
-    from .kinematics.identifiability import LEAST
     from .kinematics.landmark_errors import unknowns_covariance
     from .kinematics.landmark_fit import MOST_PIECES, choose_pieces, search_delay, staged_fit
     from .kinematics.landmarks import join_landmark_tracks
@@ -238,7 +242,9 @@ def judge_by_camera(
             changes = _weighed_changes(fit, belief, may_move)
     names = {joint: name for name, joint in surface.joint_of.items()}
     sure = tuple(
-        names[one.name] for one in changes if one.beforehand and one.std <= LEAST * one.beforehand
+        names[one.name]
+        for one in changes
+        if one.beforehand and _least_offset(one) <= one.beforehand
     )
     linked = link_tracks(fit.model, fit.phi, seen)
     return CameraJudgement(camera.name, late, changes, sure, shift, linked)
@@ -320,15 +326,25 @@ def _starts(
     belief: "LandmarkBelief",
     changes: "Sequence[ChangeHypothesis]",
 ) -> "Iterator[Array]":
-    """Yield unknowns φ with each change that tracks show, and with all of them at once."""
+    """Yield unknowns φ with each change that tracks show, or
+    leave possible within two σ, and with all of them at once.
+    """
+    import numpy as np
+
     rig = model.rig
     sound = model.prior[0].copy()
     sound[model.of_delays] = fit.phi[fit.model.of_delays]
     for change in changes:
-        phi = sound.copy()
-        if change.name in rig.joints:
-            phi[model.of_changes.start + rig.joints.index(change.name)] = change.value
-        yield phi
+        if change.name not in rig.joints:
+            yield sound.copy()
+            continue
+        joint = rig.joints.index(change.name)
+        step = _SEARCH_STEP * (0.1 if rig.slides(joint) else 1.0)
+        reach = int(2.0 * change.std / step)
+        for offset in change.value + step * np.arange(-reach, reach + 1):
+            phi = sound.copy()
+            phi[model.of_changes.start + joint] = offset
+            yield phi
     phi = sound.copy()
     phi[model.of_camera_change] = fit.phi[:6] - belief.mean[:6]
     phi[model.of_changes] = (fit.phi - belief.mean)[rig.of_joints]

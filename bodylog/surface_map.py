@@ -102,22 +102,21 @@ def find_again(
     rows = list[Array]()
     possible = np.zeros(known.count, int)
     for log, key in enumerate(keys):
-        there = foretell(model, phi, landmarks, key.t, log, height)
-        for number in range(0, len(key.t), every):
+        t = key.t[::every]
+        there = foretell(model, phi, landmarks, t, log, height)
+        for number, image in enumerate(key.images[::every]):
             views, facing = nearest_views(known, there.by_place[:, number])
             some = np.flatnonzero((facing >= LEAST_FACING) & there.front[:, number])
             maps = view_maps(there.by_place[some, number], known.view_slopes[views[some]])
             templates, fit = warp_patches(known.patches[views[some]], maps)
             some = some[fit]
             templates = templates[fit]
-            found = match_templates(
-                key.images[number], templates, there.image[some, number], reach_px
-            )
+            found = match_templates(image, templates, there.image[some, number], reach_px)
             possible[some[found.score > -1.0]] += 1
             sure = np.flatnonzero(found.sure)
             rows.append(
                 np.column_stack(
-                    [some[sure], np.full((len(sure), 2), [log, key.t[number]]), found.uv[sure]]
+                    [some[sure], np.full((len(sure), 2), [log, t[number]]), found.uv[sure]]
                 )
             )
     table = np.concatenate(rows)

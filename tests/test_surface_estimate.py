@@ -1,0 +1,41 @@
+"""Judging a log by the robot's own surface: where landmarks are looked for, and which offsets a log shows."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bodylog import surface_estimate
+from bodylog.kinematics.landmark_hypotheses import CAMERA, OFFSET_STD, SOUND, ChangeHypothesis
+from bodylog.kinematics.landmarks import LandmarkBelief
+from tests.kinematics.landmark_arm import JOINTS, model, motion, truth
+
+FAULT = np.radians(5.0)
+
+
+def joint_change(joint, std):
+    return ChangeHypothesis(joint, 0.0, 0.01, std, OFFSET_STD)
+
+
+def test_landmarks_are_looked_for_under_offsets_that_tracks_leave_possible():
+    plain = model([motion(1)])
+    phi = truth(plain, delay=0.03)
+    belief = LandmarkBelief(phi, np.eye(len(phi)))
+    built = replace(plain, changes=True)
+    built = replace(built, belief=surface_estimate._belief_of_changes(built, belief))
+    changes = [ChangeHypothesis(SOUND, 0.0), joint_change(JOINTS[0], 0.003), joint_change(JOINTS[3], 0.08),
+               ChangeHypothesis(CAMERA, 0.0)]  # fmt: skip
+    starts = list(surface_estimate._starts(built, SimpleNamespace(model=plain, phi=phi), belief, changes))
+    offsets = np.array([start[built.of_changes] for start in starts])
+    assert sorted(offsets[offsets[:, 0] != 0.0, 0]) == pytest.approx([0.01])
+    tried = np.sort(offsets[offsets[:, 3] != 0.0, 3])
+    assert tried.min() < -FAULT and tried.max() > FAULT
+    assert np.diff(tried).max() == pytest.approx(surface_estimate._SEARCH_STEP)
+    assert all(start[built.of_delays] == pytest.approx(0.03) for start in starts)
+
+
+def test_joint_is_identifiable_where_a_common_fault_would_be_found():
+    least = surface_estimate._least_offset
+    assert least(joint_change("wrist", np.radians(0.54))) < FAULT
+    assert least(joint_change("wrist", np.radians(1.72))) > OFFSET_STD
