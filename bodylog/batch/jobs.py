@@ -77,14 +77,20 @@ class Job:
 
 
 def name_logs(logs: Sequence[str], wait_s: float = remote.WAIT_S) -> dict[str, str]:
-    """The logs by name, in path order; LogError if there
+    """The logs by name, in the order of their paths, numbers in these by size; LogError if there
     is no log, or no answer of a server within `wait_s`.
     """
-    found = sorted({log for given in logs for log in find_logs(given, wait_s)})
+    found = sorted({log for given in logs for log in find_logs(given, wait_s)}, key=_order_of_path)
     if not found:
         raise LogError(f"{', '.join(logs)}: no log in there; logs end in {', '.join(SUFFIXES)}")
     names = folders.name_folders({log: _file_name(log) for log in found})
     return {names[log]: log for log in found}
+
+
+def _order_of_path(path: str) -> tuple[list[str | int], str]:
+    """What paths are sorted by: episode 2 is before episode 10, as they were recorded."""
+    parts = re.split(r"(\d+)", path)
+    return [int(part) if number % 2 else part for number, part in enumerate(parts)], path
 
 
 def select_shard(names: Iterable[str], shard: tuple[int, int]) -> tuple[str, ...]:

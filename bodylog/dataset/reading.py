@@ -46,7 +46,7 @@ class CameraFilm:
     """A camera's images: what was seen of them (None of fewer than two), and the delay by flow
     (None: not tried).
 
-    arm: that of several arms whose joints move the picture (None: not told) · count: its images ·
+    arm: that of several arms whose joints move the picture (None: not known) · count: its images ·
     unreadable: those of them that cannot be decoded.
     """
 

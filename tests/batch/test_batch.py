@@ -210,6 +210,13 @@ def _kill_a_child(process):
     return False
 
 
+def test_logs_are_in_the_order_of_their_numbers(tmp_path):
+    """A camera that moved "from episode 9 on" is found in the order of recording."""
+    for number in (10, 9, 1, 100):
+        (tmp_path / f"run_{number}.mcap").touch()
+    assert list(name_logs([str(tmp_path)])) == ["run_1.mcap", "run_9.mcap", "run_10.mcap", "run_100.mcap"]
+
+
 def test_shards_cover_all_logs_once(tmp_path, mixed):
     names = name_logs([str(mixed)])
     assert sorted(name for i in (1, 2, 3) for name in select_shard(names, (i, 3))) == sorted(names)

@@ -202,6 +202,7 @@ def test_page_and_table_are_written_without_a_folder(dataset: Path, tmp_path: Pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["episodes.csv", "report.html"]
     text = page.read_text()
     assert "arm_2" in text and "<svg" in text and "wrist" in text
+    assert text.count("joints: /joint_states is used") == 1 and "<td>3: arm_0, arm_1, arm_2</td>" in text
     lines = table.read_text().splitlines()
     assert len(lines) == 1 + COUNT and "repeated/top" in lines[0]
 

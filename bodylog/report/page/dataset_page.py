@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from math import isfinite
 from typing import Any
 
+from ...wording import list_in_words
 from .tables import escape_text, html_table
 from .template import render_document
 
@@ -76,7 +77,7 @@ def _picture_strips(names: Sequence[str], evidence: Mapping[str, Mapping[str, An
                 shown.append(
                     f'<figure class="strip">{pictures}<figcaption>{caption}</figcaption></figure>'
                 )
-    return "<h2>Pictures of the worst episodes</h2>\n" + "\n".join(shown) if shown else ""
+    return "<h2>Pictures</h2>\n" + "\n".join(shown) if shown else ""
 
 
 def _camera_section(evidence: Mapping[str, Mapping[str, Any]], odd: Sequence[str]) -> str:
@@ -231,11 +232,15 @@ def _last_error_line(row: Mapping[str, Any]) -> str:
 
 
 def _collect_findings(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str, str]]:
-    """Losses and warnings of all episodes, then what is worth knowing."""
+    """Losses and warnings, then what is worth knowing; what several episodes say alike stands
+    once."""
+    found: dict[tuple[str, str], dict[str, None]] = {}
+    for row in rows:
+        for severity, text in row["findings"]:
+            sentence = text.removeprefix(f"{row['log']}: ")
+            found.setdefault((severity, sentence), {})[row["name"]] = None
     for wanted in ("lost", "warning", "info"):
-        for row in rows:
-            yield from (
-                (row["name"], severity, text)
-                for severity, text in row["findings"]
-                if severity == wanted
-            )
+        for (severity, text), names in found.items():
+            if severity == wanted:
+                count = f"{len(names)}: " if len(names) > 1 else ""
+                yield count + list_in_words(list(names)), severity, text
