@@ -1,4 +1,5 @@
-"""HDF5 episodes as logs: ALOHA (/observations/qpos, /action) and robomimic (/data/demo_N/obs/…)."""
+"""HDF5 episodes as logs: ALOHA (/observations/qpos, /action), robomimic (/data/demo_N/obs/…) and
+DROID (/observation/robot_state/joint_positions, with videos beside)."""
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -10,12 +11,13 @@ import numpy as np
 
 from ...errors import FormatError, InputError, LogError
 from ...io import episodes
+from ...io.contained import is_inside
 from ...io.values import log_times_ns
 from ..limits import LIMITS, Input, TableSize
 from ..records import Array, Finding
 from ..storage.compression import Allowance
 from ..topic_names import escape_topic_name
-from . import hdf5_chunks
+from . import hdf5_chunks, video
 from .episode_log import (
     ACTION,
     DTYPE,
@@ -47,10 +49,19 @@ _ALOHA_ARM = (
     "wrist_rotate",
     "gripper",
 )
-_TIMES = re.compile(r"(^|/)(timestamps?|times?|stamps?|t)(_(ns|us|ms|s))?$", re.IGNORECASE)
+_TIMES = re.compile(
+    r"(^|/)(timestamps?|times?|stamps?|t|step_start)(_(ns|us|ms|s))?$", re.IGNORECASE
+)
 _SCALE = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
-_JOINTS = re.compile(r"(^|/)(qpos|joint_pos(itions?)?|robot\d*_joint_pos)$")
-_ACTION = re.compile(r"actions?")
+_JOINTS = re.compile(
+    r"(?!(actions?|next_obs)/)(.*/)?(qpos|joint_pos(itions?)?|robot\d*_joint_pos)$"
+)
+_ACTION = re.compile(r"actions?(/joint_position)?")
+_VIDEOS = "recordings/MP4"
+_STEREO = "-stereo"
+_CAPTURED = "observation/timestamp/cameras/{}_estimated_capture"
+_NEXT = "next_obs/"
+"""Prefix of what robomimic stores a second time, a step later."""
 
 
 def open_hdf5(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
@@ -77,11 +88,15 @@ def _read_hdf5_episode(path: Path, found: Sets, findings: list[Finding], limits:
         (
             name
             for name in found.sets
-            if _JOINTS.search(name) and _is_numeric_dataset(found.sets[name])
+            if _JOINTS.match(name) and _is_numeric_dataset(found.sets[name])
         ),
         None,
     )
-    lengths = {name: one.shape[0] for name, one in found.sets.items() if _is_row(one)}
+    lengths = {
+        name: one.shape[0]
+        for name, one in found.sets.items()
+        if _is_row(one) and not name.startswith(_NEXT)
+    }
     for name in lengths:
         own = ns[: lengths[name]] if lengths[name] <= rows else None
         if lengths[name] != rows:
@@ -91,6 +106,7 @@ def _read_hdf5_episode(path: Path, found: Sets, findings: list[Finding], limits:
         if own is None or not len(own) or (_TIMES.search(name) and found.sets[name].ndim == 1):
             continue
         streams += _read_stream(path, found, name, own, joints, findings, limits, size)
+    streams += _read_videos_beside(path, found, ns, findings, limits)
     return Episode(found.format, streams, findings)
 
 
@@ -109,7 +125,7 @@ def _count_steps(sets: Mapping[str, Any]) -> int:
     wanted = [
         rows
         for name, rows in known.items()
-        if _JOINTS.search(name) or re.search(r"(^|/)actions?$", name)
+        if _JOINTS.match(name) or re.search(r"(^|/)actions?$", name)
     ]
     images = [rows for name, rows in known.items() if _is_image_dataset(name, sets[name])]
     every = wanted or images
@@ -169,18 +185,22 @@ def _time_column_ns(values: Array, ending: str | None) -> Array | None:
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         return None
     largest = float(np.abs(values).max(initial=0))
-    scale = _SCALE.get((ending or "").lower(), 1e-9 if largest > 1e17 else 1.0)
+    scale = _SCALE.get((ending or "").lower(), _scale_by_size(largest))
     if not largest * scale <= 4e9:
         return None
-    whole = values.dtype.kind in "iu" and scale == 1e-9
     ns = (
-        values.astype(np.int64)
-        if whole
+        values.astype(np.int64) * round(scale * 1e9)
+        if values.dtype.kind in "iu"
         else np.rint(values.astype(float) * scale * 1e9).astype(np.int64)
     )
     return log_times_ns(
         ns if len(ns) and ns.min() >= EPOCH_NS else ns - ns.min(initial=0) + EPOCH_NS
     )
+
+
+def _scale_by_size(largest: float) -> float:
+    """Seconds that one unit of times since 1970 has, whose largest is given; 1 of other times."""
+    return 1e-9 if largest > 1e17 else 1e-3 if 1e12 < largest < 4e12 else 1.0
 
 
 def _read_stream(
@@ -214,9 +234,9 @@ def _read_stream(
     topic = f"/{escape_topic_name(short)}"
     kind = VECTOR
     metadata = {FEATURE: _lerobot_feature_name(name), DTYPE: str(one.dtype)}
-    names = _joint_or_index_names(
-        values.shape[1], found.format, name == joints or bool(_ACTION.fullmatch(name))
-    )
+    of_joints = name == joints or bool(_ACTION.fullmatch(name))
+    of_aloha = of_joints and joints is not None and joints.endswith("qpos")
+    names = _joint_or_index_names(values.shape[1], found.format, of_aloha)
     if name == joints or _ACTION.fullmatch(name):
         topic = JOINTS if name == joints else ACTION
         kind = JOINT_STATE
@@ -232,7 +252,7 @@ def _read_stream(
 
 def _lerobot_feature_name(name: str) -> str:
     """LeRobot's name for a dataset."""
-    if _JOINTS.search(name):
+    if _JOINTS.match(name):
         return "observation.state"
     if _ACTION.fullmatch(name):
         return "action"
@@ -242,6 +262,42 @@ def _lerobot_feature_name(name: str) -> str:
 
 def _decode_hdf5_text(value: Any) -> Any:
     return value.decode("utf-8", "replace") if isinstance(value, bytes) else value
+
+
+def _read_videos_beside(
+    path: Path, found: Sets, ns: Array, findings: list[Finding], limits: Input
+) -> Iterator[EpisodeCamera]:
+    """DROID's videos beside the file: frame k has the time at which row k says that it was taken,
+    else the row's. Of a stereo camera the left one is read where it is there by itself."""
+    folder = path.parent / _VIDEOS
+    for file in sorted(folder.glob("*.mp4")) if folder.is_dir() else ():
+        serial = file.stem.removesuffix(_STEREO)
+        where = f"{_VIDEOS}/{file.name}"
+        if file.stem != serial and (folder / f"{serial}.mp4").is_file():
+            continue
+        if not is_inside(file, path.parent):
+            findings.append(Finding("lost", f"{where}: is a link out of the folder"))
+            continue
+        try:
+            film = video.survey_video(file, limits)
+        except LogError as problem:
+            findings.append(Finding("lost", str(problem)))
+            continue
+        t = ns
+        captured = found.sets.get(_CAPTURED.format(serial))
+        if captured is not None and captured.shape == ns.shape:
+            taken = _time_column_ns(_read_time_column(serial, captured, limits), None)
+            t = ns if taken is None or not (np.diff(taken) > 0).all() else taken
+        count = min(len(film.t), len(ns))
+        if len(film.t) != len(ns):
+            text = f"{where}: {len(film.t)} frames, {len(ns)} rows; frame k is dated by row k"
+            findings.append(Finding("warning", text))
+        topic = f"/{escape_topic_name(f'cam_{serial}')}/image"
+        read = partial(video.iterate_video_images, film, 0, count)
+        metadata = {FEATURE: f"observation.images.{serial}"}
+        size = (film.width, film.height)
+        grey = partial(video.iterate_video_images, film, 0, count, True)
+        yield EpisodeCamera(topic, t[:count], read, size, "", metadata, grey)
 
 
 def _joint_or_index_names(count: int, form: str, of_joints: bool) -> tuple[str, ...]:

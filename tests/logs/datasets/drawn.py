@@ -164,6 +164,23 @@ def robomimic(path: Path, demos: tuple[int, ...] = (0, 1, 3), rows: int = 12) ->
     return path
 
 
+def droid(folder: Path, rows: int = 12) -> Path:
+    """A DROID trajectory: nested groups, times in ms, the video of a camera beside."""
+    (folder / "recordings/MP4").mkdir(parents=True)
+    ms = 1_678_453_535_000 + 66 * np.arange(rows)
+    with h5py.File(folder / "trajectory.h5", "w") as file:
+        positions = np.arange(rows)[:, None] * 0.01 + np.arange(7) * 0.1
+        file["action/joint_position"] = positions + 0.005
+        file["action/robot_state/joint_positions"] = np.zeros((rows, 7))
+        file["observation/robot_state/joint_positions"] = positions
+        file["observation/camera_type/22008760"] = np.ones(rows, int)
+        file["observation/timestamp/control/step_start"] = ms
+        file["observation/timestamp/cameras/22008760_estimated_capture"] = ms + 5
+    film(folder / "recordings/MP4/22008760.mp4", images(rows))
+    film(folder / "recordings/MP4/22008760-stereo.mp4", images(rows))
+    return folder / "trajectory.h5"
+
+
 def mixed(folder: Path, rows: int = 12) -> Path:
     """A folder with images and their table, a video and its times, and a table of joints."""
     import cv2

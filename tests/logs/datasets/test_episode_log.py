@@ -23,6 +23,32 @@ def texts(path: Path) -> str:
         return " | ".join(f"{one.severity}: {one.text}" for one in log.findings)
 
 
+def test_open_hdf5_reads_a_droid_trajectory_with_the_videos_beside(tmp_path):
+    path = drawn.droid(tmp_path / "trajectory")
+    with logs.open(path) as log:
+        joints = log["/joint_states"]
+        positions = np.arange(12)[:, None] * 0.01 + np.arange(7) * 0.1
+        np.testing.assert_array_equal(joints.position, positions)
+        np.testing.assert_array_equal(log["/action"].position, positions + 0.005)
+        assert list(joints.name[0]) == [str(number) for number in range(7)]
+        assert joints.header.stamp[0] == 1_678_453_535_000_000_000
+        np.testing.assert_array_equal(np.diff(joints.header.stamp), np.full(11, 66_000_000))
+        cameras = [topic.name for topic in log.topics if topic.name.endswith("/image")]
+        assert len(cameras) == 1
+        frames = list(log.frames(cameras[0]))
+    assert len(frames) == 12
+    assert frames[0].source_ns == 1_678_453_535_005_000_000
+
+
+def test_open_hdf5_reads_robomimics_second_copy_of_a_step_once(tmp_path):
+    path = drawn.robomimic(tmp_path / "demo.hdf5")
+    with h5py.File(path, "a") as file:
+        for name in ("robot0_joint_pos", "agentview_image"):
+            file[f"data/demo_0/next_obs/{name}"] = file[f"data/demo_0/obs/{name}"][:]
+    with logs.open(path) as log:
+        assert not [topic.name for topic in log.topics if "next" in topic.name]
+
+
 @pytest.mark.parametrize("packed", [False, True])
 def test_open_hdf5_reads_an_aloha_episode(packed, tmp_path):
     path = drawn.aloha(tmp_path / "episode_0.hdf5", packed=packed)

@@ -1,0 +1,55 @@
+"""Delays by the robot's own surface beside those by flow: which is used, and what is pooled."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bodylog[datasets]'")
+
+from bodylog import surface_findings
+from bodylog.dataset.examination import examine_episode
+from bodylog.dataset.judgement import judge_episodes
+from bodylog.delay_findings import ExaminedDelays
+from bodylog.settings import KinematicsSettings, Settings
+from bodylog.types import Finding, Score
+
+from . import arm_dataset
+
+DELAY_S = 0.063
+COUNT = 3
+
+
+def told_by_surface(log: Path, _settings: Settings) -> ExaminedDelays:
+    """A delay of the first camera; none of the last episode."""
+    if log.name.endswith("#2"):
+        return ExaminedDelays((), (Finding("info", f"{log}: camera: no arm is seen"),))
+    values = {"delay/camera": DELAY_S, "std/delay/camera": 0.001, "row_time/camera": 0.03, "std/row_time/camera": 0.01}
+    return ExaminedDelays(tuple(Score(name, value, "s") for name, value in values.items()), ())
+
+
+def test_the_delay_by_the_surface_is_used_and_pooled_and_flows_stands_beside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = arm_dataset.write(tmp_path / "arm", [arm_dataset.episode(number) for number in range(COUNT)])
+    monkeypatch.setattr(surface_findings, "examine_by_surface", told_by_surface)
+    settings = Settings(kinematics=KinematicsSettings(urdf="arm.urdf"))
+    rows: list[dict[str, Any]] = []
+    evidence = {}
+    for number in range(COUNT):
+        name = f"arm_{number}"
+        result, evidence[name] = examine_episode(Path(f"{folder}#{number}"), settings, name)
+        rows.append({"name": name, "exit_code": 0, "verdict": [], "findings": [], "scores": {
+            one.name: one.value for one in result.scores
+        }})  # fmt: skip
+    used = [row["scores"]["delay/top"] for row in rows]
+    assert used[:2] == [DELAY_S, DELAY_S] and used[2] != DELAY_S
+    assert abs(used[2] - arm_dataset.DELAY_S) < 3.0 * rows[2]["scores"]["std/delay/top"]
+    assert ["flow/delay/top" in row["scores"] for row in rows] == [True, True, False]
+    assert all("delay/camera" not in row["scores"] for row in rows)
+    judged = judge_episodes(rows, evidence)
+    pooled = judged.pooled["delay/top"]
+    assert pooled.mean == pytest.approx(DELAY_S) and pooled.std < 0.002 and pooled.by_surface == 2
+    (text,) = [text for text in judged.verdict if "late against the joints" in text]
+    assert "by the robot's surface in 2 of 3 episodes" in text
+    assert any("by the picture's motion alone" in text for text in judged.verdict)
