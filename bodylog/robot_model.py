@@ -52,7 +52,7 @@ def find_robot(
     from .recording.robot_description import read_robot_description
 
     descriptions = [read_robot_description(log, settings.input) for log in logs]
-    if (known := _robot_of_frame(features)) is not None and chosen.urdf is None:
+    if (known := _robot_of_frame(logs, features)) is not None and chosen.urdf is None:
         hints = _build_camera_hints(known, descriptions, features, settings)
         markers = known_markers(settings.marker, features, known)
         return Robotics(known, hints, 0.0, True, 0.0, markers), ()
@@ -77,12 +77,19 @@ def find_robot(
     return Robotics(found, hints, doubt, asked, chosen.scale_prior, markers), ()
 
 
-def _robot_of_frame(features: Sequence[Features]) -> "Robot | None":
+def _robot_of_frame(logs: Sequence[Path], features: Sequence[Features]) -> "Robot | None":
     """The robot of logs whose joints are the coordinates of one frame; None for other joints."""
     from .kinematics.frame_robot import frame_robot
     from .logs.tables.frame_columns import frame_of
 
     names = {found.joints.names for found in features if found.joints is not None}
+    frames = {frame_of(one) for one in names}
+    if len(names) > 1 and len(frames) == 1 and None not in frames:
+        raise LogError(
+            f"{logs[0]}: the poses of {frames.pop()} need other angles than those of other logs "
+            f"({', '.join(sorted({one[4] for one in names}))}), as its x axis nears the base's z "
+            "axis in one; learn from one of them, or put all poses into one table"
+        )
     coordinates = names.pop() if len(names) == 1 else ()
     frame = frame_of(coordinates)
     return None if frame is None else frame_robot(frame, coordinates)

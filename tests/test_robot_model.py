@@ -3,14 +3,21 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from bodylog import body, robot_model
 from bodylog.body.kinematic.learn import learn_kinematics
 from bodylog.errors import FormatError, LogError
+from bodylog.kinematics.chain import chain_between
+from bodylog.kinematics.frame_robot import frame_robot
+from bodylog.kinematics.rotations import rotation_from_rpy
+from bodylog.logs.tables.frame_columns import FramePoses
 from bodylog.recording import robot_description
 from bodylog.recording.robot_description import Described
+from bodylog.robot_model import _robot_of_frame
 from bodylog.settings import FitSettings, KinematicsSettings, Settings
+from bodylog.types import Features, Series
 from tests.body.kinematic_arms import features, given
 from tests.kinematics.robots import ARM, JOINTS
 
@@ -71,3 +78,20 @@ def test_learn_ignores_an_unrequested_urdf_of_another_robot():
     plain = body.learn_body([features()], Settings(), {})
     found = learn_kinematics([features()], Settings(), plain, replace(given(text), asked=False))
     assert found.model is plain.model and "the URDF is not used: joint 'pan' moved" in found.findings[-1].text
+
+
+def test_poses_in_other_angles_are_not_mixed():
+    def found(pitch):
+        turns = np.stack([rotation_from_rpy(np.array([0.1 * k, pitch, 0.2 * k])) for k in range(4)])
+        frame = FramePoses("hand", (), np.zeros((4, 3)), turns)
+        names, values = zip(*frame.coordinates.items(), strict=True)
+        there = chain_between(frame_robot("hand", names), "base", "hand").at(np.column_stack(values))
+        np.testing.assert_allclose(there.rotation, turns, atol=1e-12)
+        joints = Series(np.arange(4.0), np.column_stack(values), names, "rad", np.arange(4))
+        return Features(joints, {}, None, (), (), {})
+
+    level, steep = found(0.0), found(1.5)
+    assert _robot_of_frame([Path("a.csv")], [level, level]) is not None
+    assert not set(level.joints.names[3:]) & set(steep.joints.names[3:])  # other angles have other names
+    with pytest.raises(LogError, match=r"a\.csv: the poses of hand need other angles .*\(hand\.rx2, hand\.ry\)"):
+        _robot_of_frame([Path("a.csv"), Path("b.csv")], [level, steep])

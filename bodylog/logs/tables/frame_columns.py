@@ -2,8 +2,8 @@
 place with a quaternion, or one with roll, pitch and yaw.
 
 A pose stands in a log as six coordinates, as if three sliding and three turning joints carried the
-frame: x, y, z in m, then three rotations in rad. Their order is rz, ry, rx, or rz, rx, ry where the
-first is near its singularity.
+frame: x, y, z in m, then three rotations in rad. Their order is rz, ry, rx, or rz2, rx2, ry2 where
+the first is near its singularity: other names, for they are other angles.
 """
 
 import re
@@ -15,7 +15,7 @@ import numpy as np
 from ...errors import LogError
 from ..records import Array
 
-ORDERS = (("rz", "ry", "rx"), ("rz", "rx", "ry"))
+ORDERS = (("rz", "ry", "rx"), ("rz2", "rx2", "ry2"))
 """Orders of the rotations, each about an axis that the ones before have turned."""
 PLACE = ("x", "y", "z")
 TOOL = "tool"
@@ -198,9 +198,9 @@ def _rotation_angles(rotation: Array) -> dict[str, Array]:
         }
     else:
         angles = {
-            "rz": np.arctan2(-r[:, 0, 1], r[:, 1, 1]),
-            "rx": np.arctan2(r[:, 2, 1], second),
-            "ry": np.arctan2(-r[:, 2, 0], r[:, 2, 2]),
+            "rz2": np.arctan2(-r[:, 0, 1], r[:, 1, 1]),
+            "rx2": np.arctan2(r[:, 2, 1], second),
+            "ry2": np.arctan2(-r[:, 2, 0], r[:, 2, 2]),
         }
     return {axis: _unwrap_near_mean(angle) for axis, angle in angles.items()}
 
