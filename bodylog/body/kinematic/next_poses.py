@@ -48,12 +48,11 @@ class Proposal:
 
 def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal:
     """The best of some postures (K,M) to record, chosen
-    greedily by the error they leave over all of them.
+    greedily by the nats that each adds about the calibration.
 
-    Predictions are Gaussian together, through the calibration that the adjustment's information
-    leaves open. The worth of a posture is how much its sighting
-    lowers their variance, summed over all postures (I-optimality; Fedorov 1972): what serves
-    predictions, while D-optimality would serve θ, whose directions matter unequally. EvidenceError
+    Predictions are Gaussian together, through the unknowns that the adjustment's information leaves
+    open, and each posture adds most to the determinant of that information, given those before it
+    (D-optimality; Fedorov 1972). EvidenceError
     where too few are visible.
     """
     senses = kinematic_senses(body, CALIBRATION)
@@ -112,24 +111,14 @@ def _predict_all_tracks(
 def _most_useful(
     covariance: Array, noise: Array, there: Array, taken: list[int]
 ) -> tuple[int, float]:
-    """The posture whose sighting lowers the summed variance
-    of all predictions most, and the nats that it adds.
-    """
-    best = -1
-    most = -np.inf
-    nats = 0.0
-    for k in np.flatnonzero(there.any(axis=0)).tolist():
-        if k in taken:
-            continue
+    """The posture whose sighting adds most nats about the calibration, and how many."""
+    gains = np.full(there.shape[1], -np.inf)
+    for k in np.setdiff1d(np.flatnonzero(there.any(axis=0)), taken).tolist():
         rows = _posture_rows(k, noise.shape[1])
-        columns = covariance[:, rows]
-        inner = columns[rows] + np.diag(noise[k])
-        worth = float(np.trace(np.linalg.solve(inner, columns.T @ columns)))
-        if worth > most:
-            best = k
-            most = worth
-            nats = float(0.5 * (np.linalg.slogdet(inner)[1] - np.log(noise[k]).sum()))
-    return best, nats
+        inner = covariance[np.ix_(rows, rows)] + np.diag(noise[k])
+        gains[k] = 0.5 * (np.linalg.slogdet(inner)[1] - np.log(noise[k]).sum())
+    best = int(np.argmax(gains))
+    return best, float(gains[best])
 
 
 def _posture_rows(posture: int, width: int) -> Array:
