@@ -335,9 +335,9 @@ class EstimationSettings:
         choices=("auto", "on", "off"),
     )
     hardware_errors: str = declare_key(
-        "widen",
-        "Errors that last: widen error bars, or take play and others out.",
-        choices=("widen", "explain"),
+        "explain",
+        "Errors that last: take them out where trusted, or widen error bars.",
+        choices=("explain", "widen"),
     )
     touch: str = declare_key(
         "likelihood", "Reading of the paper's touch equation.", choices=("likelihood", "literal")

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
-from bodylog.estimation.timing.correction import is_significant, measured_delays
+from bodylog.estimation.timing.correction import (
+    CorrectedFeatures,
+    is_significant,
+    measured_delays,
+    reconsider_delays,
+)
 from tests.estimation.spoilt_logs import delayed
 
 
@@ -124,3 +129,23 @@ def test_measured_delay_ignores_a_clock_step(world, seed, by):
     found = measured_delays(stepped, drawn.body).get("camera")
     assert found is None or "halves of the log show" in found.doubt or "half of the log" in found.doubt
     assert found is None or not is_significant(found)
+
+
+@pytest.mark.parametrize(
+    ("applied", "left", "nats", "kept"),
+    [
+        (5e-3, -4.5e-3, 6.0, None),  # play explains it, though nothing evident is left
+        (40e-3, 1e-3, 1.0, 40e-3),
+        (40e-3, -20e-3, 50.0, 20e-3),
+    ],
+)
+def test_a_delay_stays_only_where_it_is_evident_beside_what_explains_the_log(world, applied, left, nats, kept):
+    drawn = world(0, duration=4.0)
+    timely = CorrectedFeatures(drawn.features, {"camera": applied}, {"camera": 1e-3}, {}, {})
+    one = {"camera": {"seconds": left, "std": 1e-3, "nats": nats}}
+    again = reconsider_delays(timely, drawn.features, drawn.body, "auto", one)
+    if kept == applied:
+        assert again is None
+    else:
+        assert again is not None
+        assert again.delays == ({} if kept is None else {"camera": pytest.approx(kept)})

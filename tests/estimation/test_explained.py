@@ -5,10 +5,11 @@ import pytest
 
 from bodylog import verdict
 from bodylog.estimation import estimate_from_features
+from bodylog.estimation.methods import explained
 from bodylog.evaluation.scores import truth_at_times
 from bodylog.settings import EstimationSettings
 from bodylog.sim.hardware import Hardware
-from bodylog.types import HARDWARE_ERRORS, Series
+from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, Series
 from tests.estimation import mechanisms
 from tests.estimation.mechanisms import Fault, Mechanism
 
@@ -34,7 +35,7 @@ def errors(found, true):
 def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
     body = mechanisms.learned(1000, mechanisms.SOUND)
     features, true = mechanisms.replayed(4, CORRELATED, Fault()), truth(4, CORRELATED)
-    found = estimate_from_features(features, body, EstimationSettings(method="smoother", hardware_errors="explain"), "off")
+    found = estimate_from_features(features, body, EstimationSettings(method="smoother"), "off")
     told = found.settings[HARDWARE_ERRORS]
     assert (
         told["lasting"]["std"] == pytest.approx(2e-3, rel=0.5)
@@ -54,7 +55,7 @@ def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
 def test_play_is_measured_and_taken_out_and_no_delay_stands_for_it():
     body = mechanisms.learned(1000, mechanisms.SOUND)
     features, true = mechanisms.replayed(4, LOOSE, Fault()), truth(4, LOOSE)
-    found = estimate_from_features(features, body, EstimationSettings(hardware_errors="explain"))
+    found = estimate_from_features(features, body, EstimationSettings())
     play = found.settings[HARDWARE_ERRORS]["play"]
     assert set(play) == set(found.joints.names)
     for one in play.values():
@@ -79,7 +80,7 @@ def test_a_sound_log_gets_no_warning_and_keeps_its_error_bars(mechanism):
         found = estimate_from_features(
             mechanisms.replayed(seed, mechanism, Fault(), reaches=seed % 2 == 1),
             body,
-            EstimationSettings(hardware_errors="explain"),
+            EstimationSettings(),
         )
         assert HARDWARE_ERRORS not in found.settings
 
@@ -87,25 +88,41 @@ def test_a_sound_log_gets_no_warning_and_keeps_its_error_bars(mechanism):
 def test_an_encoder_that_drifts_is_named_and_no_error_that_lasts_stands_for_it():
     body = mechanisms.learned(1000, mechanisms.SOUND)
     found = estimate_from_features(
-        mechanisms.replayed(4, mechanisms.SOUND, Fault(drift=5e-3)), body, EstimationSettings(hardware_errors="explain")
+        mechanisms.replayed(4, mechanisms.SOUND, Fault(drift=5e-3)), body, EstimationSettings()
     )
     (fault,) = found.faults
     assert (fault.name, fault.kind) == ("lift", "drifting")
     assert HARDWARE_ERRORS not in found.settings
 
 
-def test_errors_are_taken_out_only_where_the_settings_ask_for_it():
+@pytest.mark.parametrize(
+    ("setting", "reason"),
+    [({"hardware_errors": "widen"}, 'type hardware_errors = "explain"'), ({"bias": "off"}, "offsets are set to off")],
+)
+def test_error_bars_are_wider_and_angles_stay_where_settings_keep_them(setting, reason):
     body = mechanisms.learned(1000, mechanisms.SOUND)
-    found = estimate_from_features(mechanisms.replayed(4, LOOSE, Fault()), body, EstimationSettings())
+    found = estimate_from_features(mechanisms.replayed(4, LOOSE, Fault()), body, EstimationSettings(**setting))
     assert HARDWARE_ERRORS not in found.settings
+    assert LASTING_ERROR in found.settings
+    (warning,) = (one for one in found.findings if "errors last" in one.text)
+    assert reason in warning.text
 
 
 def test_noise_that_is_set_is_left_as_it_is():
     body = mechanisms.learned(1000, mechanisms.SOUND)
     features = mechanisms.replayed(4, CORRELATED, Fault())
-    assert (
-        HARDWARE_ERRORS
-        not in estimate_from_features(
-            features, body, EstimationSettings(precision="model", hardware_errors="explain")
-        ).settings
-    )
+    for setting in ({"precision": "model"}, {"sigma_encoders": 1e-6}):
+        found = estimate_from_features(features, body, EstimationSettings(**setting))
+        assert HARDWARE_ERRORS not in found.settings
+
+
+def test_a_log_whose_explanation_has_no_solution_gets_wider_error_bars_and_the_reason(monkeypatch):
+    def fail(_problem):
+        raise np.linalg.LinAlgError("singular matrix")
+
+    monkeypatch.setattr(explained, "explain_log", fail)
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    found = estimate_from_features(mechanisms.replayed(4, LOOSE, Fault()), body, EstimationSettings())
+    assert HARDWARE_ERRORS not in found.settings
+    assert LASTING_ERROR in found.settings
+    assert any("no solution (singular matrix)" in one.text for one in found.findings)

@@ -49,7 +49,8 @@ def test_error_bars_hold_an_error_that_lasts_and_a_warning_tells_its_size(
 ):
     body = mechanisms.learned(1000, mechanisms.SOUND)
     features, true = mechanisms.replayed(4, mechanism, Fault()), truth(4, mechanism)
-    found = estimate_from_features(features, body, EstimationSettings(method=method), "off")
+    settings = EstimationSettings(method=method, hardware_errors="widen")
+    found = estimate_from_features(features, body, settings, "off")
     own = found.settings[LASTING_ERROR]
     assert own["std"] == pytest.approx(std, rel=0.5) and own["nats"] > 12.0
     assert 0.3 < nees(found, true) < 2.0
@@ -57,7 +58,7 @@ def test_error_bars_hold_an_error_that_lasts_and_a_warning_tells_its_size(
     assert warning.severity == "warning" and "mrad" in warning.text
     assert any("errors last about" in line for line in verdict.verdict_of_estimate(found, ()))
     without_widening(monkeypatch)
-    narrow = estimate_from_features(features, body, EstimationSettings(method=method), "off")
+    narrow = estimate_from_features(features, body, settings, "off")
     assert nees(narrow, true) > 5.0
     assert np.array_equal(narrow.joints.values, found.joints.values)
     assert np.allclose(found.cov - narrow.cov, own["std"] ** 2 * np.eye(3))

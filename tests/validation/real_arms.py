@@ -11,7 +11,7 @@ import numpy as np
 from bodylog import body, config, pipeline
 from bodylog.evaluation.scores import truth_at_times
 from bodylog.experiments.lab import ObservedLog
-from bodylog.types import LASTING_ERROR
+from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR
 from tests.validation import figures
 
 FOLDER = Path(__file__).parents[3] / "shared" / "logs" / "hardware"
@@ -50,7 +50,7 @@ def table():
         "raw encoders, mrad",
         *(f"`{method}`, mrad; NEES; within 2σ" for method in METHODS),
         "faults named (filter)",
-        "logs with wider bars (filter)",
+        "logs explained, with wider bars (filter)",
     )
     return figures.table(head, [row(name, *files) for name, files in KINDS.items()])
 
@@ -87,7 +87,10 @@ def row(name, exploration, run):
         cells.append(f"{figures.mrad(runs)}; {figures.joined([nees])}; {coverage:.0f} %")
         counts = counts or (
             str(sum(len(found.faults) for found in runs)),
-            f"{sum(LASTING_ERROR in found.settings for found in runs)} of {RUNS}",
+            ", ".join(
+                str(sum(key in found.settings for found in runs))
+                for key in (HARDWARE_ERRORS, LASTING_ERROR)
+            ),
         )
     raw = 1e3 * figures.rms([raw_error(one, learned(exploration)) for one in logs])
     return (name, f"{raw:.3g}", *cells, *counts)

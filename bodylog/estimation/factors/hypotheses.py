@@ -42,12 +42,14 @@ class Late:
 class Explanation:
     """A log explained: its columns, and noise, path and sizes with most evidence.
 
-    nats: gain over white noise alone · lasting: gain by errors that last, beside the columns ·
-    gains {column: nats} · delays: of cameras that are still late with all this accounted for.
+    white: by white noise alone, without columns · nats: gain over it · lasting: gain by errors
+    that last, beside the columns · gains {column: nats} · delays: what is left of each camera's
+    with all this accounted for.
     """
 
     columns: tuple[Column, ...]
     learned: Learned
+    white: Learned
     nats: float
     lasting: float
     gains: Mapping[str, float]
@@ -87,7 +89,7 @@ def explain(
         or is_of_counts(lasting.noise)
         or _is_short(lasting.noise, step_s)
     ):
-        return Explanation(problem.columns, white, 0.0, 0.0, {})
+        return Explanation(problem.columns, white, white, 0.0, 0.0, {})
     gains: dict[str, float] = {}
     play = tuple(Play("play", PLAY_STD, joint=j) for j in range(len(problem.start)))
     late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
@@ -115,18 +117,16 @@ def explain(
     gained = white.nats - found.nats
     without = _learn(problem, white.noise, step_s, lasting.path).nats if gains else white.nats
     delays = tuple(_delays_left(problem, found, step_s))
-    return Explanation(problem.columns, found, gained, without - found.nats, gains, delays)
+    return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
 
 
 def _delays_left(problem: FactorProblem, found: Learned, step_s: float) -> Iterator[Late]:
-    """Yield the delays that cameras still have beside what explains the log."""
+    """Yield how late each camera still is beside what explains the log."""
     for name in _cameras(problem):
         late = replace(problem, columns=(*problem.columns, Delay("delay", DELAY_STD, camera=name)))
         delayed = _learn(late, found.noise, step_s, found.path)
-        gain = found.nats - delayed.nats
-        if gain > EVIDENCE_THRESHOLD_NATS:
-            std = float(np.sqrt(delayed.sizes_cov[-1, -1]))
-            yield Late(name, float(delayed.sizes[-1]), std, gain)
+        std = float(np.sqrt(delayed.sizes_cov[-1, -1]))
+        yield Late(name, float(delayed.sizes[-1]), std, found.nats - delayed.nats)
 
 
 def _cameras(problem: FactorProblem) -> tuple[str, ...]:

@@ -88,6 +88,11 @@ class ExplainedLog:
         """Names of the senses that show something."""
         return tuple(one.name for one in self.fine.sightings)
 
+    def with_white_noise(self) -> "ExplainedLog":
+        """The same log by white noise alone."""
+        white = self.explanation.white
+        return replace(self, explanation=Explanation(self.fine.columns, white, white, 0.0, 0.0, {}))
+
 
 @dataclass(frozen=True, eq=False)
 class SolvedLog:

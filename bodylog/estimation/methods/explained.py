@@ -12,11 +12,12 @@ from ...body_model import BodyModel
 from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, Array, Estimate, Finding
 from ..factors.columns import Play, RowTime
-from ..factors.whole_log import ExplainedLog, Instants, explain_log, solve_log
+from ..factors.whole_log import ExplainedLog, Instants, SolvedLog, explain_log, solve_log
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.problem import FilterProblem
 from . import results
-from .results import Beliefs, predict_frames, with_lasting_error
+from .results import Beliefs, find_evident_error, predict_frames, with_lasting_error
+from .trust import reason_of_disagreement, reason_of_misfit, reason_to_widen
 
 Place = tuple[Array, Array, Array]
 """Of a sighting's frames: mean (F,D), covariance (F,D,D)
@@ -37,20 +38,43 @@ def explained_estimate(
     beliefs: Beliefs,
     settings: EstimationSettings,
 ) -> Estimate:
-    """The estimate of these beliefs, with error bars widened where errors last; where the settings
-    ask for it, that of beliefs that allow for errors of the hardware, if these explain the log.
+    """The estimate of these beliefs; where errors of encoders last, that of beliefs which allow for
+    errors of the hardware, if these can be trusted, or else with wider error bars.
 
     first: the problem before encoder offsets were looked for. Offsets that other errors of the
     hardware explain, too, are no faults.
     """
     kept = results.build_estimate(method, body, problem.evidence, problem.timeline, beliefs)
-    if settings.hardware_errors != "explain" or problem.stepwise:
-        return with_lasting_error(kept, problem, beliefs.z, settings)
-    if settings.precision != "auto" or settings.typed:
+    lasting = find_evident_error(kept, problem, beliefs.z, settings)
+    if lasting is None:
         return kept
+    try:
+        made = _explain_estimate(method, body, problem, first, beliefs, settings, lasting.std)
+    except np.linalg.LinAlgError as singular:
+        made = f"their explanation has no solution ({singular})"
+    return with_lasting_error(kept, lasting, made) if isinstance(made, str) else made
+
+
+def _explain_estimate(
+    method: str,
+    body: BodyModel,
+    problem: FilterProblem,
+    first: FilterProblem,
+    beliefs: Beliefs,
+    settings: EstimationSettings,
+    std: float,
+) -> Estimate | str:
+    """The estimate that allows for errors of about std rad, or why it is not to be trusted."""
+    why = reason_to_widen(problem, body.joints, std, settings)
+    if why is not None:
+        return why
     found = explain_log(problem)
     if found is None:
-        return kept
+        return "no images show the joints"
+    causal = settings.method != "smoother"
+    why = reason_of_disagreement(problem, beliefs, found, causal)
+    if why is not None:
+        return why
     if has_offsets(problem, first):
         without = _without_offsets(problem, first)
         simpler = explain_log(without)
@@ -63,8 +87,12 @@ def explained_estimate(
             found = simpler
             beliefs = replace(beliefs, faults=())
     if found.explanation.is_sound:
-        return kept
-    explained = _with_explanation(problem, beliefs, found, settings.method != "smoother")
+        return "white noise explains the log as well"
+    solved = solve_log(problem, found, causal)
+    why = reason_of_misfit(problem, found, solved, causal)
+    if why is not None:
+        return why
+    explained = _with_explanation(problem, beliefs, found, solved)
     made = results.build_estimate(method, body, problem.evidence, problem.timeline, explained)
     errors = _describe_errors(found, problem.evidence.joints)
     text = "; ".join(_error_sentences(errors)) or "encoders: errors last"
@@ -101,10 +129,9 @@ def _without_offsets(problem: FilterProblem, first: FilterProblem) -> FilterProb
 
 
 def _with_explanation(
-    problem: FilterProblem, beliefs: Beliefs, found: ExplainedLog, causal: bool
+    problem: FilterProblem, beliefs: Beliefs, found: ExplainedLog, solved: SolvedLog
 ) -> Beliefs:
     """The beliefs of an explained log."""
-    solved = solve_log(problem, found, causal)
     instants = solved.instants
     parts = [instants.angles, instants.rates]
     if problem.precision.drift is not None:

@@ -17,7 +17,7 @@ from ..measurements.long_arrays import find_finite_rows as seen_rows
 from ..measurements.posture import PostureModel
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
-from ..noise.lasting_error import FrameBelief, find_lasting_error
+from ..noise.lasting_error import FrameBelief, LastingError, find_lasting_error
 
 LEAST_NEES = 1.5
 """Mean squared error over stated variance from which a
@@ -98,16 +98,15 @@ def build_estimate(
     )
 
 
-def with_lasting_error(
+def find_evident_error(
     found: Estimate, problem: FilterProblem, z: Array, settings: EstimationSettings
-) -> Estimate:
-    """The estimate with wider error bars and a warning
-    where the log shows that its encoders' errors last.
+) -> LastingError | None:
+    """The error of encoders that lasts, where it makes error bars of white noise too small.
 
-    z (E,K): beliefs at all instants. Angles stay as they are.
+    z (E,K): beliefs at all instants.
     """
     if settings.precision != "auto":
-        return found
+        return None
     m = len(problem.start)
     offsets = z[:, 2 * m :] if z.shape[1] > 2 * m else np.zeros((len(z), m))
     beliefs = [
@@ -117,23 +116,33 @@ def with_lasting_error(
     lasting = find_lasting_error(
         evidence.encoders, evidence.sightings, beliefs, problem.precision.encoder
     )
-    if lasting is None:
-        return found
+    if lasting is None or _nees_if_white(found, lasting) < LEAST_NEES:
+        return None
+    return lasting
+
+
+def _nees_if_white(found: Estimate, lasting: LastingError) -> float:
+    """Mean squared error over stated variance, with this error beside what is stated."""
     stated = np.einsum("nii->ni", found.cov)
-    nees = float(np.median((stated + lasting.std**2) / stated))
-    if nees < LEAST_NEES:
-        return found
+    return float(np.median((stated + lasting.std**2) / stated))
+
+
+def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) -> Estimate:
+    """The estimate with wider error bars and a warning; angles stay as they are.
+
+    kept_for: why the error is not taken out of the angles.
+    """
+    nees = _nees_if_white(found, lasting)
     own = {LASTING_ERROR: {**asdict(lasting), "nees_if_white": nees}}
     text = (
         f"encoders: errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "
-        f"({lasting.nats:.0f} nats, "
-        f"by images): play, load, a bent link or electronics; error bars of white noise are too small (NEES about "
-        f'{nees:.2g}) and are widened by it; see "What real arms do" in docs/validation.md; type '
-        'hardware_errors = "explain" under [estimate] to have them taken out of the angles'
+        f"({lasting.nats:.0f} nats, by images): play, load, a bent link or electronics; error "
+        f"bars of white noise are too small (NEES about {nees:.2g}) and are widened by it; see "
+        f'"What real arms do" in docs/validation.md; angles stay as they are: {kept_for}'
     )
     return replace(
         found,
-        cov=found.cov + lasting.std**2 * np.eye(m),
+        cov=found.cov + lasting.std**2 * np.eye(found.cov.shape[1]),
         settings={**found.settings, **own},
         findings=(*found.findings, Finding("warning", text)),
     )

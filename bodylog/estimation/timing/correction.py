@@ -98,18 +98,31 @@ def reconsider_delays(
     """The delays anew where play or other errors of the hardware
     had been taken for a part of them; None if all stay.
 
-    left {camera: seconds, std, nats}: what is left of each delay with those errors accounted for.
+    left {camera: seconds, std, nats}: what is left of each delay with those errors accounted for. A
+    delay is changed where what is left is evident, and where the whole of it no longer is.
     """
     fixed = fixed_delays(given, list_track_cameras([*features.tracks, *body.senses]))
-    free = {name: one for name, one in left.items() if name not in fixed}
+    totals = {
+        name: Delay(timely.delays.get(name, 0.0) + one["seconds"], one["std"])
+        for name, one in left.items()
+    }
+    free = {
+        name: total
+        for name, total in totals.items()
+        if name not in fixed
+        and (
+            left[name]["nats"] > EVIDENCE_THRESHOLD_NATS
+            or (name in timely.delays and not is_significant(total))
+        )
+    }
     if not free:
         return None
     delays = dict(timely.delays)
     errors = dict(timely.errors)
     measured = dict(timely.measured)
     weighed = list(timely.hypotheses)
-    for name, one in free.items():
-        total = Delay(delays.pop(name, 0.0) + one["seconds"], one["std"])
+    for name, total in free.items():
+        delays.pop(name, None)
         errors.pop(name, None)
         weighed.append(
             Hypothesis(

@@ -1,0 +1,102 @@
+"""Whether errors of the hardware may be taken out of a log's angles: conditions that need no truth.
+
+An explanation has more freedom than white noise. It is taken where the log shows what it claims,
+where its engine gives for white noise what the filter gives, and where images that follow each
+other no longer err alike.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...settings import EstimationSettings
+from ..factors.whole_log import ExplainedLog, SolvedLog, solve_log
+from ..inference.problem import FilterProblem
+from .results import Beliefs, standardise_sighting
+
+LEAST_TURN = 10.0
+"""Sizes of the error by which each joint turns at least. An arm that turns less shows the body's
+error and the encoders' at few postures, where they are one.
+"""
+MOST_APART = 1.0
+"""Standard deviations by which two solutions with white noise may differ (root mean square): they
+use the same measurements, and only their noise and their outliers are found separately.
+"""
+MOST_MISFIT = 2.0
+"""Variance of the mean of successive errors over the stated one: true for white ones that have
+their stated size, 1; error bars beyond it are wrong.
+"""
+FEWEST_IMAGES = 24
+FAR_SIGMAS = 3.0
+"""Standard deviations to which errors are cut: images of something else say nothing here."""
+
+
+def reason_to_widen(
+    problem: FilterProblem, names: tuple[str, ...], std: float, settings: EstimationSettings
+) -> str | None:
+    """Why an error of std rad is not looked for in the log of these joints; None if it is."""
+    if settings.hardware_errors == "widen":
+        return 'type hardware_errors = "explain" under [estimate] to have them taken out'
+    if settings.bias != "auto":
+        return f"encoder offsets are set to {settings.bias}"
+    if settings.typed:
+        return "variances are set"
+    if problem.stepwise or problem.evidence.encoders is None:
+        return "encoders are silent for long"
+    for name, column in zip(names, problem.evidence.encoders.values.T, strict=True):
+        known = column[np.isfinite(column)]
+        turn = float(np.ptp(np.quantile(known, [0.05, 0.95]))) if len(known) else 0.0
+        if turn < LEAST_TURN * std:
+            return f"{name} turns by {turn:.2g} rad, too little to tell them from the body's error"
+    return None
+
+
+def reason_of_disagreement(
+    problem: FilterProblem, beliefs: Beliefs, found: ExplainedLog, causal: bool
+) -> str | None:
+    """Why the solution with white noise is not that of the beliefs; None if it is."""
+    white = solve_log(problem, found.with_white_noise(), causal)
+    stated = np.einsum("emm->em", beliefs.cov)
+    apart = white.instants.angles - beliefs.z[:, : stated.shape[1]]
+    far = float(np.sqrt(np.mean(np.square(apart) / stated)))
+    if far <= MOST_APART:
+        return None
+    return f"two solutions for white noise are {far:.2g} standard deviations apart"
+
+
+def reason_of_misfit(
+    problem: FilterProblem, found: ExplainedLog, solved: SolvedLog, causal: bool
+) -> str | None:
+    """Why the explained log is not to be trusted by what it leaves unexplained; None if it is."""
+    if not (np.isfinite(solved.instants.angles).all() and np.isfinite(solved.instants.cov).all()):
+        return "their explanation gives no finite angles"
+    earlier = solved if causal else solve_log(problem, found, causal=True)
+    for name, misfit in _measure_misfits(problem, found, earlier):
+        if not misfit <= MOST_MISFIT:
+            return (
+                f"successive images of {name} still err alike ({misfit:.2g} times their variance)"
+            )
+    return None
+
+
+def _measure_misfits(
+    problem: FilterProblem, found: ExplainedLog, earlier: SolvedLog
+) -> Iterator[tuple[str, float]]:
+    """Yield each sense and the variance of the mean of its
+    successive errors over the stated one, by what came earlier.
+
+    With the mean square s and the correlation r of an error with the next, the mean of many has
+    s (1 + r) / (1 − r) times the variance that white errors of variance 1 give it.
+    """
+    scales = dict(zip(found.senses, found.noise.scales, strict=True))
+    for sighting in problem.evidence.sightings:
+        if sighting.name not in earlier.places:
+            continue
+        place = earlier.places[sighting.name]
+        series, _, _ = standardise_sighting(sighting, place, scales[sighting.name])
+        if len(series.t) < FEWEST_IMAGES:
+            continue
+        error = np.clip(series.values, -FAR_SIGMAS, FAR_SIGMAS)
+        square = float(np.mean(np.square(error)))
+        alike = float(np.mean(error[1:] * error[:-1])) / square
+        yield sighting.name, square * (1.0 + alike) / max(1.0 - alike, 1e-9)

@@ -1,0 +1,83 @@
+"""Whether an explanation of a log is trusted: by how far its joints turn, and by what it leaves unexplained."""
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation.methods import trust
+from bodylog.settings import EstimationSettings
+from bodylog.types import Array
+
+
+@dataclass
+class Flat:
+    """A track whose image is where it is expected, beside its error of variance 1 px²."""
+
+    outputs: tuple[str, ...] = ("u", "v")
+
+
+def sighting(values: Array) -> SimpleNamespace:
+    """Images (F,2) px that are expected at 0."""
+    t = np.arange(len(values)) / 20
+    return SimpleNamespace(
+        name="tip",
+        t=t,
+        values=values,
+        var=np.ones(values.shape),
+        cov=None,
+        model=Flat(),
+        displaced=None,
+        source_ns=(t * 1e9).astype(np.int64),
+    )
+
+
+def misfit(values: Array) -> float:
+    """The misfit of images (F,2) px."""
+    none = np.zeros(values.shape)
+    place = none, np.zeros((*values.shape, 2)), none
+    problem = SimpleNamespace(evidence=SimpleNamespace(sightings=[sighting(values)]))
+    found = SimpleNamespace(senses=("tip",), noise=SimpleNamespace(scales=(1.0,)))
+    ((name, size),) = trust._measure_misfits(problem, found, SimpleNamespace(places={"tip": place}))
+    assert name == "tip"
+    return size
+
+
+def correlated(rho: float, std: float = 1.0, count: int = 4000) -> Array:
+    """First-order autoregressive errors (F,2) of this correlation from one to the next."""
+    fresh = np.random.default_rng(3).normal(0.0, std, (count, 2))
+    for k in range(1, count):
+        fresh[k] = rho * fresh[k - 1] + np.sqrt(1.0 - rho**2) * fresh[k]
+    return fresh
+
+
+def test_misfit_is_the_variance_of_a_mean_over_the_stated_one():
+    assert misfit(correlated(0.0)) == pytest.approx(1.0, rel=0.1)
+    assert misfit(correlated(0.5)) == pytest.approx(3.0, rel=0.15)
+    assert misfit(correlated(0.0, std=0.5)) == pytest.approx(0.25, rel=0.1)
+
+
+def test_few_images_of_something_else_make_no_misfit():
+    values = correlated(0.0)
+    values[::100] = 300.0
+    assert misfit(values) < 1.3
+
+
+@pytest.mark.parametrize(
+    ("turn", "setting", "reason"),
+    [
+        (0.3, {}, None),
+        (0.01, {}, "lift turns by 0.009 rad"),
+        (0.3, {"bias": "on"}, "set to on"),
+        (0.3, {"sigma_vision": 1.0}, "variances are set"),
+        (0.3, {"hardware_errors": "widen"}, 'type hardware_errors = "explain"'),
+    ],
+)
+def test_errors_are_looked_for_where_every_joint_turns_far_beyond_them(turn, setting, reason):
+    angles = np.column_stack([np.linspace(0.0, 1.0, 101), np.linspace(0.0, turn, 101)])
+    problem = SimpleNamespace(
+        stepwise=False, evidence=SimpleNamespace(encoders=SimpleNamespace(values=angles))
+    )
+    found = trust.reason_to_widen(problem, ("pan", "lift"), 2e-3, EstimationSettings(**setting))
+    assert found is None if reason is None else reason in found
