@@ -47,7 +47,7 @@ REPEATED = "repeated."
 @dataclass(frozen=True, eq=False)
 class RepeatedFrames:
     """Whether each frame (N,) of a camera repeats the one before, and their share of those of which
-    it can be told."""
+    it is known."""
 
     flags: Array
     share: float
@@ -137,7 +137,7 @@ def _repeat_factor(films: Films) -> int:
 def _repeated_frames(
     known: DatasetLayout, number: int, feature: str, settings: Settings
 ) -> RepeatedFrames:
-    """The repeated frames of a camera; a frame that cannot be decoded is none."""
+    """The repeated frames of a camera; one that cannot be decoded is not among them."""
     from ..flow_findings import alternating_repeats
     from ..logs.datasets.episode_log import FEATURE, EpisodeLog
     from ..logs.formats import open_log
@@ -183,8 +183,10 @@ def _edits(
         }
         if every > 1:
             taken = _least_repeating(taken, every, flags, frames)
-        told = {name: film[taken + frames[name]] for name, film in flags.items() if marks}
-        yield Edit(one.number, new, offset, source_offset, taken, rows, frames, one.delays, told)
+        marks_of = {name: film[taken + frames[name]] for name, film in flags.items() if marks}
+        yield Edit(
+            one.number, new, offset, source_offset, taken, rows, frames, one.delays, marks_of
+        )
         offset += len(taken)
         source_offset += rows
 
@@ -333,9 +335,9 @@ class _Work:
         if out:
             lines = [{"episode_index": one.number, "reason": one.excluded} for one in out]
             self._write_lines(EXCLUDED, lines)
-        self._write_json(FIXED, {"episodes": [self._told(edit) for edit in self._edits]})
+        self._write_json(FIXED, {"episodes": [self._edit_as_values(edit) for edit in self._edits]})
 
-    def _told(self, edit: Edit) -> dict[str, Any]:
+    def _edit_as_values(self, edit: Edit) -> dict[str, Any]:
         """What was done to an episode, as plain values."""
         cameras = {
             name: {
@@ -436,9 +438,9 @@ class _Work:
         count = len(edit.taken)
         fps = self._known.fps
         end = edit.offset + count
-        told = {"episode_index": edit.new, "length": count}
-        told |= {"dataset_from_index": edit.offset, "dataset_to_index": end}
-        row = {**row, **{key: value for key, value in told.items() if key in row}}
+        row_numbers = {"episode_index": edit.new, "length": count}
+        row_numbers |= {"dataset_from_index": edit.offset, "dataset_to_index": end}
+        row = {**row, **{key: value for key, value in row_numbers.items() if key in row}}
         for name, late in edit.frames.items():
             begin, stop = (f"videos/{name}/{side}_timestamp" for side in ("from", "to"))
             if isinstance(row.get(begin), float) and not edit.takes_all:
@@ -452,7 +454,7 @@ class _Work:
         return row
 
     def _write_whole_statistics(self) -> None:
-        """stats.json: of the numbers anew, of the images as it was."""
+        """stats.json: of the numbers as they are now, of the images as before."""
         path = self._known.folder / STATISTICS
         if not path.is_file():
             return

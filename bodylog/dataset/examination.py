@@ -72,12 +72,14 @@ def _add_surface(
     first = camera_name_of_source(read.roles["camera"]) if "camera" in read.roles else "camera"
     known = [replace(one, name=_name_first_camera(one.name, first)) for one in found.scores]
     values = {one.name: one.value for one in known}
-    told = [name for name in values if name.partition("/")[0] in ("delay", "row_time")]
-    for name in told:
+    figures_of_surface = [
+        name for name in values if name.partition("/")[0] in ("delay", "row_time")
+    ]
+    for name in figures_of_surface:
         if name in figures:
             figures[f"flow/{name}"] = figures[name]
         figures[name] = [values[name], values.get(f"std/{name}"), 0.0, None]
-    beside = {*told, *(f"std/{name}" for name in told)}
+    beside = {*figures_of_surface, *(f"std/{name}" for name in figures_of_surface)}
     scores[:] = [
         replace(one, name=_name_beside_surface(one.name)) if one.name in beside else one
         for one in scores
@@ -90,7 +92,7 @@ def _add_surface(
         else one
         for one in found.findings
     ]
-    return told
+    return figures_of_surface
 
 
 def _name_first_camera(name: str, first: str) -> str:

@@ -1,5 +1,5 @@
 """Whether a camera stands where it stood in other
-episodes, by the part of its picture that rests.
+episodes, by the part of its picture that does not move.
 """
 
 import base64
@@ -25,7 +25,7 @@ RETURN_PX = 0.5
 RESOLUTION_PX = 0.3
 """Least spread between episodes that is believed, px of a view: lights, codecs, a swaying stand."""
 _LOCAL_PX = 9.0
-"""Scale over which a view's brightness and contrast are made alike."""
+"""Scale over which a view's brightness and contrast are made equal."""
 _REFERENCES = 3
 """Episodes that are tried as the one that others are compared with."""
 
@@ -65,7 +65,7 @@ def encode_view(picture: Array | None) -> str | None:
 
 
 def compare_views(names: Sequence[str], evidence: Mapping[str, Evidence]) -> dict[str, Views]:
-    """The views of each camera that rests in most episodes, by its name."""
+    """The views of each camera that stands still in most episodes, by its name."""
     cameras = sorted({camera for name in names for camera in evidence[name]["cameras"]})
     found = {}
     for camera in cameras:
@@ -138,7 +138,7 @@ def _compare_camera(known: Sequence[Mapping[str, Any]]) -> Views | None:
 
 
 def _decode_view(text: Any) -> Array | None:
-    """A view with its brightness and contrast made alike everywhere, (H,W) uint8."""
+    """A view with its brightness and contrast made equal everywhere, (H,W) uint8."""
     import cv2
 
     if not isinstance(text, str):
@@ -198,4 +198,4 @@ def moved_sentences(camera: str, step: Step | None, names: Sequence[str]) -> Ite
     """What a lasting move says of the dataset."""
     if step is not None:
         where = f"from {names[step.first]} on"
-        yield f"{camera}: the camera moved by {step.size:.1f} px {where}, by the scene that rests"
+        yield f"{camera}: the camera moved by {step.size:.1f} px {where}, by the scene that does not move"

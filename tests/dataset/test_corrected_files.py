@@ -101,11 +101,11 @@ def test_rows_get_the_images_that_show_them(dataset: Path, tmp_path: Path, late:
     out = tmp_path / "out"
     delays = {drawn.CAMERA: CameraDelay(late / FPS + 0.004, 0.002)}
     before = tree(dataset)
-    told = write_corrected(
+    sentences = write_corrected(
         dataset, [Remedy(k, "", delays) for k in range(3)], out, "keep", Settings()
     )
     assert tree(dataset) == before
-    assert any("4 ± 2 ms are left" in text for text in told)
+    assert any("4 ± 2 ms are left" in text for text in sentences)
     for number, rows in enumerate(ROWS):
         first, end = max(0, -late), rows - max(0, late)
         assert np.array_equal(states(out, number), states(dataset, number)[first:end])
@@ -147,8 +147,8 @@ def test_an_episode_left_out_is_listed_and_the_others_numbered_anew(
 ) -> None:
     out = tmp_path / "out"
     remedies = [Remedy(0), Remedy(1, "its camera is black"), Remedy(2)]
-    told = write_corrected(dataset, remedies, out, "mark", Settings())
-    assert "2 of 3 episodes are kept" in told
+    sentences = write_corrected(dataset, remedies, out, "mark", Settings())
+    assert "2 of 3 episodes are kept" in sentences
     listed = [json.loads(text) for text in (out / "meta/excluded.jsonl").read_text().splitlines()]
     assert listed == [{"episode_index": 1, "reason": "its camera is black"}]
     info = json.loads((out / "meta/info.json").read_text())
@@ -160,21 +160,24 @@ def test_an_episode_left_out_is_listed_and_the_others_numbered_anew(
     assert index.tolist() == list(range(ROWS[0] + ROWS[2]))
 
 
-def test_repeated_frames_are_marked_or_half_of_the_rows_dropped(tmp_path: Path) -> None:
+@pytest.mark.parametrize("copies", [2, 4])
+def test_repeated_frames_are_marked_or_their_rows_dropped(tmp_path: Path, copies: int) -> None:
     source = drawn.v21(tmp_path / "source", [40])
-    pictures = drawn.images(40)[np.arange(40) // 2 * 2]
+    pictures = drawn.images(40)[np.arange(40) // copies * copies]
     drawn.film(source / f"videos/chunk-000/{drawn.CAMERA}/episode_000000.mp4", pictures)
     remedy = Remedy(0, "", {}, (drawn.CAMERA,))
     write_corrected(source, [remedy], tmp_path / "marked", "mark", Settings())
     table = parquet.read_table(tmp_path / "marked/data/chunk-000/episode_000000.parquet")
     marks = np.array(table.column("repeated.top"))
-    assert marks[1::2].all() and not marks[::2].any()
+    repeats = np.arange(40) % copies > 0
+    assert marks[repeats].all() and not marks[~repeats].any()
     info = json.loads((tmp_path / "marked/meta/info.json").read_text())
     assert info["features"]["repeated.top"]["dtype"] == "bool"
     write_corrected(source, [remedy], tmp_path / "half", "drop", Settings())
-    assert json.loads((tmp_path / "half/meta/info.json").read_text())["fps"] == FPS / 2
-    assert np.array_equal(states(tmp_path / "half", 0), states(source, 0)[::2])
-    assert squares(tmp_path / "half", 0, drawn.CAMERA) == pytest.approx(frames_of(40)[::2], abs=1)
+    assert json.loads((tmp_path / "half/meta/info.json").read_text())["fps"] == FPS / copies
+    assert np.array_equal(states(tmp_path / "half", 0), states(source, 0)[::copies])
+    shown = squares(tmp_path / "half", 0, drawn.CAMERA)
+    assert shown == pytest.approx(frames_of(40)[::copies], abs=1)
 
 
 def test_statistics_are_those_of_the_rows_left(tmp_path: Path) -> None:
@@ -200,8 +203,8 @@ def test_the_command_says_what_it_did_and_refuses_what_it_cannot(
     film.write_bytes(film.read_bytes()[:200])
     before = tree(source)
     assert run_cli("fix", source, "-o", tmp_path / "out", "--jobs", "1") == 0
-    said = capsys.readouterr().out
-    assert "2 of 3 episodes are kept" in said and "episode 2 is left out" in said
+    printed = capsys.readouterr().out
+    assert "2 of 3 episodes are kept" in printed and "episode 2 is left out" in printed
     assert tree(source) == before
     assert run_cli("fix", source, "-o", tmp_path / "out") == 2
     assert "already exists" in capsys.readouterr().err

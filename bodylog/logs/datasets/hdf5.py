@@ -268,7 +268,7 @@ def _read_videos_beside(
     path: Path, found: Sets, ns: Array, findings: list[Finding], limits: Input
 ) -> Iterator[EpisodeCamera]:
     """DROID's videos beside the file: frame k has the time at which row k says that it was taken,
-    else the row's. Of a stereo camera the left one is read where it is there by itself."""
+    else the row's. Of a stereo camera the left one is read where it has a file of its own."""
     folder = path.parent / _VIDEOS
     for file in sorted(folder.glob("*.mp4")) if folder.is_dir() else ():
         serial = file.stem.removesuffix(_STEREO)
