@@ -2,7 +2,7 @@
 
 An explanation has more freedom than white noise. It is taken where the log shows what it claims,
 where its engine gives for white noise what the filter gives, and where images that follow each
-other no longer err alike.
+other no longer have the same error.
 """
 
 from collections.abc import Iterator
@@ -73,9 +73,7 @@ def reason_of_misfit(
     earlier = solved if causal else solve_log(problem, found, causal=True)
     for name, misfit in _measure_misfits(problem, found, earlier):
         if not misfit <= MOST_MISFIT:
-            return (
-                f"successive images of {name} still err alike ({misfit:.2g} times their variance)"
-            )
+            return f"errors of successive images of {name} still correlate (misfit {misfit:.2g})"
     return None
 
 
@@ -98,5 +96,5 @@ def _measure_misfits(
             continue
         error = np.clip(series.values, -FAR_SIGMAS, FAR_SIGMAS)
         square = float(np.mean(np.square(error)))
-        alike = float(np.mean(error[1:] * error[:-1])) / square
-        yield sighting.name, square * (1.0 + alike) / max(1.0 - alike, 1e-9)
+        correlation = float(np.mean(error[1:] * error[:-1])) / square
+        yield sighting.name, square * (1.0 + correlation) / max(1.0 - correlation, 1e-9)
