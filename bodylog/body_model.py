@@ -76,7 +76,7 @@ class LandmarkMap:
         return len(self.body)
 
     def take(self, landmarks: Array) -> "LandmarkMap":
-        """The landmarks with these numbers (k,), ascending, numbered anew."""
+        """The landmarks with these numbers (k,), ascending, with numbers from 0."""
         import numpy as np
 
         number = np.full(self.count, -1)

@@ -86,20 +86,20 @@ def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None
 def alternating_repeats(repeats: "FrameRepeats") -> Array:
     """Which frames (N,) repeat the one before, those of a slow picture included.
 
-    Where the picture moves slowly, a repeat is not told from a new frame.
+    Where the picture moves slowly, a repeat looks like a new frame.
     Two repeats that an even number of frames lies between say that every
     second frame repeats there, if nearly all repeats of the film do.
     """
-    told = np.flatnonzero(repeats.repeated)
-    gaps = np.diff(told)
+    certain = np.flatnonzero(repeats.repeated)
+    gaps = np.diff(certain)
     found = repeats.repeated.copy()
     if len(gaps) < LEAST_REPEATS or np.mean(gaps % 2 == 0) < ALTERNATING_SHARE:
         return found
-    for first, last in zip(told[:-1].tolist(), told[1:].tolist(), strict=True):
+    for first, last in zip(certain[:-1].tolist(), certain[1:].tolist(), strict=True):
         if (last - first) % 2 == 0:
             found[first:last:2] = True
-    found[told[0] % 2 or 2 : told[0] : 2] = True
-    found[told[-1] :: 2] = True
+    found[certain[0] % 2 or 2 : certain[0] : 2] = True
+    found[certain[-1] :: 2] = True
     return found
 
 

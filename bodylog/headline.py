@@ -35,7 +35,7 @@ def headline_of_estimate(found: Estimate, scores: Sequence[Score]) -> dict[str, 
 
 def _faults_text(found: Estimate) -> str:
     if MISFIT in found.settings:
-        return "not told: the log does not fit the body"
+        return "not given: the log does not fit the body"
     return list_in_words([_fault_headline(fault) for fault in found.faults]) or "none found"
 
 

@@ -22,7 +22,7 @@ _PLACE = "x, y, z (m), roll, pitch, yaw (rad)"
 
 
 def with_known(hint: "CameraHint", known: CameraSettings, robot: "Robot") -> "CameraHint":
-    """The hint of the first camera with what [camera] gives; ConfigError where that cannot be.
+    """The hint of the first camera and the values of [camera]; ConfigError where that cannot be.
 
     A pose's doubt is that of the lens in the camera, which is what its unknowns are of.
     """

@@ -15,7 +15,7 @@ def score_learned_body(
     """A body's scores on test logs, dated as it knows its
     cameras, and what was found in them; none without logs.
     """
-    from .body import test_scores
+    from .body import log_scores
     from .estimation.timing import correction
 
     if not observed:
@@ -32,7 +32,7 @@ def score_learned_body(
         for _, _, found in observed
     ]
     with log_context(observed[0][0], findings, len(observed) - 1):
-        scores, more = test_scores.score_body_on_tests(learned, timely)
+        scores, more = log_scores.score_body_on_tests(learned, timely)
     return scores, (*findings, *more)
 
 

@@ -2,7 +2,7 @@
 it: one sentence in place of faults that nobody has.
 
 Explanations are compared by −ln p of all sightings (`sighting_evidence`): the log as it is with at
-most two faults, each with what its unknowns cost, or with its columns read differently: two joints
+most two faults, each at the cost of its unknowns, or with its columns read differently: two joints
 swapped, a sign flipped, degrees for radians, two cameras swapped. What is read differently has no
 unknowns; it must win EVIDENCE_THRESHOLD_NATS over any fault.
 """

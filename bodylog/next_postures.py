@@ -63,8 +63,7 @@ def posture_lines(found: "Proposal") -> Iterator[str]:
     slides), and the error in the image that it leaves.
     """
     yield (
-        f"now the calibration foretells images to ± {found.std_px[0]:.2f} px; record, in this "
-        "order:"
+        f"now the calibration predicts images to ± {found.std_px[0]:.2f} px; record, in this order:"
     )
     for number, (posture, left) in enumerate(zip(found.postures, found.std_px[1:], strict=True), 1):
         joints = zip(found.joints, posture, found.sliding, strict=True)

@@ -136,7 +136,7 @@ def fit(
     known = None if update is None else storage.load_body(update)
     if known is not None and known.surface is not None:
         raise UsageError(
-            f"{update}: a body of the robot's surface is not learned on; fit all logs together anew"
+            f"{update}: a body of the robot's surface is not learned on; fit all logs together again"
         )
     settings = settings if known is None else default_features.features_of_body(known, settings)
     otherwise = robot_model.check_urdf(logs, settings)
@@ -144,7 +144,7 @@ def fit(
     if surface_asked:
         if known is not None:
             raise UsageError(
-                f"{update}: the robot's surface is not learned on; fit all logs together anew"
+                f"{update}: the robot's surface is not learned on; fit all logs together again"
             )
         markers = surface_body.without_surface(settings)
         if default_features.has_no_features(markers):
@@ -243,7 +243,7 @@ def _fit_surface(
 
     if test:
         raise UsageError(
-            "--test: a body of the robot's surface foretells no track; type: bodylog "
+            "--test: a body of the robot's surface predicts no track; type: bodylog "
             "estimate LOG --body"
         )
     digests = []

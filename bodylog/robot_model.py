@@ -159,14 +159,14 @@ def check_urdf(logs: Sequence[Path], settings: Settings) -> str | None:
         names = read_robot_description(log, settings.input).joints
         if not names or set(names) & set(found.by_name):
             continue
-        alike = match_joints(names, found.by_name)
-        if not alike:
+        matches = match_joints(names, found.by_name)
+        if not matches:
             have = ", ".join(list(found.by_name)[:12]) or "none"
             raise ModelError(
                 f"{chosen.urdf}: none of the joints of {log} ({', '.join(names)}) is in it; "
                 f"it has {have}"
             )
-        name, joint = next(iter(alike.items()))
+        name, joint = next(iter(matches.items()))
         otherwise = (
             f"{log}: its {name} is {joint} in {chosen.urdf}; a marker needs joints of the same "
             "names"

@@ -100,7 +100,7 @@ def calibrate_cameras(
     leave_out: bool = False,
     joints: Sequence[str] | None = None,
 ) -> Iterator[SurfaceCalibration | EvidenceError]:
-    """Yield each camera's calibration from all logs of one robot together, or why there is none.
+    """Yield each camera's calibration from all logs of one robot together, or why it fails.
 
     The logs have one camera, lens, row time and zeros; each has a delay. `leave_out`: logs that do
     not show what the others show are left out. joints: those that move, and their order; None for

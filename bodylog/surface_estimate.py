@@ -271,7 +271,7 @@ def _by_landmarks(
     """Adjust from the body's landmarks alone, found again
     in some images, and what is believed of these unknowns.
 
-    fit, belief and changes are by tracks: each change foretells where the landmarks are, and the
+    fit, belief and changes are by tracks: each change predicts where the landmarks are, and the
     one under which most are found is the start. None where too few are.
     """
     import numpy as np

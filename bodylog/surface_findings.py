@@ -169,4 +169,6 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
     for reason in describe_unidentified(found):
         yield Finding("info", reason)
     if one.still:
-        yield Finding("info", f"joints at rest, of which nothing is told: {', '.join(one.still)}")
+        yield Finding(
+            "info", f"joints at rest, of which the log says nothing: {', '.join(one.still)}"
+        )

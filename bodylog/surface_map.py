@@ -1,5 +1,5 @@
 """The map of a robot's surface: landmarks that are found
-again in images by how they look, where they are foretold.
+again in images by how they look, where they are predicted.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -25,7 +25,7 @@ MOST_LANDMARKS = 200
 _MOST_VIEWS = 3
 _PASSES = ((10, 3), (6, 1), (5, 1))
 """Reach in px and stride over the images of each
-look: ever nearer to where a better model foretells.
+look: ever nearer to where a better model predicts.
 """
 _LEAST_FOUND = 5
 """Sightings of a landmark that is kept."""
@@ -89,7 +89,7 @@ def find_again(
     reach_px: int,
     every: int = 1,
 ) -> FoundAgain | None:
-    """Look for landmarks within reach_px of where φ foretells
+    """Look for landmarks within reach_px of where φ predicts
     them, in every n-th image; None where none is found.
     """
     import numpy as np

@@ -33,18 +33,18 @@ MOST_APART_RAD = 1e-5
 class Profile:
     """OpenBLAS' kernels, the flags of /proc/cpuinfo they need, and what NumPy goes without.
 
-    alike: any two such profiles round alike.
+    rounds_same: any two such profiles round alike.
     """
 
     kernels: str
     needs: tuple[str, ...]
     without: tuple[str, ...]
-    alike: bool = False
+    rounds_same: bool = False
 
 
 PROFILES = {
-    "haswell": Profile("Haswell", ("avx2", "fma"), AVX_512, alike=True),
-    "zen": Profile("Zen", ("avx2", "fma"), AVX_512, alike=True),
+    "haswell": Profile("Haswell", ("avx2", "fma"), AVX_512, rounds_same=True),
+    "zen": Profile("Zen", ("avx2", "fma"), AVX_512, rounds_same=True),
     "skylakex": Profile("SkylakeX", ("avx512f", "avx512bw", "avx512dq", "avx512vl"), ()),
     "old": Profile("Nehalem", (), (*AVX_512, *AVX_2)),
 }
@@ -95,8 +95,8 @@ def differs(name: str, found: dict[str, Outcome]) -> str:
     first, own = next(iter(found.values())), found[name]
     if np.abs(own.angles - first.angles).max() > MOST_APART_RAD:
         return f"WRONG: {compared(name, found)}"
-    same_rounding = [other for label, other in found.items() if PROFILES[label].alike]
-    if PROFILES[name].alike and len({(other.body, other.estimate) for other in same_rounding}) > 1:
+    same_rounding = [other for label, other in found.items() if PROFILES[label].rounds_same]
+    if PROFILES[name].rounds_same and len({(other.body, other.estimate) for other in same_rounding}) > 1:
         return f"WRONG, not the bytes of a profile that rounds alike: {compared(name, found)}"
     return ""
 

@@ -49,7 +49,7 @@ def test_urdf_of_other_joints_is_refused_before_reading_images(tmp_path):
         check_urdf([table(tmp_path / "other.csv", "abcd")], chosen)
 
 
-def test_urdf_that_spells_joints_otherwise_is_told(tmp_path, run_cli, capsys):
+def test_urdf_that_spells_joints_otherwise_is_named(tmp_path, run_cli, capsys):
     """The robot's surface matches names by their words; a marker does not, and the log has no images."""
     names = ("kPan", "kLift", "kElbow", "kWrist")
     spelt = dict(zip(JOINTS, ("pan_joint", "lift_joint", "elbow_joint", "wrist_joint"), strict=False))

@@ -41,7 +41,7 @@ def test_faults_have_their_sizes_and_a_log_that_does_not_fit_has_none() -> None:
     assert shown == f"{drifting}, {JOINTS[1]} frozen, {either.name} offset"
     settings = {**SOUND.settings, MISFIT: {"text": "98 % are off"}}
     shown = headline_of_estimate(replace(SOUND, faults=(drift,), settings=settings), ())["faults"]
-    assert shown == "not told: the log does not fit the body"
+    assert shown == "not given: the log does not fit the body"
 
 
 def test_of_many_tracks_the_median_and_the_largest_stand() -> None:

@@ -204,6 +204,6 @@ def test_dataset_of_a_real_humanoid_falls_back_to_the_surface(run_cli, tmp_path,
         pytest.skip("the real G1 (../shared/real/g1) is not at hand")
     body = tmp_path / "body.npz"
     assert run_cli("fit", f"{G1}#1", "--urdf", G1 / "g1_inspire.urdf", "-o", body) == 0
-    told = capsys.readouterr()
-    assert "learned by the robot's own surface" in told.out + told.err
+    printed = capsys.readouterr()
+    assert "learned by the robot's own surface" in printed.out + printed.err
     assert storage.load_body(body).surface.cameras[0].landmarks is not None

@@ -1,4 +1,4 @@
-"""Corners by the links that they follow: foreign ones are counted, joints at rest stay untold, views agree with tracks."""
+"""Corners by the links that they follow: foreign ones are counted, joints at rest stay unnamed, views agree with tracks."""
 
 import json
 from dataclasses import replace
@@ -22,7 +22,7 @@ from tests.kinematics.landmark_arm import ARM, JOINTS, model, motion, seen, trut
 
 
 def linked_tracks(still: int | None = None, pieces: int = 40):
-    """Pieces on links, then ten that move otherwise; `still`: a joint that rests."""
+    """Pieces on links, then ten that move otherwise; `still`: a still joint."""
     curve = motion(6)
     if still is not None:
         angles = curve.q.copy()
@@ -44,7 +44,7 @@ def linked_tracks(still: int | None = None, pieces: int = 40):
     return link_tracks(built, phi, joined), body
 
 
-def test_corners_that_follow_no_link_are_counted_and_said():
+def test_corners_that_follow_no_link_are_counted_in_words():
     linked, _ = linked_tracks()
     assert (linked.body[40:] == FOREIGN).all()
     assert (linked.body[:40] != FOREIGN).mean() > 0.9
@@ -53,15 +53,15 @@ def test_corners_that_follow_no_link_are_counted_and_said():
     assert f"{share:.0%} of the moving corners are foreign" in describe_foreign("camera", share)
 
 
-def test_joint_at_rest_is_said_to_be_untold():
+def test_joint_at_rest_is_named():
     linked, _ = linked_tracks(still=3, pieces=200)
     found = read_postures(linked, JOINTS, 5, 0.002)
     assert found is not None and found.names == JOINTS
     assert (found.cov[:, 3, 3] >= UNTOLD_STD**2).all()
     assert np.median(found.cov[:, 0, 0]) < 0.03
     text = describe_postures("camera", found)
-    shown, untold = text.split("; nothing of ")
-    assert "wrist" in untold and "pan" in shown and "pan" not in untold
+    shown, unnamed = text.split("; nothing of ")
+    assert "wrist" in unnamed and "pan" in shown and "pan" not in unnamed
     np.testing.assert_array_equal(found.source_ns, 5 + np.rint(1e9 * (found.t + 0.03)).astype(np.int64))
 
 

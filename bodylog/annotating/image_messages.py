@@ -60,7 +60,7 @@ def image_messages(
     camera, in file order; those of a video are encoded.
 
     `unread` {topic or video: reasons} gets the images that cannot be read; those that a dataset's
-    reader gives without bytes are passed on, and told of under EMPTY. The first camera's topic
+    reader gives without bytes are passed on, and counted under EMPTY. The first camera's topic
     is /camera/image, another's /NAME/image, or as compressed. LogError if two are the same.
     """
     films = {"": recording.frames} if recording.frames is not None else {}

@@ -93,7 +93,7 @@ def measure_swapped_joints(reading: EpisodeReading) -> Iterator[Measurement]:
 
 def _correlate_steps(states: Array, wanted: Array) -> Array:
     """Correlations (K,K) of steps of states (N,K) with steps of actions (N,K); 0 where either
-    rests."""
+    is still."""
     states = states - states.mean(axis=0)
     wanted = wanted - wanted.mean(axis=0)
     scale = np.outer(np.linalg.norm(states, axis=0), np.linalg.norm(wanted, axis=0))

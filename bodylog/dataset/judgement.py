@@ -71,7 +71,7 @@ class PooledDelay:
 
 @dataclass(frozen=True, eq=False)
 class DatasetJudgement:
-    """rows, each with what its siblings say of it · evidence {row's name: Evidence} · verdict in
+    """rows, each beside its siblings · evidence {row's name: Evidence} · verdict in
     sentences · scores of the whole, their standard errors beside · outliers, the farthest first."""
 
     rows: list[Row]

@@ -212,5 +212,5 @@ def _sum_of_others(x: Array) -> Array:
 
 
 def own_std(std: float | None, shared_std: float) -> float:
-    """The part of a standard error that siblings do not share; 0 where there is none."""
+    """The part of a standard error that siblings do not share; 0 without one."""
     return 0.0 if std is None else float(np.sqrt(max(std**2 - shared_std**2, 0.0)))

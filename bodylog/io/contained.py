@@ -25,7 +25,7 @@ def is_inside(path: Path, folder: Path) -> bool:
 
 
 def file_inside(folder: Path, name: str) -> Path | None:
-    """The file of that name in a folder; None if there is none, or it stands outside the folder."""
+    """The file of that name in a folder; None if it is missing, or stands outside the folder."""
     path = folder / name
     try:
         return path if path.is_file() and is_inside(path, folder) else None

@@ -1,4 +1,4 @@
-"""The unknowns that foretell images best by themselves,
+"""The unknowns that alone predict images best,
 with joints' zeros within the error bars of what is known.
 """
 
@@ -81,7 +81,7 @@ def adjust(rig: Rig, data: Sequence[Posed], theta: Array, noise: float, known: K
     with zeros and scales within the error bars of what is known.
 
     noise: first value of the variance (px², per axis) of a point. A process of residuals beside θ
-    takes up part of what θ explains, so θ of such a model has not the least error by itself (Tuo &
+    takes up part of what θ explains, so θ of such a model alone has not the least error (Tuo &
     Wu 2015, "Efficient calibration for imperfect computer models"); but θ of least error takes up
     part of what no θ explains. So zeros and scales are first held within ZERO_SIGMA of the former,
     `known`, and then all within MOST_SIGMA, by weights of the loss about each solution. The
@@ -111,7 +111,7 @@ def _known_zeros(rig: Rig, known: Known) -> Known:
 
 
 def _with_known(prior: _Prior, known: Known, weight: float, std: Array) -> _Prior:
-    """The prior with what is known of some unknowns, weighted."""
+    """The prior and the known values of some unknowns, weighted."""
     rows = known.rows
     inverse = weight * np.linalg.inv(known.covariance / std[rows] / std[rows, None])
     precision = prior.precision.copy()
@@ -269,7 +269,7 @@ def _products(
 
 def _squares(rig: Rig, index: int, theta: Array, one: Posed) -> Array:
     """Squared distance (N,C) px² of each point from
-    where it is foretold; NaN where it was not seen.
+    where it is predicted; NaN where it was not seen.
     """
     seen = rig.see(rig.sights[index], theta, one.sighted.q, one.log)
     return np.asarray(np.square(one.sighted.image - seen.image).sum(axis=-1))

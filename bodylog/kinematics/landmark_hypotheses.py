@@ -88,23 +88,26 @@ def information_of_log(model: LandmarkModel, phi: Array, covariance: Array) -> I
 
 
 def weigh_hypotheses(
-    model: LandmarkModel, belief: LandmarkBelief, told: Information, camera_may_move: bool = True
+    model: LandmarkModel,
+    belief: LandmarkBelief,
+    evidence: Information,
+    camera_may_move: bool = True,
 ) -> list[ChangeHypothesis]:
     """Every hypothesis with its evidence, the sound one first."""
     count = len(belief.mean)
-    found = [_weigh_hypothesis(SOUND, belief, told, np.zeros(count), None)]
+    found = [_weigh_hypothesis(SOUND, belief, evidence, np.zeros(count), None)]
     for joint, (index, std) in _offset_stds(model).items():
         added = std**2 * (np.arange(count) == index)
-        found.append(_weigh_hypothesis(joint, belief, told, added, index))
+        found.append(_weigh_hypothesis(joint, belief, evidence, added, index))
     if camera_may_move:
         added = np.zeros(count)
         added[_of_camera(model)] = MOVED_STD**2
-        found.append(_weigh_hypothesis(CAMERA, belief, told, added, None))
+        found.append(_weigh_hypothesis(CAMERA, belief, evidence, added, None))
     return found
 
 
 def _weigh_hypothesis(
-    name: str, belief: LandmarkBelief, told: Information, added: Array, index: int | None
+    name: str, belief: LandmarkBelief, evidence: Information, added: Array, index: int | None
 ) -> ChangeHypothesis:
     """One hypothesis, whose prior has the variances
     `added` (P,) more; its offset at `index` of φ.
@@ -113,9 +116,9 @@ def _weigh_hypothesis(
     covariance = (belief.covariance + np.diag(added)) / std / std[:, None]
     mean = belief.mean / std
     prior = np.linalg.inv(covariance)
-    precision = prior + told.precision * std * std[:, None]
+    precision = prior + evidence.precision * std * std[:, None]
     # relative to the prior's mean, so that no large numbers cancel
-    pull = told.pull * std - (told.precision * std * std[:, None]) @ mean
+    pull = evidence.pull * std - (evidence.precision * std * std[:, None]) @ mean
     beyond = np.linalg.solve(precision, pull)
     nats = -0.5 * (
         np.linalg.slogdet(precision)[1] + np.linalg.slogdet(covariance)[1]

@@ -1,4 +1,4 @@
-"""A map of landmarks in images: where each is foretold,
+"""A map of landmarks in images: where each is predicted,
 from which side, and the map as a prior of their places.
 """
 

@@ -45,8 +45,8 @@ def posture_readings(
     joints = angles.shape[1]
     cov = np.empty((len(t), joints, joints))
     for number, rows in enumerate(np.split(order, begins[1:])):
-        alike = body[rows][:, None] == body[rows][None]
-        noise = COMMON_STD_PX**2 * np.kron(alike, np.eye(2))
+        same_link = body[rows][:, None] == body[rows][None]
+        noise = COMMON_STD_PX**2 * np.kron(same_link, np.eye(2))
         for place, row in enumerate(rows):
             noise[2 * place : 2 * place + 2, 2 * place : 2 * place + 2] += own[row]
         slopes = predicted.by_joints[rows].reshape(-1, joints)

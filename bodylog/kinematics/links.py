@@ -321,7 +321,7 @@ _SLIDE = 0.1
 
 
 def hinted_camera(name: str, link: str, hint: CameraHint, robot: Robot) -> RigCamera:
-    """The camera on a link, with what the log says of its pose and lens, and how sure that is."""
+    """The camera on a link, by what the log says of its pose and lens, and how sure that is."""
     width, height = hint.size or hint.extent or (640, 480)
     numbers, known = (
         (lens_without_distortion(width, width, height), FREE_LENS)

@@ -195,7 +195,7 @@ def _find_header_steps(log_ns: Array, stamp_ns: Array | None) -> Steps:
     late = log_ns - stamp_ns
     rows = _list_leaps(stamp_ns, late, LEAST_STEP_NS)
     if len(rows) > 2 * MOST_FALLS:
-        # messages of uneven delay: only steps well beyond it can be told
+        # messages of uneven delay: only steps well beyond it are certain
         rows = _list_leaps(stamp_ns, late, 5 * LEAST_STEP_NS)
     if not 0 < len(rows) <= 2 * MOST_FALLS:
         return []

@@ -127,7 +127,7 @@ def _exposure_delays(stage: Stage, view: _View, t: Array) -> Array:
 
     With a rolling shutter every row is exposed later than the one above
     it. A whole picture is drawn as of the instant at which the row of
-    its feature is exposed, or the middle row where there is none.
+    its feature is exposed, or the middle row where there is nothing.
     """
     delay = np.zeros(len(t))
     if not stage.wish.hardware.rolling:

@@ -488,4 +488,4 @@ BOMBS = {
     "side video frame": Bomb(side_frame, 3, "x.avi: 6 images cannot be read and are left out"),
     "video frame": Bomb(video_frame, 3, "6 of 30 images cannot be read"),
 }
-"""Every bomb, with what becomes of the command that reads it."""
+"""Every bomb, and what becomes of the command that reads it."""

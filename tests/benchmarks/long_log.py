@@ -108,7 +108,7 @@ def _paint(picture: Array, disc: scenes.Disc) -> None:
 
 
 def _foreign(t: float) -> list[scenes.Disc]:
-    """Things of the marker's colour that are none of the arm's."""
+    """Things of the marker's colour that are not the arm's."""
     still = scenes.Disc(20.0, 20.0, 6.0)
     wandering = scenes.Disc(60.0 + 30.0 * np.sin(0.31 * t), 22.0 + 8.0 * np.cos(0.47 * t), 6.0)
     share = t % _PASSES_EVERY / 3.0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from bodylog import body
+from bodylog.body import log_scores
 from bodylog.body import storage as files
-from bodylog.body import test_scores
 from bodylog.body.kinematic import change
 from bodylog.body.kinematic.learn import learn_kinematics
 from bodylog.body.kinematic.model import KinematicGP
@@ -113,7 +113,7 @@ def test_slopes_are_finite_differences_and_one_point_equals_many(learned):
 
 def test_score_of_a_board_covers_all_corners(learned):
     other = features(robots.angles(30, seed=21), seed=5)
-    scores = {score.name: score.value for score in test_scores.score_body_on_tests(learned.model, [other])[0]}
+    scores = {score.name: score.value for score in log_scores.score_body_on_tests(learned.model, [other])[0]}
     each = [k for k in range(12) if f"sightings/test/board.{k}" in scores]
     assert scores["sightings/test/board"] == sum(scores[f"sightings/test/board.{k}"] for k in each)
     assert scores["rmse/test/board"] < 1.0 and 80.0 < scores["coverage_2sigma/test/board"] <= 100.0

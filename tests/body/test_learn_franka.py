@@ -96,8 +96,8 @@ def test_joints_and_poses_agree_on_the_camera(robot, tmp_path):
     by_joints, result = learned(rows_of("both.csv", every, tmp_path), tmp_path, robot)
     assert {one.joint for one in by_joints.zeros} <= {f"panda_joint{k}" for k in range(1, 8)}
     by_poses, _ = learned(rows_of("ee_poses.csv", every, tmp_path), tmp_path)
-    said = [one.text for one in by_poses.findings if one.severity == "warning"]
-    assert not by_poses.zeros and said == ["poses of O_T_EE alone do not tell the joints' zeros; learn from joints with --urdf"]
+    warnings = [one.text for one in by_poses.findings if one.severity == "warning"]
+    assert not by_poses.zeros and warnings == ["poses of O_T_EE alone do not tell the joints' zeros; learn from joints with --urdf"]
     assert by_poses.cameras[0].link == "O_T_EE" and by_poses.markers[0].link == "base"
     q, flange = flange_poses(every)
     chain = chain_between(urdf.load_urdf(Path(robot)), "panda_link0", by_joints.cameras[0].link)

@@ -71,7 +71,7 @@ def test_command_prints_postures(learned, tmp_path, run_cli, capsys):
     assert run_cli(*typed) == 2 and "--among POSES.csv" in capsys.readouterr().err
     assert run_cli(*typed, "--urdf", tmp_path / "arm.urdf") == 0
     printed = capsys.readouterr().out.splitlines()
-    assert printed[0].startswith("now the calibration foretells images to ± ")
+    assert printed[0].startswith("now the calibration predicts images to ± ")
     assert printed[1].startswith("1: pan ") and len(printed) == 3
     table = tmp_path / "safe.csv"
     rows = robots.angles(20, seed=4)

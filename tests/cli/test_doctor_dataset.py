@@ -83,7 +83,7 @@ def test_shards_and_resumed_runs_leave_the_bytes_of_one_run(dataset: Path, tmp_p
 
 @pytest.mark.parametrize("left", [".bodylog-batch", "*/row.json"])
 def test_a_killed_run_resumes_to_the_same_bytes(dataset: Path, tmp_path: Path, run_cli: Any, left: str) -> None:
-    """Killed with its workers once the folder is begun, or once an episode is done."""
+    """Killed with its workers once the folder exists, or once an episode is done."""
     typed = ["doctor", str(dataset), "--delay", "off", "-o"]
     assert run_cli(*typed, tmp_path / "whole") == 0
     out = tmp_path / "killed"

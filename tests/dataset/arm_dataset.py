@@ -70,10 +70,10 @@ def draw(angles: np.ndarray, wall: np.ndarray, links: list[np.ndarray]) -> np.nd
     return picture
 
 
-def texture(rng: np.random.Generator, width: int, height: int, grain: float) -> np.ndarray:
+def texture(rng: np.random.Generator, width: int, height: int, blur_px: float) -> np.ndarray:
     """Smoothed noise (H,W,3) uint8."""
     noise = cv2.GaussianBlur(
-        rng.normal(0.0, 1.0, (height, width, 3)).astype(np.float32), (0, 0), grain
+        rng.normal(0.0, 1.0, (height, width, 3)).astype(np.float32), (0, 0), blur_px
     )
     return np.clip(120.0 + 55.0 * noise / noise.std(), 0, 255).astype(np.uint8)
 

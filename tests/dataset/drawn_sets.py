@@ -27,7 +27,7 @@ class World:
     lengths (K,) px of links · home (K,) rad · base (2,) px · links: their textures · wall (H,W,3) ·
     things: textures that lie elsewhere in each episode · delay_s, lead_s · noise_rad, and step_rad
     of the encoders (0: none) · stored_twice: the camera has half the rate · reaches: whether the
-    arm rests between motions · cameras: their names.
+    arm is still between motions · cameras: their names.
     """
 
     seed: int
@@ -60,10 +60,10 @@ class Episode:
     images: dict[str, np.ndarray] = field(repr=False)
 
 
-def draw_texture(rng: np.random.Generator, width: int, height: int, grain: float) -> np.ndarray:
+def draw_texture(rng: np.random.Generator, width: int, height: int, blur_px: float) -> np.ndarray:
     """Smoothed noise about a colour (H,W,3) uint8."""
     noise = rng.normal(0.0, 1.0, (height, width, 3)).astype(np.float32)
-    smooth = cv2.GaussianBlur(noise, (0, 0), grain)
+    smooth = cv2.GaussianBlur(noise, (0, 0), blur_px)
     colour = rng.uniform(70.0, 170.0, 3)
     contrast = rng.uniform(25.0, 50.0)
     return np.clip(colour + contrast * smooth / smooth.std(), 0, 255).astype(np.uint8)
@@ -95,7 +95,7 @@ def draw_world(seed: int) -> World:
 
 
 def draw_motion(world: World, number: int, seconds: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Joint angles (N,K) rad at times (N,) s, from near home: sines, or reaches with rests."""
+    """Joint angles (N,K) rad at times (N,) s, from near home: sines, or reaches with is still."""
     rng = np.random.default_rng([world.seed, 2, number])
     count = len(world.home)
     start = world.home + rng.normal(0.0, 0.03, count)
@@ -233,7 +233,7 @@ class Fault:
     name: str
     number: int
     changed: dict[int, Episode] = field(repr=False)
-    told: str
+    report: str
 
 
 KINDS = ("late camera", "frozen joint", "repeated frames", "moved camera", "swapped joints",

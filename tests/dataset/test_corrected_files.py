@@ -142,7 +142,7 @@ def test_cameras_with_different_delays_are_each_paired(tmp_path: Path) -> None:
             assert np.abs(np.array(list(shown.values()))[nearest] - wanted).max() <= 1
 
 
-def test_an_episode_left_out_is_listed_and_the_others_numbered_anew(
+def test_an_episode_left_out_is_listed_and_the_others_numbered_again(
     dataset: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"

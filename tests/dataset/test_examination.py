@@ -20,7 +20,7 @@ DELAY_S = 0.063
 COUNT = 3
 
 
-def told_by_surface(log: Path, _settings: Settings) -> ExaminedDelays:
+def delays_by_surface(log: Path, _settings: Settings) -> ExaminedDelays:
     """A delay of the first camera; none of the last episode."""
     if log.name.endswith("#2"):
         return ExaminedDelays((), (Finding("info", f"{log}: camera: no arm is seen"),))
@@ -32,7 +32,7 @@ def test_the_delay_by_the_surface_is_used_and_pooled_and_flows_stands_beside(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = arm_dataset.write(tmp_path / "arm", [arm_dataset.episode(number) for number in range(COUNT)])
-    monkeypatch.setattr(surface_findings, "examine_by_surface", told_by_surface)
+    monkeypatch.setattr(surface_findings, "examine_by_surface", delays_by_surface)
     settings = Settings(kinematics=KinematicsSettings(urdf="arm.urdf"))
     rows: list[dict[str, Any]] = []
     evidence = {}

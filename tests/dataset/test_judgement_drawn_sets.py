@@ -47,18 +47,18 @@ def accusations(found: DatasetJudgement) -> list[str]:
 
 
 def is_found_alone(found: DatasetJudgement, fault: drawn_sets.Fault) -> bool:
-    """Whether the fault is told of its episode, or of all from it on, and nothing else."""
+    """Whether the fault is report of its episode, or of all from it on, and nothing else."""
     if len(fault.changed) > 1 and fault.name == "moved camera":
-        told = [text for text in found.findings if f"from {fault.number} on" in text]
+        report = [text for text in found.findings if f"from {fault.number} on" in text]
         if fault.number > 1:
-            return bool(told) and told == list(found.findings) and not found.outliers
+            return bool(report) and report == list(found.findings) and not found.outliers
         # of an episode before a move and seven after it, the one is the odd one
         moved = [figure.startswith("moved/") for one in found.outliers for figure in one.figures]
         return {one.episode for one in found.outliers} == {"0"} and all(moved)
     who = {one.episode for one in found.outliers}
     figures = [figure for one in found.outliers for figure in one.figures]
-    said = any(fault.told in text for text in (*figures, *(one.text for one in found.outliers)))
-    return who == {str(fault.number)} and said and not found.findings
+    printed = any(fault.report in text for text in (*figures, *(one.text for one in found.outliers)))
+    return who == {str(fault.number)} and printed and not found.findings
 
 
 @pytest.mark.soak

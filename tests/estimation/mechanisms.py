@@ -56,7 +56,7 @@ def learned(seed: int, mechanism: Mechanism) -> BodyModel:
 def replayed(
     seed: int, mechanism: Mechanism, fault: Fault, duration: float = 16.0, reaches: bool = False
 ) -> Features:
-    """What encoders read and a camera sees during a run: smooth motion, or reaches with rests between them."""
+    """What encoders read and a camera sees during a run: smooth motion, or reaches with pauses between them."""
     rng = np.random.default_rng([seed, int(reaches), round(duration)])
     t = np.arange(0.0, duration, 1 / ENCODER_HZ)
     frames = np.arange(0.003, duration, 1 / mechanism.camera_hz)
@@ -87,7 +87,7 @@ def _wandering(t: Array, rng: np.random.Generator) -> Array:
 
 
 def _reaching(t: Array, rng: np.random.Generator) -> Array:
-    """Minimum-jerk reaches (Flash & Hogan 1985) of 1 s between rests of up to 1 s."""
+    """Minimum-jerk reaches (Flash & Hogan 1985) of 1 s between pauses of up to 1 s."""
     angles = np.tile(np.array([-0.9, -0.9, 1.0]), (len(t), 1))
     here, begin = np.zeros(3), 0.5
     while begin < t[-1]:

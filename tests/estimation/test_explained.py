@@ -36,13 +36,13 @@ def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
     body = mechanisms.learned(1000, mechanisms.SOUND)
     features, true = mechanisms.replayed(4, CORRELATED, Fault()), truth(4, CORRELATED)
     found = estimate_from_features(features, body, EstimationSettings(method="smoother"), "off")
-    told = found.settings[HARDWARE_ERRORS]
+    reported = found.settings[HARDWARE_ERRORS]
     assert (
-        told["lasting"]["std"] == pytest.approx(2e-3, rel=0.5)
-        and told["lasting"]["at"] == "encoder"
+        reported["lasting"]["std"] == pytest.approx(2e-3, rel=0.5)
+        and reported["lasting"]["at"] == "encoder"
     )
-    assert 0.5 < told["lasting"]["seconds"] < 8.0
-    assert not told["play"]
+    assert 0.5 < reported["lasting"]["seconds"] < 8.0
+    assert not reported["play"]
     error, nees = errors(found, true)
     raw = features.joints.values - true.values
     assert np.sqrt(np.mean(error**2)) < np.sqrt(np.mean(raw**2))

@@ -36,7 +36,7 @@ QUIET = (
     (1, 0.005, 0.3, Drawn("reach", noise=5e-4, encoder_hz=100.0, camera_hz=10.0, pixel=0.3)),
     (2, 0.002, 0.03, Drawn("reach", noise=1e-4, encoder_hz=200.0, camera_hz=10.0, pixel=0.1)),
 )
-"""Seed, drift, stated std: between reaches a quiet arm rests, where images in a row share their error."""
+"""Seed, drift, stated std: between reaches a quiet arm is still, where images in a row share their error."""
 
 
 @pytest.mark.parametrize(("seed", "drift", "stated", "how"), QUIET)

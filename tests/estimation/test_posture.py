@@ -29,17 +29,17 @@ def drawn_log(seed, names=NAMES):
     t = np.arange(0.0, 20.0, 0.01)
     images = np.arange(0.3, 19.5, 1.0 / 12.0)
     joints = motion(t, seed) + ENCODER_STD * rng.standard_normal((len(t), 3))
-    # pan is told well, lift and elbow by their sum alone
+    # pan is known well, lift and elbow by their sum alone
     cov = np.array([[3e-6, 0.0, 0.0], [0.0, 4e-5, -3.6e-5], [0.0, -3.6e-5, 4e-5]])
     root = np.linalg.cholesky(cov)
     kept = np.exp(-1.0 / 12.0 / LASTS_S)
     error = rng.standard_normal((len(images), 3))
     for number in range(1, len(images)):
         error[number] = kept * error[number - 1] + np.sqrt(1.0 - kept**2) * error[number]
-    told = motion(images, seed) + error @ root.T
+    shown = motion(images, seed) + error @ root.T
     order = [NAMES.index(name) for name in names]
     reading = PostureReadings(
-        images, told[:, order], np.tile(cov[np.ix_(order, order)], (len(images), 1, 1)), names,
+        images, shown[:, order], np.tile(cov[np.ix_(order, order)], (len(images), 1, 1)), names,
         np.rint(images * 1e9).astype(np.int64),
     )  # fmt: skip
     series = Series(t, joints, NAMES, "rad", np.rint(t * 1e9).astype(np.int64))
@@ -84,7 +84,7 @@ def test_errors_that_last_count_as_the_span_of_motion_asks():
     factor = [np.einsum("nii->ni", one)[5] / np.diag(cov[5]) for one in (often, rarely, lively)]
     assert (factor[0] > factor[1]).all() and (factor[0] > factor[2]).all()
     assert min(map(np.min, factor)) >= 1.0
-    assert factor[0][0] > factor[0][1]  # what is told badly lasts longer against the same motion
+    assert factor[0][0] > factor[0][1]  # what is known badly lasts longer against the same motion
     # no more than an error that wanders allows in any log: 1 + 2 Σ ρᵏ
     assert max(map(np.max, factor)) <= 2.0 * LASTS_S * 24.0 + 1.0
     np.testing.assert_array_equal(inflate_lasting_errors(np.zeros(1), cov[:1], np.ones(2)), cov[:1])

@@ -100,7 +100,7 @@ def test_step_costs_the_product_of_senses_and_joints():
 
 
 def test_prior_error_as_in_the_algorithm_comes_to_its_definition():
-    """ė_x = x̂ − μ − σ_x e_x rests at (x̂ − μ)/σ_x, which is e_x's definition."""
+    """ė_x = x̂ − μ − σ_x e_x settles at (x̂ − μ)/σ_x, which is e_x's definition."""
     e, x, mu, sigma = 0.0, 0.4, 0.1, 2.0
     for _ in range(1000):
         e += DT * (x - mu - sigma * e)

@@ -70,7 +70,7 @@ def test_many_landmarks_of_a_link_share_an_error():
         assert (ratio > 1.0).all() and (ratio < 1.2).all()
 
 
-def test_joint_that_no_corner_shows_stays_untold():
+def test_joint_that_no_corner_shows_stays_unknown():
     real, t, angles, cov = read_wrong(40, [1, 2])
     np.testing.assert_allclose(np.sqrt(cov[:, 3, 3]), UNTOLD_STD, rtol=1e-9)
     np.testing.assert_allclose(angles[:, 3], real.at(t)[0][:, 3] + BENT[3], atol=1e-9)

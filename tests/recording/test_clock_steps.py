@@ -106,7 +106,7 @@ def test_late_parts_late_messages_and_backlogs_are_no_steps():
     number = np.arange(len(stamp))
     part_written_late = np.concatenate([number[:100], number[200:300], number[100:200]])
     one_late = np.insert(np.delete(number, 500), 530, 500)
-    few_astray = stamp - 1000 * MS * ((number >= 400) & (number < 410))
+    few_wrong = stamp - 1000 * MS * ((number >= 400) & (number < 410))
     backlog = np.delete(number, np.arange(500, 560))
     held = log + 1200 * MS * (number < 560)
     late_publisher = stamp + rng.integers(0, 400 * MS, len(stamp)) * (number % 2)
@@ -115,7 +115,7 @@ def test_late_parts_late_messages_and_backlogs_are_no_steps():
         "a part written late": (log[part_written_late], stamp[part_written_late]),
         "one message written late": (log[one_late], stamp[one_late]),
         "a late message": (log, stamp[one_late]),
-        "few stamps astray": (log, few_astray),
+        "few stamps wrong": (log, few_wrong),
         "a backlog that was dropped": (held[backlog], stamp[backlog]),
         "a second publisher": (late_publisher[arrived], stamp[arrived]),
         "reversed": (log[::-1], stamp[::-1]),

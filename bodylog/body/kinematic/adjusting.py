@@ -1,4 +1,4 @@
-"""Adjust the calibration that is printed: by itself, and
+"""Adjust the calibration that is printed: alone, and
 with the zeros of joints that stood still as unknowns.
 """
 

@@ -152,7 +152,7 @@ def _find_links_given(
     hints: Mapping[str, CameraHint],
     carried: Mapping[str, str] | None = None,
 ) -> FoundLinks:
-    """The links of cameras and markers, with what is known of them."""
+    """The links of cameras and markers, and the priors of them."""
     return find_links(
         given.robot, names, held, seen, hints, given.doubt, given.scale, carried, given.markers
     )

@@ -219,16 +219,16 @@ def _lens_from(plain: Mapping[str, Any]) -> Lens:
 def _earlier_placements(given: Adjusted) -> Iterator[Placement]:
     """Where cameras and markers were before they moved between logs."""
     rig = given.rig
-    told = set[tuple[bool, int]]()
+    listed = set[tuple[bool, int]]()
     for k, sight in enumerate(rig.sights):
         for log, pair in enumerate(sight.by_log):
             for camera, index, now in (
                 (True, pair[0], sight.camera),
                 (False, pair[1], sight.carrier),
             ):
-                if index == now or (camera, index) in told:
+                if index == now or (camera, index) in listed:
                     continue
-                told.add((camera, index))
+                listed.add((camera, index))
                 sub, used = rig.alone(k, log)
                 theta = given.theta[used]
                 spread = given.covariance[np.ix_(used, used)]

@@ -121,7 +121,7 @@ def explain(
 
 
 def _delays_left(problem: FactorProblem, found: Learned, step_s: float) -> Iterator[Late]:
-    """Yield how late each camera still is beside what explains the log."""
+    """Yield each camera's delay that is left beside what explains the log."""
     for name in _cameras(problem):
         late = replace(problem, columns=(*problem.columns, Delay("delay", DELAY_STD, camera=name)))
         delayed = _learn(late, found.noise, step_s, found.path)

@@ -104,7 +104,7 @@ def image_rows(
     )
 
 
-def alike(sightings: Sequence[Sighting], links: Array) -> Array:
+def correlate_model_errors(sightings: Sequence[Sighting], links: Array) -> Array:
     """Correlation κ (K-1,U) of the model errors of all
     senses' rows from knot to knot, for links (K,M) rad.
     """

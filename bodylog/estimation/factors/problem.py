@@ -12,7 +12,7 @@ from ..measurements.records import Sighting
 from .columns import Column, Path
 from .condensing import LOG_2PI, Readings, condense, normalisation, place_readings
 from .encoder_error import JointNoise
-from .images import ImageRows, Images, alike, image_rows, place_images
+from .images import ImageRows, Images, correlate_model_errors, image_rows, place_images
 from .solve import System
 
 
@@ -90,7 +90,7 @@ class Linearised:
     path: Path
     readings: Readings
     rows: tuple[ImageRows, ...]
-    alike: Array
+    model_correlation: Array
     noise: Noise
 
     def with_noise(self, noise: Noise) -> "Linearised":
@@ -108,7 +108,7 @@ def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
         links, shifts = columns_of_images(problem, images, path)
         rows.append(image_rows(images, here.links, noise.joints, 1.0, links, shifts, first, size))
         first += images.values.shape[1]
-    kappa = alike(problem.sightings, path.links)
+    kappa = correlate_model_errors(problem.sightings, path.links)
     return Linearised(problem, path, problem.place(path), tuple(rows), kappa, noise)
 
 
@@ -152,11 +152,13 @@ def build_system(linear: Linearised) -> System:
         pair_right[:, own] = pairs.right[:, j]
     logs_of_pairs = pairs.logs.sum(axis=1)
     # u₁ = κ u₀ + √(1 − κ²) ν
-    fresh = 1.0 / (1.0 - np.square(linear.alike))
+    fresh = 1.0 / (1.0 - np.square(linear.model_correlation))
     first = np.arange(width, size)
-    pair_info[:, first, first] = np.square(linear.alike) * fresh
+    pair_info[:, first, first] = np.square(linear.model_correlation) * fresh
     pair_info[:, size + first, size + first] = fresh
-    pair_info[:, first, size + first] = pair_info[:, size + first, first] = -linear.alike * fresh
+    pair_info[:, first, size + first] = pair_info[:, size + first, first] = (
+        -linear.model_correlation * fresh
+    )
     logs_of_pairs = logs_of_pairs - 0.5 * np.log(fresh).sum(axis=1)
     means = np.array([column.mean for column in problem.columns])
     precision = np.array([1.0 / column.std**2 for column in problem.columns])

@@ -46,7 +46,7 @@ def left_out(residual: Array, noise: Array, belief: Array) -> tuple[Array, Array
     others' prediction by R (R − V)⁻¹ r, with covariance R (R − V)⁻¹ R (de Jong 1988).
     """
     rest = noise - belief
-    # rounding may leave less than nothing of a measurement that the belief rests on
+    # rounding may leave less than nothing of a measurement that the belief is made of
     floor = 1e-3 * np.einsum("fdd->fd", noise)
     np.einsum("fdd->fd", rest)[:] = np.maximum(np.einsum("fdd->fd", rest), floor)
     gain = np.linalg.solve(rest, noise).swapaxes(1, 2)

@@ -157,10 +157,12 @@ def _screen_encoder(t: Array, y: Array, moved: Callable[[int, int], float]) -> S
     return ScreenedEncoder(values, found, nats)
 
 
-def _find_recovery_time(t: Array, y: Array, stuck: RepeatedReadings) -> float | None:
-    """When (s) an encoder that was stuck reads again; None if it never does."""
-    later = np.flatnonzero(np.isfinite(y[stuck.end :]))
-    return float(t[stuck.end + later[0]]) if len(later) and stuck.end > stuck.begin else None
+def _find_recovery_time(t: Array, y: Array, repeated: RepeatedReadings) -> float | None:
+    """When (s) an encoder that was repeated reads again; None if it never does."""
+    later = np.flatnonzero(np.isfinite(y[repeated.end :]))
+    return (
+        float(t[repeated.end + later[0]]) if len(later) and repeated.end > repeated.begin else None
+    )
 
 
 def _find_excursions(

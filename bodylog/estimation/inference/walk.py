@@ -125,7 +125,7 @@ def _with_stationary(problem: FilterProblem) -> FilterProblem:
 
 def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution:
     """The filter's solution; for the `whole` log in
-    one single stretch, with what the smoother needs.
+    one single stretch, and all that the smoother needs.
     """
     events = len(problem.timeline.t)
     keep = TraceDetail.MEANS if whole else TraceDetail.BELIEFS

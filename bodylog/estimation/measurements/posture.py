@@ -3,7 +3,7 @@ one row for each joint, with the covariance between them.
 
 The errors of corners last, as highlights and silhouettes slide slowly, and a belief must not be
 surer than what lasts. Images within the span in which a joint's motion outgrows the error count as
-one; the span is of each direction of the joints' space by itself, see `correlated_noise`.
+one; each direction of the joints' space has its own span, see `correlated_noise`.
 """
 
 from collections.abc import Mapping

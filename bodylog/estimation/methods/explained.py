@@ -122,7 +122,7 @@ def _explains_offsets(found: ExplainedLog) -> bool:
 
 
 def _without_offsets(problem: FilterProblem, first: FilterProblem) -> FilterProblem:
-    """The problem without the offsets that were found, with what it was compared with."""
+    """The problem without the offsets that were found, and the evidence beside it."""
     evidence = replace(first.evidence, hypotheses=problem.evidence.hypotheses)
     precision = replace(problem.precision, drift=first.precision.drift)
     return replace(problem, evidence=evidence, precision=precision, alternatives={})

@@ -227,7 +227,7 @@ def offset_variance(problem: FilterProblem, solved: Solution) -> Array:
 
 
 def with_repairs(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
-    """Covariances (E,M,M) rad² of angles with what the repair of jumps adds."""
+    """Covariances (E,M,M) rad² of angles and the variance that repaired jumps add."""
     offset_var = None if problem.precision.drift is None else offset_variance(problem, solved)
     added = encoder_offset.repaired_variance(problem, offset_var)
     return np.asarray(cov + added[:, :, None] * np.eye(added.shape[1]))

@@ -76,7 +76,7 @@ class LastingError:
 class Residuals:
     """Images against readings in one stretch of a log, as R rows.
 
-    residual (R,) · image, reading (R,R): covariance by their noise, independent · alike (R,R): by
+    residual (R,) · image, reading (R,R): covariance by their noise, independent · shared (R,R): by
     both, if places and counts that are alike have the same error · model (R,R): by the body's error
     · delayed (R,R): by a delay of DELAY_S · slopes (R,M), 0 for joints without readings · t (R,) s.
     """
@@ -84,7 +84,7 @@ class Residuals:
     residual: Array
     image: Array
     reading: Array
-    alike: Array
+    shared: Array
     model: Array
     delayed: Array
     slopes: Array
@@ -275,7 +275,7 @@ def _sound_covariance(piece: Residuals, factors: Array) -> Array:
     """Covariance (R,R) without a lasting error, for factors
     (3,) on the noise of images, of readings, and alike.
     """
-    noise = factors[0] * piece.image + factors[1] * piece.reading + factors[2] * piece.alike
+    noise = factors[0] * piece.image + factors[1] * piece.reading + factors[2] * piece.shared
     return np.asarray(noise + piece.model + piece.delayed)
 
 

@@ -95,7 +95,7 @@ def reconsider_delays(
     given: str | Mapping[str, float],
     left: Mapping[str, Mapping[str, float]],
 ) -> CorrectedFeatures | None:
-    """The delays anew where play or other errors of the hardware
+    """The delays again where play or other errors of the hardware
     had been taken for a part of them; None if all stay.
 
     left {camera: seconds, std, nats}: what is left of each delay with those errors accounted for. A

@@ -66,8 +66,10 @@ class Unit:
         if self.name == "deg" and self.declared:
             return "info", f"joints: degrees, {self.why}; they are read as rad"
         if self.zero is not None:
-            told = "4096 are a turn and 2048 is 0°, as SO-10x arms have it; they are read as angles"
-            return "info", f"joints: encoder counts, {self.why}; {told}"
+            reason = (
+                "4096 are a turn and 2048 is 0°, as SO-10x arms have it; they are read as angles"
+            )
+            return "info", f"joints: encoder counts, {self.why}; {reason}"
         if self.name == "counts":
             advice = "they are kept as they are, so results in rad are in counts"
             return "warning", f"joints: encoder counts, {self.why}; {advice}"

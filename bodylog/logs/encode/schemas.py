@@ -28,7 +28,7 @@ _PARTS = {
         "geometry_msgs/Point start\ngeometry_msgs/Point end\nfloat64 delay\n"
     ),
     "bodylog_msgs/Synchrony": (
-        "# How well a touch agrees with what was seen: delay = seen - felt in s (NaN: "
+        "# How well a touch agrees with a stroke that was seen: delay = seen - felt in s (NaN: "
         "nothing seen), weight 0..1.\n"
         "std_msgs/Header header\nfloat64 delay\nfloat64 weight\n"
     ),

@@ -43,7 +43,7 @@ def cell_text(cell: Any) -> str:
 
 
 def cell_number(cell: Any) -> float:
-    """A cell as a number; NaN if it is none."""
+    """A cell as a number; NaN for a text."""
     try:
         return float(cell)
     except (ValueError, TypeError, OverflowError):

@@ -209,7 +209,7 @@ class CornerTracker:
 
     def _moving(self, image: Array) -> Array | None:
         """Where an image differs from the median picture
-        (H,W) 0 or 255; None where there is none to compare.
+        (H,W) 0 or 255; None without one to compare.
         """
         import cv2
 

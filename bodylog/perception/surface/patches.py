@@ -1,5 +1,5 @@
 """Small pictures of landmarks, looked for in images where
-they are foretold, turned and scaled as they would look.
+they are predicted, turned and scaled as they would look.
 """
 
 from dataclasses import dataclass
@@ -95,22 +95,22 @@ def match_templates(image: Array, templates: Array, uv: Array, reach_px: int) ->
         bottom = v + reach_px + half + 1
         if left < 0 or top < 0 or right > width or bottom > height:
             continue
-        alike = cv2.matchTemplate(
+        correlation = cv2.matchTemplate(
             image[top:bottom, left:right], templates[number], cv2.TM_CCOEFF_NORMED
         )
-        row, column = divmod(int(np.argmax(alike)), alike.shape[1])
-        best = float(alike[row, column])
+        row, column = divmod(int(np.argmax(correlation)), correlation.shape[1])
+        best = float(correlation[row, column])
         score[number] = best
         if best < LEAST_ALIKE or row in (0, 2 * reach_px) or column in (0, 2 * reach_px):
             continue
-        du = _vertex(alike[row, column - 1], best, alike[row, column + 1])
-        dv = _vertex(alike[row - 1, column], best, alike[row + 1, column])
+        du = _vertex(correlation[row, column - 1], best, correlation[row, column + 1])
+        dv = _vertex(correlation[row - 1, column], best, correlation[row + 1, column])
         found[number] = column + left + half + du, row + top + half + dv
-        alike[
+        correlation[
             max(row - _APART_PX, 0) : row + _APART_PX + 1,
             max(column - _APART_PX, 0) : column + _APART_PX + 1,
         ] = -1.0
-        sure[number] = best - float(alike.max()) >= LEAST_LEAD
+        sure[number] = best - float(correlation.max()) >= LEAST_LEAD
     return PatchMatches(found, score, sure)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bodylog import body
-from bodylog.body.test_scores import score_body_on_tests
+from bodylog.body.log_scores import score_body_on_tests
 from bodylog.errors import EvidenceError, ModelError
 from bodylog.settings import Settings
 
