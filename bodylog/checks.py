@@ -12,7 +12,7 @@ from .body_model import BodyModel
 from .errors import ConfigError, EvidenceError, InputError, LogError, ModelError
 from .io.atomic_files import require_regular
 from .io.outputs import Output, guard_outputs
-from .robot_model import UNUSABLE_URDF
+from .robot.model import UNUSABLE_URDF
 from .settings import ColourSettings, Settings
 from .sources import TableSource, feature_of, group_of
 from .types import Features, Finding, Health, Recording

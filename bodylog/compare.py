@@ -8,12 +8,12 @@ from pathlib import Path
 
 from .body_model import BodyModel
 from .checks import log_context, loss_note, require_same_camera, require_same_size
-from .default_features import features_of_body
 from .errors import EvidenceError, InputError, UsageError
-from .fault_findings import fault_warnings
+from .features.defaults import features_of_body
+from .findings.faults import fault_warnings
+from .findings.scoring import score_estimate
 from .logs.protocol import Progress
 from .pipeline import infer, observe
-from .scoring import score_estimate
 from .settings import EstimationSettings, Settings
 from .types import Features, Finding, Recording, Score
 

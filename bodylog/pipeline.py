@@ -6,7 +6,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from . import default_features, learned_tests, verdict
+from .annotating.written_messages import (
+    estimate_messages,
+    feature_messages,
+    provenance_of_logs,
+    topic_of_role,
+)
 from .checks import (
     SparedLogs,
     log_context,
@@ -19,23 +24,24 @@ from .checks import (
     select_features_to_learn,
 )
 from .errors import EvidenceError, InputError, ModelError, UsageError
-from .fault_findings import fault_warnings, sighting_findings, truth_findings
+from .features import defaults as default_features
+from .features.observed import add_recorded_joints, moving_features, still_pose_features
+from .findings import learned_tests, verdict
+from .findings.faults import fault_warnings, sighting_findings, truth_findings
+from .findings.joints_only import read_joints_alone, without_body
+from .findings.log_estimate import estimate_log
+from .findings.log_estimate import infer as infer
+from .findings.result import NO_SCORES, Scores, estimate_result
+from .findings.result import Result as Result
+from .findings.scoring import score_estimate, with_true_poses, with_truth_beside_log
 from .io.atomic_files import hash_files
 from .io.outputs import Output
 from .io.temporary import create_scratch_folder
 from .io.text_paths import with_text_paths
-from .joints_only import read_joints_alone, without_body
-from .log_estimate import estimate_log
-from .log_estimate import infer as infer
 from .logs.limits import LIMITS
 from .logs.protocol import Progress
-from .observed import add_recorded_joints, moving_features, still_pose_features
-from .result import NO_SCORES, Scores, estimate_result
-from .result import Result as Result
-from .scoring import score_estimate, with_true_poses, with_truth_beside_log
 from .settings import Settings, settings_as_values
 from .types import Features, Finding, FrameConsumer, Recording
-from .written_messages import estimate_messages, feature_messages, provenance_of_logs, topic_of_role
 
 DEFAULTS = Settings()
 
@@ -124,9 +130,12 @@ def fit(
     It is scored on the logs to `test` it with, which it does not learn from. `leave_out`: a log that
     teaches nothing is a finding, as long as another one does.
     """
-    from . import calibration, camera_delay, robot_model, surface_body
     from .annotating.background_copy import Copy
     from .body import storage
+    from .delays import camera_delay
+    from .robot import calibration
+    from .robot import model as robot_model
+    from .surface import body as surface_body
 
     asked = settings
     bodies = () if update is None else (update,)
@@ -236,10 +245,11 @@ def _fit_surface(
     """Learn a body by the robot's own surface and write
     it; `why`: the reason why there is no other body.
     """
-    from . import calibration, surface_body
     from .annotating.background_copy import Copy
     from .body import storage
     from .recording import recording
+    from .robot import calibration
+    from .surface import body as surface_body
 
     if test:
         raise UsageError(
@@ -295,9 +305,11 @@ def estimate(
             return replace(
                 estimate(log, body, folder / "estimate.mcap", settings, progress), output=None
             )
-    from . import estimation, robot_model, surface_estimate
+    from . import estimation
     from .annotating import annotate, estimate_metadata
     from .body import storage
+    from .robot import model as robot_model
+    from .surface import estimate as surface_estimate
 
     require_distinct_paths(
         [log, *(robot_model.urdf_files(settings) if body is None else [body])],
@@ -446,9 +458,10 @@ def diagnose_log(
     """What is wrong with a log, with settings its camera
     delays too (see delay_findings); `repair`: a sound copy.
     """
-    from . import delay_findings, surface_findings
     from .body import storage
+    from .delays import findings as delay_findings
     from .logs.conversion import examination as logs_doctor
+    from .surface import findings as surface_findings
 
     limits = LIMITS if settings is None else settings.input
     require_distinct_paths(

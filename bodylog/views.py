@@ -9,11 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .annotating.written_messages import topic_of_role
 from .body_model import BodyModel
 from .checks import log_context, require_distinct_paths
-from .default_features import toml_line
 from .errors import EvidenceError, FormatError, LogError
-from .fault_findings import fault_warnings
+from .features.defaults import toml_line
+from .findings.faults import fault_warnings
+from .findings.result import NO_SCORES, Scores, estimate_result
+from .findings.scoring import score_estimate
 from .io.atomic_files import ensure_dir, is_archive
 from .io.outputs import Output
 from .io.remote import errors_about
@@ -21,11 +24,8 @@ from .io.temporary import create_scratch_folder
 from .logs.protocol import Progress
 from .logs.topic_names import PREFIX
 from .pipeline import Result, diagnose_log, ingest, observe, requested_folders
-from .result import NO_SCORES, Scores, estimate_result
-from .scoring import score_estimate
 from .settings import Settings, hand_colour, settings_as_values
 from .types import Array, Estimate, Features, Finding, Recording
-from .written_messages import topic_of_role
 
 if TYPE_CHECKING:
     from .perception import Candidate
@@ -333,11 +333,11 @@ def find_feature_candidates(
 
     Where [features] names the robot's own surface, or `body` has one: the corners on its links.
     """
-    from . import surface_body
     from .perception import survey_features
     from .recording import recording
     from .report.figures import contact_sheet
     from .report.viewers import image_overlay
+    from .surface import body as surface_body
 
     if out is not None:
         require_distinct_paths([log], [Output(out)], settings)
@@ -368,9 +368,9 @@ def _find_surface(
     """The corners on a robot's links, of each camera a row; `out`: their tracks, by link."""
     from .report.figures import surface_sheet
     from .report.viewers import image_overlay
-    from .surface_calibration import camera_film
-    from .surface_findings import linked_cameras
-    from .surface_tracks import describe_foreign, trails_as_views
+    from .surface.calibration import camera_film
+    from .surface.findings import linked_cameras
+    from .surface.tracks import describe_foreign, trails_as_views
 
     rows = list[dict[str, Any]]()
     findings = list[Finding]()

@@ -128,7 +128,7 @@ def _row_error_text(row: dict[str, Any]) -> str:
 
 def _print_summary(rows: list[dict[str, Any]], out: Path) -> None:
     """The verdict on all logs, then a row for each: exit code, error (rad), name, status."""
-    from bodylog.verdict import verdict_of_batch
+    from bodylog.findings.verdict import verdict_of_batch
 
     from .output import print_line
 

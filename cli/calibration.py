@@ -47,8 +47,8 @@ def calibration(
     The body must be learned with a URDF. Each value
     has its standard deviation, in mm, degrees and px.
     """
-    from bodylog import calibration, next_postures
     from bodylog.pipeline import Result
+    from bodylog.robot import calibration, next_postures
 
     from .output import print_findings, print_json, print_line, result_entry
 
@@ -93,9 +93,9 @@ def offsets(body: Path, out: Path | None, urdf: Path | None, as_json: bool) -> i
 
     The joints of `bodylog calibration`; scales are printed where they were unknown.
     """
-    from bodylog import calibration
     from bodylog.body.kinematic.offsets import offset_tables
     from bodylog.pipeline import Result
+    from bodylog.robot import calibration
 
     from .output import print_json, print_line, result_entry
 

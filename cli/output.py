@@ -48,7 +48,7 @@ def print_result(
 
 def print_verdict(result: "Result") -> None:
     """Print a result's verdict, then the findings that it does not hold."""
-    from bodylog.fault_findings import fault_warnings
+    from bodylog.findings.faults import fault_warnings
 
     for text in result.verdict if read_verbosity() >= 0 else ():
         print_line(text)

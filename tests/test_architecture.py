@@ -40,22 +40,16 @@ ROOMS = {
 }
 """Which parts of bodylog a room may import; what imports several rooms stands in LAYERS, each above the one before."""
 LAYERS = (
-    {"known_camera"},
-    {"effector_poses", "joint_limits", "robot_model", "sighting_evidence"},
-    {"observed", "written_messages"},
-    {"camera_delay", "change_findings", "checks", "default_features", "fault_findings", "info", "calibration",
-     "joints_only", "learned_tests", "misfit", "next_postures", "online", "scoring",
-     "surface_calibration", "surface_map", "verdict"},
-    {"delay_findings", "flow_findings", "headline", "log_estimate", "result"},
-    {"surface_tracks"},
-    {"surface_estimate"},
-    {"surface_findings"},
-    {"surface_body"},
+    {"robot"},
+    {"checks", "features", "info", "online"},
+    {"findings"},
+    {"delays"},
+    {"surface"},
     {"pipeline"},
     {"compare", "views"},
     {"dataset"},
     {"batch", "experiments"},
-)  # fmt: skip
+)
 STAGES = {"annotating", "body", "estimation", "evaluation", "logs", "perception", "recording", "report", "sim"}
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
 

@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.checks import select_features_to_learn
 from bodylog.errors import ConfigError, ModelError
-from bodylog.robot_model import check_urdf
+from bodylog.robot.model import check_urdf
 from bodylog.settings import FitSettings, KinematicsSettings, Settings
 from tests.body.boards import features
 from tests.kinematics import robots

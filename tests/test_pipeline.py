@@ -88,7 +88,7 @@ def test_estimate_rejects_images_of_another_width_unless_unused(tmp_path, arm, a
 
 
 def test_constant_encoder_offset_may_be_the_camera() -> None:
-    from bodylog.fault_findings import fault_warnings
+    from bodylog.findings.faults import fault_warnings
     from bodylog.types import Fault
 
     given = (("drifting", 0.2), ("drifting", 9.0), ("jumping", 0.2))

@@ -10,7 +10,7 @@ import bodylog
 import bodylog.logs as logs
 from bodylog.errors import ConfigError
 from bodylog.estimation.noise.angle_unit import unit_of
-from bodylog.result import Scores
+from bodylog.findings.result import Scores
 from bodylog.settings import Settings
 from bodylog.types import LazyImage, Score, Series
 

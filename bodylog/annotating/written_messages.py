@@ -5,21 +5,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .settings import Settings, settings_as_values
-from .types import Estimate, Features, Outgoing, Recording
-from .version import __version__
+from ..settings import Settings, settings_as_values
+from ..types import Estimate, Features, Outgoing, Recording
+from ..version import __version__
 
 
 def feature_messages(read: Recording, features: Features) -> list[Outgoing]:
     """The features of a recording, as messages."""
-    from .annotating import messages
+    from . import messages
 
     return messages.from_features(features, read.start_ns)
 
 
 def estimate_messages(read: Recording, features: Features, found: Estimate) -> list[Outgoing]:
     """An estimate and its features, as messages."""
-    from .annotating import messages
+    from . import messages
 
     return [
         *feature_messages(read, features),

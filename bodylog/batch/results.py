@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from .. import headline, verdict
+from ..findings import headline, verdict
 from ..io.atomic_files import replace_atomically
 from . import folders, resume
 from .jobs import EXAMINE, Job, Row

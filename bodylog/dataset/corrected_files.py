@@ -138,7 +138,7 @@ def _repeated_frames(
     known: DatasetLayout, number: int, feature: str, settings: Settings
 ) -> RepeatedFrames:
     """The repeated frames of a camera; one that cannot be decoded is not among them."""
-    from ..flow_findings import alternating_repeats
+    from ..delays.flow import alternating_repeats
     from ..logs.datasets.episode_log import FEATURE, EpisodeLog
     from ..logs.formats import open_log
     from ..perception.surface.repeats import RepeatSearch, shrink_grey

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..result import Result, Scores
+from ..findings.result import Result, Scores
 from ..settings import Settings
 from ..types import Array, Finding, Recording, Score
 from .checks import CHECKS, figure_name
@@ -66,7 +66,7 @@ def _add_surface(
     """Add what the robot's own surface tells of cameras and joint zeros, and return the figures
     that are by it; what flow tells of the same stands beside, as flow/NAME."""
     from ..recording.cameras import camera_name_of_source
-    from ..surface_findings import examine_by_surface
+    from ..surface.findings import examine_by_surface
 
     found = examine_by_surface(log, settings)
     first = camera_name_of_source(read.roles["camera"]) if "camera" in read.roles else "camera"

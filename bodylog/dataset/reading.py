@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..delay_findings import MAX_DURATION_S, MOST_FLOW_IMAGES, middle_of_recording
+from ..delays.findings import MAX_DURATION_S, MOST_FLOW_IMAGES, middle_of_recording
+from ..delays.flow import delay_by_flow, has_motion, name_moving_arm
 from ..errors import LogError
-from ..flow_findings import delay_by_flow, has_motion, name_moving_arm
 from ..io.values import FARTHEST
 from ..perception.surface.flow import measure_grid_flow
 from ..recording.cameras import camera_name_of_source

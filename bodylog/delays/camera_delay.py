@@ -5,16 +5,16 @@ from dataclasses import dataclass, replace
 from math import sqrt
 from typing import TYPE_CHECKING, Any
 
-from .body_model import BodyModel, ForwardModel
-from .errors import EvidenceError
-from .settings import Settings
-from .types import Array, Features, Finding
+from ..body_model import BodyModel, ForwardModel
+from ..errors import EvidenceError
+from ..settings import Settings
+from ..types import Array, Features, Finding
 
 if TYPE_CHECKING:
-    from .body.kinematic.learn import Robotics
-    from .body.learning import Keep, LearnedBody
-    from .estimation.timing.gp_likelihood import Prior
-    from .estimation.timing.regression import Delay
+    from ..body.kinematic.learn import Robotics
+    from ..body.learning import Keep, LearnedBody
+    from ..estimation.timing.gp_likelihood import Prior
+    from ..estimation.timing.regression import Delay
 
 MAX_TURNS = 5
 """Most bodies learned, each from images corrected by the delays of the last one."""
@@ -53,8 +53,8 @@ def learn_with_delays(
     The body keeps the delays of the logs with the smallest
     standard errors. UsageError for an unknown camera.
     """
-    from . import body
-    from .estimation.timing import correction
+    from .. import body
+    from ..estimation.timing import correction
 
     keep: Keep = "explained" if robot is None else "all"
     if all(found.poses for found in features):
@@ -84,8 +84,8 @@ def measure_log_delays(
     The second ones are unclear: their correction does not
     make the body better. EvidenceError without a body.
     """
-    from .estimation.timing import correction
-    from .estimation.timing.regression import Delay
+    from ..estimation.timing import correction
+    from ..estimation.timing.regression import Delay
 
     start = _coarse_delays(features)
     try:
@@ -110,8 +110,8 @@ def _coarse_delays(features: Features) -> dict[str, float]:
     """Delays (s) by camera to start from, to about 0.05 s; 0 where they are unclear."""
     import numpy as np
 
-    from .estimation.measurements.gather import camera_of_track
-    from .perception.tracking import joint_motion
+    from ..estimation.measurements.gather import camera_of_track
+    from ..perception.tracking import joint_motion
 
     found = dict[str, list[float]]()
     for name, track in features.tracks.items():
@@ -139,8 +139,8 @@ def _alternate_until_converged(
     """The last turn of learning and correcting by
     turns, and the cameras whose delay was corrected.
     """
-    from . import body
-    from .estimation.timing import correction
+    from .. import body
+    from ..estimation.timing import correction
 
     def turned(late: Sequence[Delays], own: Delays) -> _Turn:
         timely = [
@@ -179,7 +179,7 @@ def _delay_findings(turn: _Turn, fixed: Delays, started: set[str]) -> Iterator[F
     """Yield remarks on the delays corrected in each
     log, and on `fixed` ones that the log contradicts.
     """
-    from .estimation.timing import correction
+    from ..estimation.timing import correction
 
     for k, (delays, residual) in enumerate(zip(turn.late, turn.residuals, strict=True)):
         sure = {name: residual[name].std_error for name in started if name in residual}
@@ -205,7 +205,7 @@ def _add_measured_delays(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequen
 
 def _held_out_error(turn: _Turn, cameras: Iterable[str]) -> float:
     """Root mean square held-out error (px) of some cameras' tracks together."""
-    from .estimation.measurements.gather import camera_of_track
+    from ..estimation.measurements.gather import camera_of_track
 
     kinds = (score.name.partition("rmse/held_out/") for score in turn.found.scores)
     seen = [found and camera_of_track(track) in cameras for _, found, track in kinds]
@@ -218,8 +218,8 @@ def _remaining_delays(
     timely: Features, model: BodyModel, known: BodyModel | None
 ) -> dict[str, "Delay"]:
     """Each camera's remaining delay by a body learned with it."""
-    from .body.senses import encoder_function
-    from .estimation.timing import correction, gp_likelihood
+    from ..body.senses import encoder_function
+    from ..estimation.timing import correction, gp_likelihood
 
     tracks = {name: sense for name, sense in model.senses.items() if name != "encoders"}
     angled = encoder_function.with_true_angles(timely, known)
@@ -239,7 +239,7 @@ def _process_prior(model: ForwardModel) -> "Prior":
     """The prior of a learned Gaussian process."""
     import numpy as np
 
-    from .body.gp.model import GP, se_kernel
+    from ..body.gp.model import GP, se_kernel
 
     assert isinstance(model, GP)
 
@@ -260,8 +260,8 @@ def _surest_logs(
     """The log with the smallest error of each camera with
     a delay, significant unless the camera is `started`.
     """
-    from .estimation.faults.threshold import MIN_DELAY_S
-    from .estimation.timing import correction
+    from ..estimation.faults.threshold import MIN_DELAY_S
+    from ..estimation.timing import correction
 
     found = {}
     for name in sorted({name for residual in residuals for name in residual} - set(fixed)):
@@ -276,7 +276,7 @@ def _step_of_log(residual: "Delay | None", surest: "Delay") -> float:
     """A log's own step (s), or that of the surest
     log if its own is not significant but consistent.
     """
-    from .estimation.timing import correction
+    from ..estimation.timing import correction
 
     if residual is not None and correction.is_significant(residual):
         return residual.seconds

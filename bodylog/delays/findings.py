@@ -10,16 +10,16 @@ from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .body_model import BodyModel
-from .checks import require_same_camera, require_same_size
-from .default_features import features_of_body, search_again_without_default
-from .errors import InputError
-from .observed import add_recorded_joints, moving_features
-from .settings import Settings
-from .types import Features, Finding, LazyImage, Recording, Score
+from ..body_model import BodyModel
+from ..checks import require_same_camera, require_same_size
+from ..errors import InputError
+from ..features.defaults import features_of_body, search_again_without_default
+from ..features.observed import add_recorded_joints, moving_features
+from ..settings import Settings
+from ..types import Features, Finding, LazyImage, Recording, Score
 
 if TYPE_CHECKING:
-    from .estimation.timing.regression import Delay
+    from ..estimation.timing.regression import Delay
 
 MAX_DURATION_S = 60.0
 """s in the middle of a log that are used: a delay is known to milliseconds after 20 s of motion."""
@@ -67,9 +67,9 @@ def _examine_by_flow(log: Path, settings: Settings) -> ExaminedDelays:
     """Delays by the motion of the whole picture; a
     finding for each camera of which it does not tell one.
     """
-    from .estimation.timing.flow_delay import MIN_EVIDENCE_NATS
-    from .flow_findings import measure_flow_delays
-    from .recording import recording
+    from ..estimation.timing.flow_delay import MIN_EVIDENCE_NATS
+    from ..recording import recording
+    from .flow import measure_flow_delays
 
     read = middle_of_recording(
         recording.read_recording(log, settings, settings.input.strict),
@@ -102,8 +102,8 @@ def _examine_by_flow(log: Path, settings: Settings) -> ExaminedDelays:
 
 
 def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> ExaminedDelays:
+    from ..estimation.timing import correction
     from . import camera_delay
-    from .estimation.timing import correction
 
     settings = settings if body is None else features_of_body(body, settings)
     read, features = _middle_observed(log, settings, body is None)
@@ -137,7 +137,7 @@ def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> E
 
 def _given_delays(settings: Settings, names: tuple[str, ...]) -> dict[str, float]:
     """Delays (s) that the settings give."""
-    from .estimation.timing import correction
+    from ..estimation.timing import correction
 
     return correction.fixed_delays(settings.time.delay, names)
 
@@ -152,7 +152,7 @@ def _delay_difference_findings(
     found: "Mapping[str, Delay]", expected: Mapping[str, float], by: str
 ) -> Iterator[Finding]:
     """A warning for each delay that differs from the expected one (s), else information."""
-    from .estimation.timing import correction
+    from ..estimation.timing import correction
 
     for name, rest in found.items():
         known = expected.get(name, 0.0)
@@ -178,7 +178,7 @@ def _unmeasured_findings(
     alone: bool,
 ) -> Iterator[Finding]:
     """Information on each camera without a delay; `alone`: there was no body."""
-    from .estimation.timing import correction
+    from ..estimation.timing import correction
 
     advice = "; with a body: bodylog doctor LOG --body BODY.npz" if alone else ""
     for name in (name for name in names if name not in found):
@@ -192,7 +192,7 @@ def _unmeasured_findings(
 
 def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Recording, Features]:
     """The middle of a log and what perception finds in it; `guess`: as pipeline.observe."""
-    from .recording import recording
+    from ..recording import recording
 
     read = middle_of_recording(
         recording.read_recording(log, settings, settings.input.strict), MAX_DURATION_S, MAX_IMAGES
@@ -206,7 +206,7 @@ def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Record
 
 def middle_of_recording(read: Recording, longest_s: float, most_images: int) -> Recording:
     """The middle of a recording, at most longest_s, with at most most_images of each camera."""
-    from .recording.tidy import cut_to_window
+    from ..recording.tidy import cut_to_window
 
     spare = max(0.0, 0.5 * (read.duration_s - longest_s))
     begin, end = spare, read.duration_s - spare

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .types import Array, Recording, Series
+from ..types import Array, Recording, Series
 
 if TYPE_CHECKING:
-    from .estimation.timing.flow_delay import FlowDelay
-    from .perception.surface.flow import GridFlow
-    from .perception.surface.repeats import FrameRepeats
+    from ..estimation.timing.flow_delay import FlowDelay
+    from ..perception.surface.flow import GridFlow
+    from ..perception.surface.repeats import FrameRepeats
 
 LONGEST_KNOT_S = 0.02
 """Longest distance of the times at which smoothed
@@ -61,7 +61,7 @@ def has_motion(read: Recording) -> bool:
 def see_cameras(read: Recording) -> "Iterator[tuple[str, GridFlow | None]]":
     """Yield each camera's name and the motion of its picture, None without two images; each image
     is decoded once."""
-    from .perception.surface.flow import measure_grid_flow
+    from ..perception.surface.flow import measure_grid_flow
 
     for name, film in {"": read.frames, **read.views}.items():
         if film is not None:
@@ -71,7 +71,7 @@ def see_cameras(read: Recording) -> "Iterator[tuple[str, GridFlow | None]]":
 def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None":
     """The delay of a camera whose picture moves as `seen`; None where images or joints do not
     suffice."""
-    from .estimation.timing.flow_delay import estimate_flow_delay
+    from ..estimation.timing.flow_delay import estimate_flow_delay
 
     if read.joints is None or seen is None or len(seen.times) < 2:
         return None
@@ -147,7 +147,7 @@ def group_joints(names: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
 def name_moving_arm(names: tuple[str, ...], found: "FlowDelay") -> str | None:
     """The arm, of several, whose joints explain the motion of a camera's picture; None where the
     evidence does not tell."""
-    from .estimation.timing.flow_delay import MIN_EVIDENCE_NATS
+    from ..estimation.timing.flow_delay import MIN_EVIDENCE_NATS
 
     arms = {group: arm for arm, group in group_joints(names).items()}
     arm = arms.get(found.joints, "")
@@ -175,7 +175,7 @@ def _smooth_joint(t: Array, values: Array, at: Array) -> Array:
     """A joint's angle at the times `at` (K,); NaN without
     enough readings, constant for a joint at rest.
     """
-    from .body.data import angle_smoother
+    from ..body.data import angle_smoother
 
     finite = np.isfinite(values)
     if finite.sum() < LEAST_READINGS:

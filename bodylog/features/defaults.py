@@ -8,16 +8,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .body_model import BodyModel
-from .errors import ConfigError
-from .io.toml_keys import toml_value
-from .io.values import read_json
-from .settings import ColourSettings, Settings
-from .sources import Source, check_colour, parse_source, source_as_value
-from .types import Features, Finding, Recording
+from ..body_model import BodyModel
+from ..errors import ConfigError
+from ..io.toml_keys import toml_value
+from ..io.values import read_json
+from ..settings import ColourSettings, Settings
+from ..sources import Source, check_colour, parse_source, source_as_value
+from ..types import Features, Finding, Recording
 
 if TYPE_CHECKING:
-    from .perception import FeatureSurvey
+    from ..perception import FeatureSurvey
 
 
 _NAMED = 6
@@ -72,7 +72,7 @@ def search_again_without_default(
 
     The second search tracks whatever moves with the joints; the recording's settings name it.
     """
-    from .perception import find_alternative
+    from ..perception import find_alternative
 
     carried = read.tracks or (read.features and read.features.tracks)
     other = (

@@ -4,14 +4,14 @@ found in it, or stored in it by an earlier run.
 
 from dataclasses import replace
 
-from .logs.protocol import Progress
-from .settings import Settings, list_configured_sources
-from .types import Features, Finding, Recording
+from ..logs.protocol import Progress
+from ..settings import Settings, list_configured_sources
+from ..types import Features, Finding, Recording
 
 
 def moving_features(read: Recording, settings: Settings, progress: Progress | None) -> Features:
     """The features of a recording, or those stored in it by an earlier run."""
-    from . import perception
+    from .. import perception
 
     if read.features is None:
         return replace(
@@ -36,7 +36,7 @@ def still_pose_features(read: Recording, settings: Settings, progress: Progress 
     health = {**carried.health, **read.track_health}
     carried = replace(carried, tracks=tracks, health=health)
     if read.frames is not None:
-        from . import perception
+        from .. import perception
 
         seen = perception.observe_recording(replace(read, features=None), settings, progress)
         carried = replace(

@@ -5,13 +5,13 @@ from dataclasses import replace
 from math import degrees, nan
 from typing import TYPE_CHECKING
 
-from .body_model import BodyModel
-from .evaluation.figures import OFF_FROM_START_S
-from .settings import EstimationSettings
-from .types import ALTERNATIVE_SEPARATOR, Estimate, Fault, Features, Finding, Series
+from ..body_model import BodyModel
+from ..evaluation.figures import OFF_FROM_START_S
+from ..settings import EstimationSettings
+from ..types import ALTERNATIVE_SEPARATOR, Estimate, Fault, Features, Finding, Series
 
 if TYPE_CHECKING:
-    from .body.kinematic.change import Change
+    from ..body.kinematic.change import Change
 
 OFFSETS = ("drifting", "offset")
 """Names of constant offsets in the filters' faults, and in those of still poses."""
@@ -28,11 +28,11 @@ def compare_changes_with_faults(
 
     Without effect for a body learned without a URDF, and with `bias = "off"`.
     """
-    from .body.kinematic.model import can_show_changes
+    from ..body.kinematic.model import can_show_changes
 
     if settings.bias == "off" or not can_show_changes(body):
         return found
-    from .body.kinematic import change
+    from ..body.kinematic import change
 
     changes = change.find_changes(_usable_tracks(features, found), body)
     faults, findings = merge_changes_and_faults(changes, found)
@@ -43,7 +43,7 @@ def _usable_tracks(features: Features, found: Estimate) -> Features:
     """Used tracks with corrected times, up to the
     first fault that is not a constant encoder offset.
     """
-    from .estimation.timing import correction
+    from ..estimation.timing import correction
 
     delays = found.settings.get("delay", {})
     timely = (

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .body_model import BodyModel
-from .evaluation.figures import OFF_FROM_START_S
-from .settings import Settings, list_configured_sources
-from .sources import describe_source, feature_of
-from .types import Estimate, Fault, Features, Finding, Series
-from .wording import list_in_words, quantity_text
+from ..body_model import BodyModel
+from ..evaluation.figures import OFF_FROM_START_S
+from ..settings import Settings, list_configured_sources
+from ..sources import describe_source, feature_of
+from ..types import Estimate, Fault, Features, Finding, Series
+from ..wording import list_in_words, quantity_text
 
 
 def fault_warnings(faults: Sequence[Fault]) -> tuple[Finding, ...]:
@@ -51,7 +51,7 @@ def _fault_warning_text(fault: Fault) -> str:
 
 def sighting_findings(found: Features) -> tuple[Finding, ...]:
     """In how many images each track was seen, and why not in the others, by reason."""
-    from .body.data import trainable
+    from ..body.data import trainable
 
     return tuple(
         Finding("info", f"{name}: {trainable.describe_sighting_counts([found], name)}")

@@ -4,11 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from .evaluation.figures import MISFIT, list_delays
-from .score_names import split_score_name
-from .types import Estimate, Fault, Score
+from ..evaluation.figures import MISFIT, list_delays
+from ..score_names import split_score_name
+from ..types import Estimate, Fault, Score
+from ..wording import list_in_words, quantity_text
 from .verdict import typical_error_bar
-from .wording import list_in_words, quantity_text
 
 NAMES = ("faults", "error (RMSE)", "error bar (2σ)", "reprojection error (RMS)", "delay")
 """What a headline may name, in this order; the error only where there is truth."""

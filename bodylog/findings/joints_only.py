@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from . import joint_limits, robot_model
-from .body_model import BodyModel, Noise, TouchConstants
-from .errors import FormatError, LogError, UsageError
-from .settings import Settings
-from .types import Features, Finding, Recording, Series
-from .wording import list_in_words
+from ..body_model import BodyModel, Noise, TouchConstants
+from ..errors import FormatError, LogError, UsageError
+from ..robot import joint_limits
+from ..robot import model as robot_model
+from ..settings import Settings
+from ..types import Features, Finding, Recording, Series
+from ..wording import list_in_words
 
 
 def read_joints_alone(
@@ -21,7 +22,7 @@ def read_joints_alone(
     """Read a log's joints, with remarks on their readings;
     LogError without joints. `body`: the one that is used.
     """
-    from .recording import recording
+    from ..recording import recording
 
     read = recording.read_recording(log, settings, settings.input.strict)
     if read.joints is None or not len(read.joints.t):
@@ -99,7 +100,7 @@ def without_body(read: Recording, settings: Settings) -> BodyModel:
     """A body of all joints with readings, or those wanted,
     without other senses; UsageError for an unknown joint.
     """
-    from . import estimation
+    from .. import estimation
 
     assert read.joints is not None
     mute = _list_mute_joints(read.joints)

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from .body_model import BodyModel
-from .checks import log_context, require_same_camera
-from .fault_findings import sighting_findings
-from .types import Features, Finding, Health, Recording, Score
+from ..body_model import BodyModel
+from ..checks import log_context, require_same_camera
+from ..types import Features, Finding, Health, Recording, Score
+from .faults import sighting_findings
 
 
 def score_learned_body(
@@ -15,8 +15,8 @@ def score_learned_body(
     """A body's scores on test logs, dated as it knows its
     cameras, and what was found in them; none without logs.
     """
-    from .body import log_scores
-    from .estimation.timing import correction
+    from ..body import log_scores
+    from ..estimation.timing import correction
 
     if not observed:
         return (), ()

@@ -5,12 +5,13 @@ whether it fits the body, and what changed since learning.
 from dataclasses import replace
 from pathlib import Path
 
-from . import change_findings, effector_poses
-from .body_model import BodyModel
-from .checks import log_context, require_tracks
-from .fault_findings import unseen_findings
-from .settings import Settings
-from .types import Estimate, Features, Finding, Recording
+from ..body_model import BodyModel
+from ..checks import log_context, require_tracks
+from ..robot import effector_poses
+from ..settings import Settings
+from ..types import Estimate, Features, Finding, Recording
+from . import changes as change_findings
+from .faults import unseen_findings
 
 
 def estimate_log(
@@ -55,9 +56,9 @@ def infer_from_encoders(features: Features, learned: BodyModel, settings: Settin
 
 def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimate:
     """Where the body was, from what was found in a log and a learned body."""
-    from . import estimation
-    from .body.senses import encoder_function
-    from .evaluation.scores import ENCODERS_READ_KEY
+    from .. import estimation
+    from ..body.senses import encoder_function
+    from ..evaluation.scores import ENCODERS_READ_KEY
 
     estimation.check_estimation_settings(learned, settings.estimate)
     coding = estimation.METHODS[settings.estimate.method].encoder_model

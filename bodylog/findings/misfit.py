@@ -13,13 +13,14 @@ from itertools import combinations
 
 import numpy as np
 
-from .body_model import BodyModel
-from .estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
-from .estimation.measurements.gather import camera_of_track
-from .estimation.timing import correction
-from .evaluation.figures import MISFIT
-from .runtime.blas_threads import one_thread
-from .settings import EstimationSettings
+from ..body_model import BodyModel
+from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
+from ..estimation.measurements.gather import camera_of_track
+from ..estimation.timing import correction
+from ..evaluation.figures import MISFIT
+from ..runtime.blas_threads import one_thread
+from ..settings import EstimationSettings
+from ..types import ALTERNATIVE_SEPARATOR, Array, Estimate, Features, Finding, Health
 from .sighting_evidence import (
     WALK,
     FittedUnknowns,
@@ -32,7 +33,6 @@ from .sighting_evidence import (
     usual_offsets,
     wide_nats,
 )
-from .types import ALTERNATIVE_SEPARATOR, Array, Estimate, Features, Finding, Health
 
 MAX_SHARE_OFF = 0.5
 """Share of sightings off from which a log does not fit. Encoders of real arms with play and load,
@@ -370,8 +370,8 @@ def _has_moved(features: Features, body: BodyModel) -> bool:
     """Whether a camera or marker with kinematics, moved since
     the body was learned, explains most of the sightings.
     """
-    from .body.kinematic.model import can_show_changes
-    from .body.kinematic.moved_share import moved_share_off
+    from ..body.kinematic.model import can_show_changes
+    from ..body.kinematic.moved_share import moved_share_off
 
     return can_show_changes(body) and moved_share_off(features, body) <= MAX_SHARE_OFF
 

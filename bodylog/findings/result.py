@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..types import Estimate, Fault, Finding, Health, Score
 from . import headline, verdict
 from .scoring import list_bounded_figures
-from .types import Estimate, Fault, Finding, Health, Score
 
 
 class Scores(tuple[Score, ...]):

@@ -3,20 +3,20 @@
 from dataclasses import replace
 from pathlib import Path
 
-from .errors import InputError, LogError
-from .settings import Settings, TopicSettings
-from .types import Estimate, Poses, Recording, Score, Series
+from ..errors import InputError, LogError
+from ..settings import Settings, TopicSettings
+from ..types import Estimate, Poses, Recording, Score, Series
 
 
 def score_estimate(found: Estimate, read: Recording) -> tuple[Score, ...]:
     """Figures of merit; those against truth only where the recording carries it."""
-    from .evaluation.figures import list_delays
-    from .evaluation.scores import score_angles
+    from ..evaluation.figures import list_delays
+    from ..evaluation.scores import score_angles
 
     found_scores = (*score_angles(found, read.truth, read.joints), *list_delays(found))
     if found.effector is None or read.truth_pose is None:
         return found_scores
-    from .evaluation import poses
+    from ..evaluation import poses
 
     return (*found_scores, *poses.score_poses(found.effector, read.truth_pose))
 
@@ -27,7 +27,7 @@ def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
     """
     if found.effector is None:
         return read
-    from .annotating import pose_topics
+    from ..annotating import pose_topics
 
     return replace(read, truth_pose=pose_topics.true_poses(log, read.start_ns))
 
@@ -47,7 +47,7 @@ def with_truth_beside_log(
 
 def _poses_beside(path: Path, read: Recording) -> Poses | None:
     """The effector's true poses in a table beside the log; None where it is no such table."""
-    from .evaluation import truth
+    from ..evaluation import truth
 
     return truth.load_poses(path, read.start_ns)
 
@@ -74,8 +74,8 @@ def _comparable_poses(path: Path, found: Estimate, read: Recording) -> Recording
 
 def _read_truth_beside_log(path: Path, read: Recording, settings: Settings) -> Series:
     """The true angles in a file beside the log, t in s since the recording's start."""
-    from .evaluation import truth
-    from .recording import recording
+    from ..evaluation import truth
+    from ..recording import recording
 
     if path.suffix in (".csv", ".npz"):
         return truth.load_truth(path, read.start_ns, read.joints)
@@ -91,7 +91,7 @@ def _read_truth_beside_log(path: Path, read: Recording, settings: Settings) -> S
 
 def list_bounded_figures(found: Estimate, scores: tuple[Score, ...]) -> tuple[Score, ...]:
     """Everything that --fail-if may name: the scores, faults, delays and shares used."""
-    from .evaluation.figures import list_figures
+    from ..evaluation.figures import list_figures
 
     return (*scores, *list_figures(found))
 

@@ -5,17 +5,17 @@ from typing import Any
 
 import numpy as np
 
-from .evaluation.figures import (
+from ..evaluation.figures import (
     LEAST_OFFSETS,
     MEASURED_DELAYS,
     MISFIT,
     OFF_FROM_START_S,
     doubtful_delays,
 )
-from .fault_findings import span_text
-from .score_names import split_score_name
-from .types import ALTERNATIVE_SEPARATOR, HARDWARE_ERRORS, LASTING_ERROR, Estimate, Fault, Score
-from .wording import quantity_text
+from ..score_names import split_score_name
+from ..types import ALTERNATIVE_SEPARATOR, HARDWARE_ERRORS, LASTING_ERROR, Estimate, Fault, Score
+from ..wording import quantity_text
+from .faults import span_text
 
 MAX_LISTED = 3
 """Faults, tracks or offsets that are written out; of more than one other the names."""

@@ -8,21 +8,21 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .body.kinematic.offsets import offsets_as_values
-from .errors import ModelError, UsageError
+from ..body.kinematic.offsets import offsets_as_values
+from ..errors import ModelError, UsageError
 
 if TYPE_CHECKING:
-    from .body.kinematic.placements import Calibration, Lens, Placement
-    from .body_model import BodyModel
-    from .kinematics.identifiability import Offset
+    from ..body.kinematic.placements import Calibration, Lens, Placement
+    from ..body_model import BodyModel
+    from ..kinematics.identifiability import Offset
 
 FORMS = (".yaml", ".yml", ".json", ".urdf")
 
 
 def load_calibration(body: Path) -> "Calibration":
     """The calibration of a body file; ModelError where it was learned without a URDF."""
-    from .body import storage
-    from .body.kinematic.placements import calibration_of_body
+    from ..body import storage
+    from ..body.kinematic.placements import calibration_of_body
 
     learned = storage.load_body(body)
     try:
@@ -56,7 +56,7 @@ def camera_name_in_scores(name: str) -> str:
 
 
 def _placement_as_values(one: "Placement") -> dict[str, Any]:
-    from .kinematics.rotations import quaternions_from_rotations
+    from ..kinematics.rotations import quaternions_from_rotations
 
     sure = one.identifiable
     turned = one.identifiable and one.turns
@@ -88,8 +88,8 @@ def summarise_placements(model: "BodyModel") -> tuple[str, ...]:
     """Where each camera and marker of a body is, a line
     each; empty where it was learned without a URDF.
     """
-    from .body.kinematic.model import KinematicGP
-    from .body.kinematic.placements import calibration_of_body
+    from ..body.kinematic.model import KinematicGP
+    from ..body.kinematic.placements import calibration_of_body
 
     if model.surface is None and not any(
         isinstance(sense, KinematicGP) for sense in model.senses.values()
@@ -129,7 +129,7 @@ def placement_lines(one: "Placement") -> Iterator[str]:
     if one.turns:
         import numpy as np
 
-        from .kinematics.rotations import rpy_from_rotation
+        from ..kinematics.rotations import rpy_from_rotation
 
         angles = np.degrees(rpy_from_rotation(one.pose[:3, :3]))
         std = np.degrees(one.turn_std)
@@ -195,7 +195,7 @@ def write_calibration(
 
     UsageError for other suffixes.
     """
-    from .io.atomic_files import replace_atomically
+    from ..io.atomic_files import replace_atomically
 
     if out.suffix not in FORMS:
         raise UsageError(f"{out}: -o ends in {out.suffix!r}; possible: {', '.join(FORMS)}")
@@ -228,8 +228,8 @@ def _yaml_lines(values: Mapping[str, Any], depth: int = 0, deepest: int = 1) -> 
 
 
 def _corrected_urdf(found: "Calibration", urdf: Path) -> str:
-    from .kinematics import urdf as files
-    from .kinematics.corrected import CameraFrame, correct_urdf
+    from ..kinematics import urdf as files
+    from ..kinematics.corrected import CameraFrame, correct_urdf
 
     cameras = [
         CameraFrame(one.link, optical_frame(one), one.pose)
@@ -249,7 +249,7 @@ def write_lenses(body: Path, found: "Calibration", folder: Path) -> tuple[Path, 
     """Write each camera's lens as folder/CAMERA.yaml; UsageError
     where a body does not know the size of its images.
     """
-    from .io.atomic_files import ensure_dir, replace_atomically
+    from ..io.atomic_files import ensure_dir, replace_atomically
 
     texts = {}
     for camera, lens in zip(found.cameras, found.lenses, strict=True):

@@ -5,19 +5,19 @@ predictions without the residual process, joint zeros.
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from .body_model import BodyModel
-from .types import Array, Estimate, Poses, Series
+from ..body_model import BodyModel
+from ..types import Array, Estimate, Poses, Series
 
 if TYPE_CHECKING:
-    from .body.kinematic.model import KinematicGP
+    from ..body.kinematic.model import KinematicGP
 
 FIRST = "effector"
 
 
 def add_kinematic_results(body: BodyModel, found: Estimate) -> Estimate:
     """Add kinematic results to an estimate; unchanged for a body learned without a URDF."""
-    from .body.kinematic.model import KinematicGP
-    from .body.kinematic.offsets import learned_zeros, offsets_as_values
+    from ..body.kinematic.model import KinematicGP
+    from ..body.kinematic.offsets import learned_zeros, offsets_as_values
 
     senses = {name: s for name, s in body.senses.items() if isinstance(s, KinematicGP)}
     if not senses or not len(found.joints.t):
@@ -35,8 +35,8 @@ def add_kinematic_results(body: BodyModel, found: Estimate) -> Estimate:
 
 def _effector_poses(senses: "dict[str, KinematicGP]", found: Estimate) -> Poses | None:
     """Poses of the effector, or of the first track by name."""
-    from .kinematics.pose import pose_in_base
-    from .kinematics.rotations import quaternions_from_rotations
+    from ..kinematics.pose import pose_in_base
+    from ..kinematics.rotations import quaternions_from_rotations
 
     first = senses.get(FIRST, senses[min(senses)])
     if first.base is None:

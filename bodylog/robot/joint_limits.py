@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .types import Array, Finding, Series
-from .wording import list_in_words
+from ..types import Array, Finding, Series
+from ..wording import list_in_words
 
 if TYPE_CHECKING:
-    from .kinematics.robot import Limits
+    from ..kinematics.robot import Limits
 
 ENCODER_STEP_RAD = 2.0 * np.pi / 4096.0
 """rad: the step of a 12-bit encoder, assumed for one that never moves."""

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .errors import ConfigError
-from .settings import CameraSettings, MarkerSettings
-from .types import Array, Features
+from ..errors import ConfigError
+from ..settings import CameraSettings, MarkerSettings
+from ..types import Array, Features
 
 if TYPE_CHECKING:
-    from .kinematics.links import CameraHint, MarkerHint
-    from .kinematics.robot import Robot
+    from ..kinematics.links import CameraHint, MarkerHint
+    from ..kinematics.robot import Robot
 
 _MOST_BYTES = 1 << 20
 _PLACE = "x, y, z (m), roll, pitch, yaw (rad)"
@@ -38,8 +38,8 @@ def with_known(hint: "CameraHint", known: CameraSettings, robot: "Robot") -> "Ca
 
 
 def _with_focal(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
-    from .kinematics.camera import lens_without_distortion
-    from .kinematics.links import FREE_LENS, INFO_LENS
+    from ..kinematics.camera import lens_without_distortion
+    from ..kinematics.links import FREE_LENS, INFO_LENS
 
     assert known.focal is not None
     width, height = hint.size or hint.extent or (640, 480)
@@ -66,7 +66,7 @@ def known_markers(
 
     ConfigError where the marker, its link or its place cannot be.
     """
-    from .kinematics.links import MarkerHint
+    from ..kinematics.links import MarkerHint
 
     if known.link is None and known.place is None:
         return {}
@@ -96,7 +96,7 @@ def _known_pose(
     section: str, link: str | None, known: CameraSettings | MarkerSettings
 ) -> tuple[Array, Array]:
     """A given pose (4,4) in its link, m, and its std (6,), m and rad."""
-    from .kinematics.rotations import make_transform, rotation_from_rpy
+    from ..kinematics.rotations import make_transform, rotation_from_rpy
 
     assert known.place is not None
     if link is None:
@@ -118,7 +118,7 @@ def load_lens(path: Path) -> tuple[Array, tuple[int, int]]:
     from ruamel.yaml import YAML
     from ruamel.yaml.error import YAMLError
 
-    from .io.atomic_files import read_limited_text as read_text
+    from ..io.atomic_files import read_limited_text as read_text
 
     where = f"[camera] info: {path}"
     try:

@@ -8,17 +8,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .body_model import BodyModel
-from .errors import FormatError, LogError, ModelError
-from .settings import Settings
-from .types import Array, Features, Finding
-from .wording import list_in_words
+from ..body_model import BodyModel
+from ..errors import FormatError, LogError, ModelError
+from ..settings import Settings
+from ..types import Array, Features, Finding
+from ..wording import list_in_words
 
 if TYPE_CHECKING:
-    from .body.kinematic.learn import Robotics
-    from .kinematics.links import CameraHint
-    from .kinematics.robot import Limits, Robot
-    from .recording.robot_description import CameraInfo, Described
+    from ..body.kinematic.learn import Robotics
+    from ..kinematics.links import CameraHint
+    from ..kinematics.robot import Limits, Robot
+    from ..recording.robot_description import CameraInfo, Described
 
 
 FROM_LOG = "log"
@@ -46,10 +46,10 @@ def find_robot(
         return None, ()
     from math import radians
 
-    from .body.kinematic.learn import Robotics
-    from .kinematics import urdf
+    from ..body.kinematic.learn import Robotics
+    from ..kinematics import urdf
+    from ..recording.robot_description import read_robot_description
     from .known_camera import known_markers
-    from .recording.robot_description import read_robot_description
 
     descriptions = [read_robot_description(log, settings.input) for log in logs]
     if (known := _robot_of_frame(logs, features)) is not None and chosen.urdf is None:
@@ -79,8 +79,8 @@ def find_robot(
 
 def _robot_of_frame(logs: Sequence[Path], features: Sequence[Features]) -> "Robot | None":
     """The robot of logs whose joints are the coordinates of one frame; None for other joints."""
-    from .kinematics.frame_robot import frame_robot
-    from .logs.tables.frame_columns import frame_of
+    from ..kinematics.frame_robot import frame_robot
+    from ..logs.tables.frame_columns import frame_of
 
     names = {found.joints.names for found in features if found.joints is not None}
     frames = {frame_of(one) for one in names}
@@ -131,7 +131,7 @@ def with_coordinates(settings: Settings, robot: "Robotics | None") -> Settings:
     """
     from dataclasses import replace
 
-    from .logs.tables.frame_columns import frame_of
+    from ..logs.tables.frame_columns import frame_of
 
     names = () if robot is None else tuple(joint.name for joint in robot.robot.joints)
     if frame_of(names) is None or settings.body.joints is not None:
@@ -149,9 +149,9 @@ def check_urdf(logs: Sequence[Path], settings: Settings) -> str | None:
     chosen = settings.kinematics
     if not chosen.use or chosen.urdf in (None, FROM_LOG) or settings.fit.preset == "paper":
         return None
-    from .kinematics import urdf
-    from .kinematics.joint_names import match_joints
-    from .recording.robot_description import read_robot_description
+    from ..kinematics import urdf
+    from ..kinematics.joint_names import match_joints
+    from ..recording.robot_description import read_robot_description
 
     found = urdf.load_urdf(Path(str(chosen.urdf)), settings.input)
     otherwise = None
@@ -180,8 +180,8 @@ def joint_limits_of_log(log: Path, settings: Settings) -> "tuple[dict[str, Limit
     FormatError where the named URDF cannot be read,
     LogError where the log's own is named but missing.
     """
-    from .kinematics import urdf
-    from .recording.robot_description import read_robot_description
+    from ..kinematics import urdf
+    from ..recording.robot_description import read_robot_description
 
     chosen = settings.kinematics
     if not chosen.use:
@@ -203,7 +203,7 @@ _NO_URDF = "{}: no /robot_description in it; give the URDF's file: --urdf ROBOT.
 
 
 def _parse_logged_urdf(log: Path, text: str, settings: Settings) -> "Robot":
-    from .kinematics import urdf
+    from ..kinematics import urdf
 
     return urdf.parse_urdf(text, f"{log}: /robot_description", settings.input)
 
@@ -216,10 +216,10 @@ def with_robot_chain(
     """
     if known is None:
         return body
-    from .body.kinematic.learn import still_joint_angles
-    from .body.kinematic.model import KinematicGP
-    from .body.kinematic.placements import IMAGE_SIZES
-    from .kinematics.pose import find_base
+    from ..body.kinematic.learn import still_joint_angles
+    from ..body.kinematic.model import KinematicGP
+    from ..body.kinematic.placements import IMAGE_SIZES
+    from ..kinematics.pose import find_base
 
     held = still_joint_angles(features, body.joints)
     senses = {
@@ -272,7 +272,7 @@ def _build_camera_hints(
     settings: Settings,
 ) -> "dict[str, CameraHint]":
     """Hints on each camera by name, from the logs; on the first one from [camera] too."""
-    from .kinematics.links import CameraHint
+    from ..kinematics.links import CameraHint
     from .known_camera import with_known
 
     names = {name.rpartition("/")[0] for found in features for name in found.tracks}
@@ -302,8 +302,8 @@ def named_robot(log: Path, settings: Settings) -> "Robot":
     """The robot of the URDF that the settings name, or
     of the log's own. LogError where that is missing.
     """
-    from .kinematics import urdf
-    from .recording.robot_description import read_robot_description
+    from ..kinematics import urdf
+    from ..recording.robot_description import read_robot_description
 
     chosen = settings.kinematics.urdf
     if chosen not in (None, FROM_LOG):
@@ -318,8 +318,8 @@ def named_urdf(log: Path, settings: Settings) -> str:
     """The text of the URDF that the settings name, or
     of the log's own. LogError where that is missing.
     """
-    from .kinematics import urdf
-    from .recording.robot_description import read_robot_description
+    from ..kinematics import urdf
+    from ..recording.robot_description import read_robot_description
 
     chosen = settings.kinematics.urdf
     if chosen not in (None, FROM_LOG):
@@ -336,7 +336,7 @@ def describe_logged_camera(
     """What a log's description tells of the camera
     of an image topic; None without its CameraInfo.
     """
-    from .kinematics.links import CameraHint
+    from ..kinematics.links import CameraHint
 
     info = _find_camera_info(topic, description.cameras)
     if info is None:
@@ -350,7 +350,7 @@ def _find_camera_info(
     topic: str | None, cameras: "Mapping[str, CameraInfo]"
 ) -> "CameraInfo | None":
     """The CameraInfo of an image topic."""
-    from .recording.cameras import camera_name_of_source
+    from ..recording.cameras import camera_name_of_source
 
     if topic is None:
         return None

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .body_model import BodyModel
-from .errors import EvidenceError, LogError, ModelError, UsageError
-from .settings import Settings
-from .types import Array
+from ..body_model import BodyModel
+from ..errors import EvidenceError, LogError, ModelError, UsageError
+from ..settings import Settings
+from ..types import Array
 
 if TYPE_CHECKING:
-    from .body.kinematic.next_poses import Proposal
+    from ..body.kinematic.next_poses import Proposal
 
 
 def propose_next_postures(
@@ -25,9 +25,9 @@ def propose_next_postures(
 
     UsageError without a URDF and a table.
     """
-    from .body import storage
-    from .body.kinematic.next_poses import propose_postures, random_postures
-    from .kinematics import urdf as urdf_file
+    from ..body import storage
+    from ..body.kinematic.next_poses import propose_postures, random_postures
+    from ..kinematics import urdf as urdf_file
 
     if among is None and urdf is None:
         needed = "--next needs the joints' limits, or postures to choose from"
@@ -46,7 +46,7 @@ def propose_next_postures(
 
 def _postures_of_table(learned: BodyModel, table: Path) -> Array:
     """The postures (K,M) of a log of still poses, in the order of the body's joints."""
-    from .recording import recording
+    from ..recording import recording
 
     joints = recording.read_recording(table, Settings(), False).joints
     names = () if joints is None else joints.names

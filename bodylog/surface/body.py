@@ -7,17 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .body_model import BodyModel, Surface, SurfaceCamera, TouchConstants
-from .delay_findings import middle_of_recording
-from .errors import EvidenceError
-from .settings import Settings
-from .sources import SurfaceSource
-from .surface_calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, calibrate_cameras
-from .surface_findings import findings_of, scores_of
-from .types import Features, Finding, Recording, Score
+from ..body_model import BodyModel, Surface, SurfaceCamera, TouchConstants
+from ..delays.findings import middle_of_recording
+from ..errors import EvidenceError
+from ..settings import Settings
+from ..sources import SurfaceSource
+from ..types import Features, Finding, Recording, Score
+from .calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, calibrate_cameras
+from .findings import findings_of, scores_of
 
 if TYPE_CHECKING:
-    from .body.learning import LearnedBody
+    from ..body.learning import LearnedBody
 
 
 def is_asked(settings: Settings) -> bool:
@@ -47,8 +47,8 @@ def learn_surface_body(
     EvidenceError where no camera shows the arm, or one shows another motion; ModelError where the
     URDF has no joint of a log.
     """
-    from .body.learning import LearnedBody
-    from .body.surface import joint_noise
+    from ..body.learning import LearnedBody
+    from ..body.surface import joint_noise
 
     found = _calibrate_all_cameras(logs, settings, leave_out=leave_out)
     features = [Features(read.joints, {}, None, (), (), {}) for _, read in logs]
@@ -129,8 +129,8 @@ def _build_surface(
 ) -> Surface:
     from math import radians
 
-    from .kinematics.urdf import kinematic_text
-    from .robot_model import named_urdf
+    from ..kinematics.urdf import kinematic_text
+    from ..robot.model import named_urdf
 
     cameras = tuple(
         _build_surface_camera(one, _find_image_topic(read, one.camera)) for one in found

@@ -5,20 +5,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from .errors import EvidenceError, ModelError
-from .surface_map import build_map
-from .types import Array, LazyImage, Recording, Series
+from ..errors import EvidenceError, ModelError
+from ..types import Array, LazyImage, Recording, Series
+from .map import build_map
 
 if TYPE_CHECKING:
-    from .body_model import LandmarkMap
-    from .kinematics.joint_motion import JointCurve
-    from .kinematics.landmark_fit import LandmarkFit
-    from .kinematics.landmarks import LandmarkModel, LandmarkSightings
-    from .kinematics.links import CameraHint
-    from .kinematics.rig import RigCamera
-    from .kinematics.robot import Robot
-    from .perception.surface.corner_tracks import CornerTracks
-    from .settings import Settings
+    from ..body_model import LandmarkMap
+    from ..kinematics.joint_motion import JointCurve
+    from ..kinematics.landmark_fit import LandmarkFit
+    from ..kinematics.landmarks import LandmarkModel, LandmarkSightings
+    from ..kinematics.links import CameraHint
+    from ..kinematics.rig import RigCamera
+    from ..kinematics.robot import Robot
+    from ..perception.surface.corner_tracks import CornerTracks
+    from ..settings import Settings
 
 LONGEST_S = 60.0
 """The middle of a log that is used."""
@@ -109,7 +109,7 @@ def calibrate_cameras(
     """
     import numpy as np
 
-    from .robot_model import named_robot
+    from ..robot.model import named_robot
 
     first, read = logs[0]
     robot = named_robot(first, settings)
@@ -135,7 +135,7 @@ def calibrate_cameras(
         except EvidenceError as problem:
             yield problem
             continue
-        from .kinematics.landmark_errors import unknowns_covariance
+        from ..kinematics.landmark_errors import unknowns_covariance
 
         rest = {joint: still[joint] for joint in robot.by_name if joint in still}
         seen_by = tuple(film.log for film in films)
@@ -177,10 +177,10 @@ def camera_hints(
     """What a log says of its cameras' links, poses and lenses,
     by name, "" the first, of which [camera] tells too.
     """
-    from .kinematics.links import CameraHint
-    from .known_camera import with_known
-    from .recording.robot_description import read_robot_description
-    from .robot_model import describe_logged_camera
+    from ..kinematics.links import CameraHint
+    from ..recording.robot_description import read_robot_description
+    from ..robot.known_camera import with_known
+    from ..robot.model import describe_logged_camera
 
     description = read_robot_description(log, settings.input)
     topics = {
@@ -244,8 +244,8 @@ def find_moving_urdf_joints(
 
 def _match_urdf_joints(log: Path, read: Recording, robot: "Robot") -> dict[str, str]:
     """The URDF's joint of each of a log's joints that it has."""
-    from .kinematics.joint_names import match_joints
-    from .kinematics.robot import MOVING
+    from ..kinematics.joint_names import match_joints
+    from ..kinematics.robot import MOVING
 
     if read.joints is None:
         raise EvidenceError(f"{log}: no joint states in it; the surface of a robot needs them")
@@ -271,8 +271,8 @@ def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointCurve":
     """The joints' angles as curves: integrated-Wiener smoothing, noise and motion by evidence."""
     import numpy as np
 
-    from .body.data import angle_smoother
-    from .kinematics.joint_motion import curve_through_samples
+    from ..body.data import angle_smoother
+    from ..kinematics.joint_motion import curve_through_samples
 
     grid = np.arange(joints.t[0], joints.t[-1], _GRID_S)
     columns = []
@@ -343,8 +343,8 @@ def track_camera(log: Path, read: Recording, camera: str) -> "tuple[CornerTracks
 def _moving_tracks(
     where: str, film: Callable[[], Iterator[LazyImage]]
 ) -> "tuple[CornerTracks, Array | None]":
-    from .kinematics.landmark_fit import LEAST_PIECES
-    from .perception.surface.corner_tracks import moving_pieces, track_corners
+    from ..kinematics.landmark_fit import LEAST_PIECES
+    from ..perception.surface.corner_tracks import moving_pieces, track_corners
 
     tracks, survey = track_corners(film)
     moving = moving_pieces(tracks)
@@ -370,9 +370,9 @@ def _calibrate_camera(
     """
     from math import radians
 
-    from .kinematics.landmark_fit import build_model, choose_pieces
-    from .kinematics.landmarks import join_landmark_tracks
-    from .kinematics.links import CameraHint, Space
+    from ..kinematics.landmark_fit import build_model, choose_pieces
+    from ..kinematics.landmarks import join_landmark_tracks
+    from ..kinematics.links import CameraHint, Space
 
     zero_std = radians(settings.kinematics.offset_prior)
     space = Space(robot, tuple(joint_of.values()), dict(still), zero_std)
@@ -412,7 +412,7 @@ def _most_pieces(logs: int) -> int:
     """Pieces of each log that are used: of many logs
     fewer each, since together they tell enough.
     """
-    from .kinematics.landmark_fit import MOST_PIECES
+    from ..kinematics.landmark_fit import MOST_PIECES
 
     return MOST_PIECES if logs == 1 else MOST_PIECES // 2
 
@@ -452,13 +452,13 @@ def _start_cameras(
     """
     import numpy as np
 
-    from .kinematics.landmark_starts import (
+    from ..kinematics.landmark_starts import (
         around_the_arm,
         camera_links,
         free_camera,
         nominal_camera,
     )
-    from .kinematics.links import hinted_camera
+    from ..kinematics.links import hinted_camera
 
     if hint.link is not None:
         yield [hinted_camera(name, hint.link, hint, robot)]
@@ -473,8 +473,8 @@ def _iterate_fits(
     few: "LandmarkSightings",
     part: "LandmarkSightings",
 ) -> "Iterator[LandmarkFit]":
-    from .kinematics.landmark_fit import staged_fit
-    from .kinematics.landmark_starts import best_starts
+    from ..kinematics.landmark_fit import staged_fit
+    from ..kinematics.landmark_starts import best_starts
 
     for start, phi, _ in best_starts(model, few, cameras):
         found = staged_fit(start, phi, part, wide=len(cameras) > 1)
@@ -488,8 +488,8 @@ def control_counts(best: "LandmarkFit", part: "LandmarkSightings") -> Array:
     """
     import numpy as np
 
-    from .kinematics.landmark_fit import choose_pieces, staged_fit
-    from .kinematics.landmarks import LandmarkModel
+    from ..kinematics.landmark_fit import choose_pieces, staged_fit
+    from ..kinematics.landmarks import LandmarkModel
 
     logs = len(best.model.motions)
     motions = tuple(shifted_motion(motion) for motion in best.model.motions)
@@ -507,6 +507,6 @@ def shifted_motion(motion: "JointCurve") -> "JointCurve":
     """The motion half its length later, in a circle."""
     import numpy as np
 
-    from .kinematics.joint_motion import curve_through_samples
+    from ..kinematics.joint_motion import curve_through_samples
 
     return curve_through_samples(motion.t, np.roll(motion.q, len(motion.t) // 2, axis=0))

@@ -7,31 +7,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .body_model import BodyModel, Surface, SurfaceCamera, name_surface_sense
-from .delay_findings import middle_of_recording
-from .errors import EvidenceError, ModelError
-from .log_estimate import estimate_log, infer
-from .settings import Settings
-from .surface_calibration import (
-    LONGEST_S,
-    MOST_IMAGES,
-    ROW_STRIDE,
-    camera_film,
-    control_counts,
-    explains_enough_pieces,
-    smoothed_motion,
-    track_camera,
-)
-from .surface_map import KeyFrames, find_again, key_frames, refine
-from .surface_tracks import (
-    LinkedTracks,
-    describe_foreign,
-    describe_postures,
-    link_tracks,
-    read_postures,
-    views_as_values,
-)
-from .types import (
+from ..body_model import BodyModel, Surface, SurfaceCamera, name_surface_sense
+from ..delays.findings import middle_of_recording
+from ..errors import EvidenceError, ModelError
+from ..findings.log_estimate import estimate_log, infer
+from ..settings import Settings
+from ..types import (
     ALTERNATIVE_SEPARATOR,
     SURFACE_VIEWS,
     Array,
@@ -42,12 +23,31 @@ from .types import (
     PostureReadings,
     Recording,
 )
+from .calibration import (
+    LONGEST_S,
+    MOST_IMAGES,
+    ROW_STRIDE,
+    camera_film,
+    control_counts,
+    explains_enough_pieces,
+    smoothed_motion,
+    track_camera,
+)
+from .map import KeyFrames, find_again, key_frames, refine
+from .tracks import (
+    LinkedTracks,
+    describe_foreign,
+    describe_postures,
+    link_tracks,
+    read_postures,
+    views_as_values,
+)
 
 if TYPE_CHECKING:
-    from .kinematics.joint_motion import JointCurve
-    from .kinematics.landmark_fit import LandmarkFit
-    from .kinematics.landmark_hypotheses import ChangeHypothesis
-    from .kinematics.landmarks import LandmarkBelief, LandmarkModel
+    from ..kinematics.joint_motion import JointCurve
+    from ..kinematics.landmark_fit import LandmarkFit
+    from ..kinematics.landmark_hypotheses import ChangeHypothesis
+    from ..kinematics.landmarks import LandmarkBelief, LandmarkModel
 
 FAULT_EVIDENCE_NATS = 8.0
 """Evidence that a fault must win over a sound log."""
@@ -198,11 +198,11 @@ def judge_by_camera(
     """
     import numpy as np
 
-    from .body.surface import landmark_model
-    from .kinematics import landmark_hypotheses as hypotheses
-    from .kinematics.landmark_errors import unknowns_covariance
-    from .kinematics.landmark_fit import MOST_PIECES, choose_pieces, search_delay, staged_fit
-    from .kinematics.landmarks import join_landmark_tracks
+    from ..body.surface import landmark_model
+    from ..kinematics import landmark_hypotheses as hypotheses
+    from ..kinematics.landmark_errors import unknowns_covariance
+    from ..kinematics.landmark_fit import MOST_PIECES, choose_pieces, search_delay, staged_fit
+    from ..kinematics.landmarks import join_landmark_tracks
 
     tracks, picture = track_camera(log, read, camera.name)
     if tracks.size != camera.size:
@@ -253,8 +253,8 @@ def judge_by_camera(
 def _weighed_changes(
     fit: "LandmarkFit", belief: "LandmarkBelief", camera_may_move: bool
 ) -> "list[ChangeHypothesis]":
-    from .kinematics.landmark_errors import unknowns_covariance
-    from .kinematics.landmark_hypotheses import information_of_log, weigh_hypotheses
+    from ..kinematics.landmark_errors import unknowns_covariance
+    from ..kinematics.landmark_hypotheses import information_of_log, weigh_hypotheses
 
     camera_evidence = information_of_log(fit.model, fit.phi, unknowns_covariance(fit))
     return weigh_hypotheses(fit.model, belief, camera_evidence, camera_may_move)
@@ -276,9 +276,9 @@ def _by_landmarks(
     """
     import numpy as np
 
-    from .kinematics.landmark_adjustment import Landmarks
-    from .kinematics.landmark_hypotheses import widen_zero_belief
-    from .kinematics.landmark_map import place_prior
+    from ..kinematics.landmark_adjustment import Landmarks
+    from ..kinematics.landmark_hypotheses import widen_zero_belief
+    from ..kinematics.landmark_map import place_prior
 
     known = camera.landmarks
     assert known is not None
@@ -307,7 +307,7 @@ def _belief_of_changes(model: "LandmarkModel", belief: "LandmarkBelief") -> "Lan
     """
     import numpy as np
 
-    from .kinematics.landmarks import LandmarkBelief
+    from ..kinematics.landmarks import LandmarkBelief
 
     count = len(belief.mean)
     std = np.full(count + 6 + len(model.rig.joints), _SWAY)
@@ -355,7 +355,7 @@ def _landmark_belief(model: "LandmarkModel", camera: SurfaceCamera) -> "Landmark
     """A body's belief of a log's φ: what it knows, and a delay that may be any."""
     import numpy as np
 
-    from .kinematics.landmarks import DELAY_STD_S, LandmarkBelief
+    from ..kinematics.landmarks import DELAY_STD_S, LandmarkBelief
 
     delay = model.of_delays.start
     rest = np.delete(np.arange(len(camera.unknowns) + 1), delay)
@@ -400,8 +400,8 @@ def _with_judgement(
     learned: BodyModel,
 ) -> Estimate:
     """An estimate with one camera's delay, remarks and views."""
-    from .body.surface import surface_space
-    from .evaluation.figures import LEAST_OFFSETS, MEASURED_DELAYS
+    from ..body.surface import surface_space
+    from ..evaluation.figures import LEAST_OFFSETS, MEASURED_DELAYS
 
     assert learned.surface is not None
     seconds, std = one.delay
@@ -469,7 +469,7 @@ def _least_offset(change: "ChangeHypothesis") -> float:
 
 def _winning_fault(one: CameraJudgement, since: float, learned: BodyModel) -> Fault | None:
     """The fault that wins, if one does, from `since` (s) on; it has a std where its size is known."""
-    from .kinematics.landmark_hypotheses import CAMERA, SOUND
+    from ..kinematics.landmark_hypotheses import CAMERA, SOUND
 
     assert learned.surface is not None
     sound = next(change for change in one.changes if change.name == SOUND)

@@ -5,14 +5,14 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from . import delay_findings
-from .body_model import BodyModel
-from .delay_findings import ExaminedDelays, middle_of_recording
-from .errors import EvidenceError, ModelError
-from .settings import Settings
-from .surface_calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, calibrate_cameras
-from .surface_tracks import LinkedTracks, describe_foreign, link_tracks
-from .types import Finding, Recording, Score
+from ..body_model import BodyModel
+from ..delays import findings as delay_findings
+from ..delays.findings import ExaminedDelays, middle_of_recording
+from ..errors import EvidenceError, ModelError
+from ..settings import Settings
+from ..types import Finding, Recording, Score
+from .calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, calibrate_cameras
+from .tracks import LinkedTracks, describe_foreign, link_tracks
 
 SIGNIFICANT_SIGMA = 3.0
 LATE_S = 0.003
@@ -34,7 +34,7 @@ def examine_by_surface(log: Path, settings: Settings) -> ExaminedDelays:
 
     ModelError where the URDF has no joint of the log.
     """
-    from .recording import recording
+    from ..recording import recording
 
     read = middle_of_recording(
         recording.read_recording(log, settings, settings.input.strict), LONGEST_S, MOST_IMAGES
@@ -57,13 +57,13 @@ def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedD
     """Judge a log by a body of the robot's surface: delays,
     and what differs from the logs it was learned from.
     """
-    from .fault_findings import fault_warnings
-    from .joints_only import read_joints_alone
-    from .surface_estimate import estimate_by_surface
+    from ..findings.faults import fault_warnings
+    from ..findings.joints_only import read_joints_alone
+    from .estimate import estimate_by_surface
 
     read, features = read_joints_alone(log, settings, body)
     found = estimate_by_surface(log, read, features, body, settings, settings)
-    from .evaluation.figures import list_delays
+    from ..evaluation.figures import list_delays
 
     all_findings = (*found.findings, *fault_warnings(found.faults))
     return ExaminedDelays(
@@ -79,9 +79,9 @@ def linked_cameras(
     by the log itself and a URDF. EvidenceError where no arm is seen, ModelError where the body has
     no surface.
     """
-    from .body import storage
-    from .surface_calibration import smoothed_motion
-    from .surface_estimate import judge_by_camera
+    from ..body import storage
+    from .calibration import smoothed_motion
+    from .estimate import judge_by_camera
 
     if body is None:
         for found in calibrate_cameras([(log, read)], settings):
@@ -104,8 +104,8 @@ def scores_of(one: SurfaceCalibration) -> Iterator[Score]:
     """
     import numpy as np
 
-    from .body.kinematic.scores import zero_scores
-    from .kinematics.identifiability import joint_zeros
+    from ..body.kinematic.scores import zero_scores
+    from ..kinematics.identifiability import joint_zeros
 
     name = one.camera or "camera"
     fit = one.fit
@@ -130,8 +130,8 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
     """
     import numpy as np
 
-    from .estimation.timing.correction import describe_delay
-    from .kinematics.identifiability import describe_unidentified, joint_zeros
+    from ..estimation.timing.correction import describe_delay
+    from ..kinematics.identifiability import describe_unidentified, joint_zeros
 
     name = one.camera or "camera"
     fit = one.fit

@@ -6,14 +6,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from .errors import InputError
-from .types import Array, LazyImage
+from ..errors import InputError
+from ..types import Array, LazyImage
 
 if TYPE_CHECKING:
-    from .body_model import LandmarkMap
-    from .kinematics.landmark_adjustment import Landmarks
-    from .kinematics.landmark_fit import LandmarkFit
-    from .kinematics.landmarks import LandmarkModel, LandmarkSightings
+    from ..body_model import LandmarkMap
+    from ..kinematics.landmark_adjustment import Landmarks
+    from ..kinematics.landmark_fit import LandmarkFit
+    from ..kinematics.landmarks import LandmarkModel, LandmarkSightings
 
 MOST_KEY_FRAMES = 80
 """Images of a log in which landmarks are looked for,
@@ -66,7 +66,7 @@ def key_frames(
     """At most `most` of the images at t (N,) s."""
     import numpy as np
 
-    from .perception.colours.coarse_search import convert_to_gray
+    from ..perception.colours.coarse_search import convert_to_gray
 
     chosen = np.unique(np.linspace(0, len(t) - 1, min(most, len(t))).round().astype(int))
     wanted = set(t[chosen].tolist())
@@ -94,9 +94,9 @@ def find_again(
     """
     import numpy as np
 
-    from .kinematics.landmark_map import LEAST_FACING, foretell, nearest_views, view_maps
-    from .kinematics.landmarks import LandmarkSightings
-    from .perception.surface.patches import match_templates, warp_patches
+    from ..kinematics.landmark_map import LEAST_FACING, foretell, nearest_views, view_maps
+    from ..kinematics.landmarks import LandmarkSightings
+    from ..perception.surface.patches import match_templates, warp_patches
 
     height = next(image.shape[0] for key in keys for image in key.images)
     rows = list[Array]()
@@ -144,8 +144,8 @@ def refine(
     """
     import numpy as np
 
-    from .kinematics.landmark_adjustment import adjust_landmarks
-    from .kinematics.landmark_fit import LEAST_PIECES, LandmarkFit
+    from ..kinematics.landmark_adjustment import adjust_landmarks
+    from ..kinematics.landmark_fit import LEAST_PIECES, LandmarkFit
 
     kept = np.arange(known.count)
     result = None
@@ -199,8 +199,8 @@ def build_map(
     """
     import numpy as np
 
-    from .kinematics.landmark_adjustment import Landmarks, assign_pieces
-    from .kinematics.landmark_fit import explained_pieces
+    from ..kinematics.landmark_adjustment import Landmarks, assign_pieces
+    from ..kinematics.landmark_fit import explained_pieces
 
     model = fit.model
     phi = fit.phi
@@ -282,9 +282,9 @@ def _with_views(
     """
     import numpy as np
 
-    from .body_model import LandmarkMap
-    from .kinematics.landmark_map import looking
-    from .perception.surface.patches import cut_patch
+    from ..body_model import LandmarkMap
+    from ..kinematics.landmark_map import looking
+    from ..perception.surface.patches import cut_patch
 
     predicted = model.predict(phi, seen, landmarks.body, landmarks.places)
     directions = looking(predicted.by_place)

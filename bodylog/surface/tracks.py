@@ -6,12 +6,12 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from .surface_calibration import LEAST_RANGE
-from .types import Array, PostureReadings
+from ..types import Array, PostureReadings
+from .calibration import LEAST_RANGE
 
 if TYPE_CHECKING:
-    from .kinematics.landmarks import LandmarkModel, LandmarkSightings
-    from .kinematics.links import Space
+    from ..kinematics.landmarks import LandmarkModel, LandmarkSightings
+    from ..kinematics.links import Space
 
 FOREIGN = -1
 """Number of the body of a piece that follows none."""
@@ -77,8 +77,8 @@ def link_tracks(model: "LandmarkModel", phi: Array, seen: "LandmarkSightings") -
     """Each piece on the body that explains it, or on none."""
     import numpy as np
 
-    from .kinematics.landmark_adjustment import assign_pieces
-    from .kinematics.landmark_fit import THRESHOLDS_PX, explained_pieces
+    from ..kinematics.landmark_adjustment import assign_pieces
+    from ..kinematics.landmark_fit import THRESHOLDS_PX, explained_pieces
 
     chosen = assign_pieces(model, phi, seen)
     sound = (chosen.error < THRESHOLDS_PX[-1]) & explained_pieces(model, chosen)
@@ -105,8 +105,8 @@ def read_postures(
     """
     import numpy as np
 
-    from .kinematics.landmark_adjustment import Landmarks, reduce_normal
-    from .kinematics.landmark_postures import UNTOLD_STD, posture_readings
+    from ..kinematics.landmark_adjustment import Landmarks, reduce_normal
+    from ..kinematics.landmark_postures import UNTOLD_STD, posture_readings
 
     used = np.flatnonzero(linked.on_moving_links)
     if not len(used):
@@ -130,7 +130,7 @@ def describe_postures(camera: str, found: PostureReadings) -> str:
     """How well images tell each joint, in words, and of which they tell nothing."""
     import numpy as np
 
-    from .kinematics.landmark_postures import UNTOLD_STD
+    from ..kinematics.landmark_postures import UNTOLD_STD
 
     std = np.sqrt(np.median(np.einsum("nii->ni", found.cov), axis=0))
     shown = [
@@ -205,7 +205,7 @@ def skeleton_segments(linked: LinkedTracks, space: "Space", t: float) -> Array:
     """
     import numpy as np
 
-    from .kinematics.camera import project_points
+    from ..kinematics.camera import project_points
 
     model = linked.model
     theta = model.changed(linked.phi)

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from bodylog import headline
 from bodylog.batch.jobs import KEYS, name_logs, select_shard
 from bodylog.batch.results import junit_xml
 from bodylog.errors import LogError, UsageError, WriteError
+from bodylog.findings import headline
 
 ROOT = Path(__file__).parents[2]
 

@@ -16,11 +16,12 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
-from bodylog import calibration, pipeline
+from bodylog import pipeline
 from bodylog.body.kinematic.placements import Calibration
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import Chain, chain_between
 from bodylog.kinematics.rotations import invert_transform, make_transform
+from bodylog.robot import calibration
 from bodylog.settings import Settings
 from bodylog.sources import CharucoSource
 from bodylog.types import Array

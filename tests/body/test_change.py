@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog import body, change_findings
+from bodylog import body
 from bodylog.body.kinematic import change
 from bodylog.body.kinematic.model import can_show_changes
-from bodylog.fault_findings import fault_warnings
+from bodylog.findings import changes as change_findings
+from bodylog.findings.faults import fault_warnings
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Fault
 from tests.body.changed_arms import DEGREE, explored, run

@@ -10,12 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from bodylog import calibration, pipeline, views
+from bodylog import pipeline, views
 from bodylog.config import load_settings
 from bodylog.errors import EvidenceError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import chain_between
 from bodylog.kinematics.rotations import invert_transform, make_transform, rotation_from_vector
+from bodylog.robot import calibration
 from bodylog.settings import MarkerSettings
 from tests.kinematics.bullet import ends_of
 

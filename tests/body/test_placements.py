@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from bodylog import body, calibration
+from bodylog import body
 from bodylog.body import storage as files
 from bodylog.body.kinematic.learn import learn_kinematics
 from bodylog.body.kinematic.placements import calibration_of_body as calibrated
@@ -13,6 +13,7 @@ from bodylog.errors import UsageError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import chain_between
 from bodylog.kinematics.rotations import invert_transform, vector_from_rotation
+from bodylog.robot import calibration
 from bodylog.settings import Settings
 from tests.body.boards import features, image
 from tests.body.kinematic_arms import OFFSETS, given

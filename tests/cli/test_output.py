@@ -113,7 +113,7 @@ def test_many_logs_evaluated_are_a_table_with_a_row_for_each(tmp_path, capsys, r
 
 
 def test_fault_is_printed_once(capsys) -> None:
-    from bodylog.fault_findings import fault_warnings
+    from bodylog.findings.faults import fault_warnings
     from bodylog.pipeline import Result
     from bodylog.types import Fault
 

@@ -7,11 +7,11 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bodylog[datasets]'")
 
-from bodylog import surface_findings
 from bodylog.dataset.examination import examine_episode
 from bodylog.dataset.judgement import judge_episodes
-from bodylog.delay_findings import ExaminedDelays
+from bodylog.delays.findings import ExaminedDelays
 from bodylog.settings import KinematicsSettings, Settings
+from bodylog.surface import findings as surface_findings
 from bodylog.types import Finding, Score
 
 from . import arm_dataset

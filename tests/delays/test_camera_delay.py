@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bodylog import body, camera_delay
+from bodylog import body
+from bodylog.delays import camera_delay
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate_from_features
 from bodylog.settings import EstimationSettings, Settings, TimeSettings

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 import bodylog.logs as logs
-from bodylog import delay_findings, pipeline
+from bodylog import pipeline
+from bodylog.delays import findings as delay_findings
 from bodylog.settings import Settings, TimeSettings
 
-ARM = Path(__file__).parents[1] / "fixtures" / "arm"
+ARM = Path(__file__).parents[2] / "fixtures" / "arm"
 IMAGES = "/camera/color/image_raw/compressed"
 JOINT_STATE, COMPRESSED = "sensor_msgs/msg/JointState", "sensor_msgs/msg/CompressedImage"
 

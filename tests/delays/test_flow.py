@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bodylog.delays.flow import group_joints, measure_flow_delays, name_moving_arm, smooth_joints
 from bodylog.estimation.timing.flow_delay import estimate_flow_delay
-from bodylog.flow_findings import group_joints, measure_flow_delays, name_moving_arm, smooth_joints
 from bodylog.recording import recording
 from bodylog.settings import Settings, TopicSettings
 from bodylog.types import Array, Series

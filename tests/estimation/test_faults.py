@@ -9,9 +9,9 @@ from bodylog.estimation import estimate_from_features
 from bodylog.estimation.faults.jumping import find_jumps, unwrap_turns
 from bodylog.estimation.faults.repeats import find_final_silence, find_frozen_readings
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
-from bodylog.fault_findings import fault_warnings
+from bodylog.findings.faults import fault_warnings
+from bodylog.findings.verdict import verdict_of_estimate
 from bodylog.settings import EstimationSettings
-from bodylog.verdict import verdict_of_estimate
 from tests.estimation.conftest import Linear
 from tests.estimation.resting import Drawn, drawn, judged
 

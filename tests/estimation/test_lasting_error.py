@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog import verdict
 from bodylog.estimation import estimate_from_features
 from bodylog.evaluation.scores import truth_at_times
+from bodylog.findings import verdict
 from bodylog.settings import EstimationSettings
 from bodylog.sim.hardware import Hardware
 from bodylog.types import LASTING_ERROR, Series

@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.estimation import METHODS
 from bodylog.evaluation.scores import score_angles
-from bodylog.fault_findings import truth_findings
+from bodylog.findings.faults import truth_findings
 from bodylog.types import Estimate, Health, Series
 
 

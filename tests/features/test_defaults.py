@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog import default_features, pipeline
+from bodylog import pipeline
 from bodylog.body import storage
 from bodylog.body_model import BodyModel, Noise, TouchConstants
+from bodylog.features import defaults as default_features
 from bodylog.recording import recording
 from bodylog.settings import ColourSettings, Settings, settings_as_values
 from bodylog.sources import ColourSource, TagSource

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from bodylog.evaluation.figures import MEASURED_DELAYS, MISFIT
-from bodylog.headline import NAMES, headline_of_estimate
+from bodylog.findings.headline import NAMES, headline_of_estimate
 from bodylog.types import Fault, Score
 from tests.report.records import JOINTS, estimate
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog import misfit
 from bodylog.body import storage
-from bodylog.log_estimate import infer_from_encoders
-from bodylog.misfit import find_misfit
+from bodylog.findings import misfit
+from bodylog.findings.log_estimate import infer_from_encoders
+from bodylog.findings.misfit import find_misfit
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Array
 from tests.estimation.conftest import JOINTS, Arm, World, draw

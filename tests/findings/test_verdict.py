@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bodylog.findings.verdict import verdict_of_batch, verdict_of_body, verdict_of_estimate
 from bodylog.types import Capabilities, Fault, Health, Score
-from bodylog.verdict import verdict_of_batch, verdict_of_body, verdict_of_estimate
 from tests.report.records import JOINTS, estimate
 
 SOUND = estimate(faults=())

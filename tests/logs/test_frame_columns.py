@@ -18,7 +18,7 @@ from bodylog.kinematics.rotations import (
 )
 from bodylog.logs.formats import open_log
 from bodylog.logs.tables.frame_columns import frame_of, frame_poses
-from bodylog.robot_model import joints_of_urdf
+from bodylog.robot.model import joints_of_urdf
 from bodylog.types import Features, Series
 from tests.kinematics.robots import ARM
 

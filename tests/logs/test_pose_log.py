@@ -16,7 +16,7 @@ from bodylog.logs.tables.table_file import read_table_file
 from bodylog.pipeline import ingest, observe
 from bodylog.recording import recording
 from bodylog.recording.robot_description import read_robot_description
-from bodylog.robot_model import _build_camera_hints
+from bodylog.robot.model import _build_camera_hints
 from bodylog.settings import BodySettings, Settings
 from tests.kinematics import robots
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from bodylog.joint_limits import limit_findings
 from bodylog.kinematics import urdf
 from bodylog.kinematics.robot import Limits
+from bodylog.robot.joint_limits import limit_findings
 from bodylog.types import Series
 
 NAMES = ("pan", "lift", "elbow", "grip")

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from bodylog.body.kinematic.placements import Lens
-from bodylog.calibration import camera_info_yaml
 from bodylog.errors import ConfigError
 from bodylog.kinematics import urdf
 from bodylog.kinematics.links import INFO_LENS, CameraHint, MarkerTrack, Space
 from bodylog.kinematics.rotations import invert_transform, rotation_from_rpy
-from bodylog.known_camera import known_markers, load_lens, with_known
+from bodylog.robot.calibration import camera_info_yaml
+from bodylog.robot.known_camera import known_markers, load_lens, with_known
 from bodylog.settings import CameraSettings, MarkerSettings
 from bodylog.types import Features, Series
 from tests.kinematics import robots

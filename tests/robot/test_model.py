@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog import body, robot_model
+from bodylog import body
 from bodylog.body.kinematic.learn import learn_kinematics
 from bodylog.errors import FormatError, LogError
 from bodylog.kinematics.chain import chain_between
@@ -15,7 +15,8 @@ from bodylog.kinematics.rotations import rotation_from_rpy
 from bodylog.logs.tables.frame_columns import FramePoses
 from bodylog.recording import robot_description
 from bodylog.recording.robot_description import Described
-from bodylog.robot_model import _robot_of_frame
+from bodylog.robot import model as robot_model
+from bodylog.robot.model import _robot_of_frame
 from bodylog.settings import FitSettings, KinematicsSettings, Settings
 from bodylog.types import Features, Series
 from tests.body.kinematic_arms import features, given

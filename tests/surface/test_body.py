@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog import calibration
 from bodylog.body import storage
 from bodylog.body.surface import landmark_model
 from bodylog.body_model import BodyModel, LandmarkMap, Noise, Surface, SurfaceCamera, TouchConstants
 from bodylog.errors import ModelError
-from bodylog.surface_estimate import picture_shift
+from bodylog.robot import calibration
+from bodylog.surface.estimate import picture_shift
 
-REACH = Path(__file__).parents[1] / "fixtures" / "arm" / "reach.mcap"
+REACH = Path(__file__).parents[2] / "fixtures" / "arm" / "reach.mcap"
 G1 = Path(__file__).parents[2] / "shared" / "real" / "g1"
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 PAN_ONLY = """<robot name="arm"><link name="base"/><link name="a"/><link name="b"/><link name="c"/>

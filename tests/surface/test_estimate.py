@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bodylog import surface_estimate
 from bodylog.kinematics.landmark_hypotheses import CAMERA, OFFSET_STD, SOUND, ChangeHypothesis
 from bodylog.kinematics.landmarks import LandmarkBelief
+from bodylog.surface import estimate as surface_estimate
 from tests.kinematics.landmark_arm import JOINTS, model, motion, truth
 
 FAULT = np.radians(5.0)

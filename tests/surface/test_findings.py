@@ -6,13 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog import surface_calibration, surface_findings
-from bodylog.delay_findings import ExaminedDelays
+from bodylog.delays.findings import ExaminedDelays
 from bodylog.errors import ModelError
 from bodylog.settings import KinematicsSettings, Settings
+from bodylog.surface import calibration as surface_calibration
+from bodylog.surface import findings as surface_findings
 from bodylog.types import Series
 
-FIXTURES = Path(__file__).parents[1] / "fixtures" / "arm"
+FIXTURES = Path(__file__).parents[2] / "fixtures" / "arm"
 G1 = Path(__file__).parents[2] / "shared" / "real" / "g1"
 G1_DELAYS_MS = {1: 85.2, 2: 101.3, 4: 87.7, 5: 88.7, 7: 91.1, 8: 89.9, 11: 98.1}
 """As an independent prototype measured them, with 0.9 to 1.7 ms."""

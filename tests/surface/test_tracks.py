@@ -10,7 +10,7 @@ from bodylog.kinematics.joint_motion import curve_through_samples
 from bodylog.kinematics.landmark_postures import UNTOLD_STD
 from bodylog.kinematics.landmarks import join_landmark_tracks
 from bodylog.kinematics.links import Space
-from bodylog.surface_tracks import (
+from bodylog.surface.tracks import (
     FOREIGN,
     describe_foreign,
     describe_postures,
