@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 @click.option(
     "--effector", metavar="U,V", help="Where the effector is in the first picture, in px."
 )
-@click.option("--body", type=PATH, help="A body of the robot's own surface: draw its corners.")
+@click.option(
+    "--body", type=PATH, help="A body of the robot's own surface, whose corners are shown."
+)
 @common_options
 def features(
     log: Path,

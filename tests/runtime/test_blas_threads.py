@@ -77,7 +77,7 @@ def test_fit_and_estimate_use_one_thread(two, monkeypatch) -> None:
     track = Series(np.zeros(0), np.zeros((0, 2)), ("u", "v"), "px", np.zeros(0, np.int64))
     seen = Features(None, {"effector": track}, None, (), (), {})
     assert _running(lambda: learn_body([seen], Settings(), {}), monkeypatch) == {1}
-    nothing, nobody = Features(None, {}, None, (), (), {}), SimpleNamespace(joints=(), senses={}, provenance={})
+    nothing, nobody = Features(None, {}, None, (), (), {}), SimpleNamespace(joints=(), senses={}, provenance={}, surface=None)
     assert _running(lambda: estimate_from_features(nothing, nobody, EstimationSettings()), monkeypatch) == {1}
     assert set(_threads()) == {2}
 
