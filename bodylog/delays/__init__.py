@@ -1,1 +1,1 @@
-"""Whether cameras are late against the joints, and what is said of it."""
+"""Whether cameras are late against the joints, and the findings about it."""

@@ -1,1 +1,1 @@
-"""What bodylog says of one log: faults, changes, misfits, the verdict and its figures."""
+"""Findings about one log: faults, changes, misfits, the verdict and its figures."""
