@@ -5,7 +5,7 @@ each start threads that spin when idle; thread priority.
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
 
 
@@ -37,6 +37,37 @@ def one_opencv() -> Iterator[None]:
         yield
     finally:
         cv2.setNumThreads(before)
+
+
+@contextmanager
+def without_real_time() -> Iterator[None]:
+    """Threads that became real-time in the block are scheduled as the calling one before it.
+
+    SVT-AV1 makes the thread that opens an encoder, and its own, real-time where it may, as root:
+    at priority 99 all other processes stand still while they run.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    policy = os.sched_getscheduler(0)
+    priority = os.sched_getparam(0)
+    before = _real_time_threads()
+    try:
+        yield
+    finally:
+        for thread in _real_time_threads() - before:
+            with suppress(ProcessLookupError):  # it ended meanwhile
+                os.sched_setscheduler(thread, policy, priority)
+
+
+def _real_time_threads() -> set[int]:
+    """The numbers of this process's real-time threads."""
+    found = set[int]()
+    for name in os.listdir("/proc/self/task"):
+        with suppress(ProcessLookupError):
+            if os.sched_getscheduler(int(name)) in (os.SCHED_FIFO, os.SCHED_RR):
+                found.add(int(name))
+    return found
 
 
 def lower_priority() -> None:

@@ -94,9 +94,9 @@ def test_workers_end_with_who_started_them_and_is_killed(tmp_path, robot, name):
         workers, started = _workers(process), time.monotonic()
         process.kill()
         process.wait(timeout=60)
-        while not all(map(_gone, workers)) and time.monotonic() - started < 200:
+        while not all(map(_gone, workers)) and time.monotonic() - started < 10:
             time.sleep(0.01)
-        assert len(workers) == 2 and all(map(_gone, workers))
+        assert len(workers) == 2 and all(map(_gone, workers)) and time.monotonic() - started < 2
     assert not list(tmp_path.rglob(".*.part")) and not list(tmp_path.rglob("row.json"))
 
 
@@ -114,17 +114,19 @@ bodylog_cli.main()
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
-def test_command_inside_c_code_stops(tmp_path, robot, number):
+def test_command_inside_c_code_stops_in_time(tmp_path, robot, number):
     words = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap")
     with _started([sys.executable, "-c", IN_C, *map(str, words)]) as process:
         while not list(tmp_path.glob(".*.part")):
             time.sleep(0.005)
         time.sleep(0.2)
+        started = time.monotonic()
         process.send_signal(number)
-        printed = process.communicate(timeout=240)[1]  # the query never ends
+        printed = process.communicate(timeout=60)[1]
+        seconds = time.monotonic() - started
     how = "interrupted" if number == signal.SIGINT else "stopped"
     assert (process.returncode, printed) == (128 + number, f"bodylog: {how}; nothing half-written was left\n")
-    assert not list(tmp_path.iterdir())
+    assert seconds < 2 and not list(tmp_path.iterdir())
 
 
 def test_interrupt_before_signals_are_listened_to_is_one_line(monkeypatch, capfd):
@@ -240,7 +242,7 @@ def test_closed_standard_output_is_not_a_bug(robot):
         assert process.stdout.readline().startswith(b"method")
         process.stdout.close()
         assert b"Traceback" not in process.stderr.read()
-    assert process.returncode in (0, 141)  # 0 where everything was printed before it was closed
+    assert process.returncode == 141
 
 
 def test_pipe_is_not_a_log(tmp_path, capsys, run_cli):

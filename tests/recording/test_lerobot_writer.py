@@ -1,6 +1,8 @@
 """A dataset converted to MCAP and back keeps values, images and times; any log becomes a dataset."""
 
 import json
+import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 import bodylog.logs as logs
 from bodylog import info, pipeline
 from bodylog.errors import FormatError, LogError, UsageError
-from bodylog.logs.datasets import video
+from bodylog.logs.datasets import encode, video
 from bodylog.logs.formats import open_log
 from bodylog.logs.limits import Input
 from bodylog.recording.dataset_rows import nearest_indices
@@ -111,6 +113,20 @@ def test_encode_measures_its_error(how, most, tmp_path):
     squares = [np.mean((x.image.astype(float) - y.image) ** 2) for x, y in pairs]
     assert reported == pytest.approx(np.sqrt(np.mean(squares)), rel=0.01) and 0 < reported < most
     assert all(x.source_ns == y.source_ns for x, y in pairs)
+
+
+@pytest.mark.skipif(sys.platform != "linux" or os.getuid(), reason="an encoder is real-time as root alone")
+def test_an_encoder_leaves_no_thread_real_time(tmp_path):
+    policies = set()
+
+    def images():
+        for image in drawn.images(12):
+            policies.update(os.sched_getscheduler(int(name)) for name in os.listdir("/proc/self/task"))
+            yield image
+
+    codec = encode.find_codec("av1")
+    encode.encode_video(tmp_path / "a.mp4", codec, images, np.arange(12) / drawn.FPS, drawn.SIZE)
+    assert policies == {os.SCHED_OTHER}
 
 
 def _recorded(path: Path, rows: int = 30) -> Path:

@@ -14,7 +14,7 @@ from bodylog.body import learn_body
 from bodylog.errors import EvidenceError
 from bodylog.estimation import METHODS, estimate_from_features
 from bodylog.perception.colours import colour_tracker
-from bodylog.runtime.blas_threads import lower_priority, one_thread
+from bodylog.runtime.blas_threads import lower_priority, one_thread, without_real_time
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Features, LazyImage, Series
 
@@ -91,3 +91,13 @@ def test_lower_priority_yields_to_other_threads() -> None:
     with ThreadPoolExecutor(1, initializer=lower_priority) as pool:
         assert pool.submit(mine).result() == min(before + 5, 19)
     assert mine() == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="needs Linux's scheduling")
+def test_threads_that_became_real_time_are_as_before():
+    with without_real_time():
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        except PermissionError:
+            pytest.skip("may not be real-time here; root may")
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER and os.sched_getparam(0).sched_priority == 0

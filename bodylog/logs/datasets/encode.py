@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import LogError, UsageError
+from ...runtime.blas_threads import without_real_time
 from ..limits import Input
 from ..records import Array
 from . import video
@@ -83,6 +84,8 @@ def _write_encoded_video(
         stream.pix_fmt = how.pixels
         stream.time_base = stream.codec_context.time_base = Fraction(1, _TICKS)
         try:
+            with without_real_time():
+                stream.codec_context.open()
             for at, image in zip(pts.tolist(), images(), strict=True):
                 frame = av.VideoFrame.from_ndarray(
                     _fit_image_size(image, size, path), format="bgr24"

@@ -1,4 +1,4 @@
-"""Small datasets written without bodylog: by pyarrow, h5py and PyAV, as the formats' own tools do."""
+"""Small datasets written without bodylog's writers: by pyarrow, h5py and PyAV, as the formats' own tools do."""
 
 import json
 from fractions import Fraction
@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
+from bodylog.runtime.blas_threads import without_real_time
 
 arrow = pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bodylog[datasets]'")
 parquet = pytest.importorskip("pyarrow.parquet")
@@ -39,6 +41,8 @@ def film(path: Path, pictures: np.ndarray, codec: str = "libx264", **options: st
         stream = container.add_stream(codec, rate=Fraction(FPS), options=options)
         stream.height, stream.width = pictures.shape[1:3]
         stream.pix_fmt = "yuv420p"
+        with without_real_time():
+            stream.codec_context.open()
         for image in pictures:
             container.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="bgr24")))
         container.mux(stream.encode())
