@@ -30,7 +30,7 @@ def test_change_is_absent_in_a_sound_log(known):
 def test_change_detects_a_moved_zero_with_its_size(known, joint, degrees):
     (one,) = change.find_changes(run(offset={joint: degrees * DEGREE}), known)
     assert (one.kind, one.name, one.since, one.alternatives) == ("joint", joint, None, ())
-    assert abs(one.value[0] - degrees * DEGREE) < 3 * one.std[0] < 0.5 * DEGREE and one.nats > change.GAIN
+    assert abs(one.value[0] - degrees * DEGREE) < 3 * one.std[0] < 0.5 * DEGREE and one.nats > change.CHANGE_NATS
 
 
 def test_change_detects_a_slipped_gear_with_its_time(known):
