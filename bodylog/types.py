@@ -10,6 +10,9 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any, Protocol, Self
 
+from .fault_kinds import ALTERNATIVE_SEPARATOR as ALTERNATIVE_SEPARATOR
+from .fault_kinds import Fault as Fault
+from .fault_kinds import FaultKind as FaultKind
 from .logs.records import Array as Array
 from .logs.records import Batch as Batch
 from .logs.records import Finding as Finding
@@ -232,37 +235,6 @@ class Recording:
     truth_pose: Poses | None = None
     tracks: Mapping[str, Series] = field(default_factory=dict)
     track_health: Mapping[str, Health] = field(default_factory=dict)
-
-
-ALTERNATIVE_SEPARATOR = " or "
-"""Between the names of joints one of which is faulty."""
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One sensor that lied: which joint or sense, what kind,
-    since when (s), how much ± std (`unit`, None: unknown).
-
-    until: when it ended (s); None where it lasts to the end of the log,
-    or has no end, as a jump. turn ± turn_std: rad by which a board also
-    turned, whose size is the displacement of its centre; None otherwise.
-    """
-
-    sense: str
-    name: str
-    kind: str
-    since: float
-    size: float
-    unit: str
-    std: float | None = None
-    turn: float | None = None
-    turn_std: float | None = None
-    until: float | None = None
-
-    @property
-    def alternatives(self) -> tuple[str, ...]:
-        """Names, after the first, of those that explain the log alike."""
-        return tuple(self.name.split(ALTERNATIVE_SEPARATOR)[1:])
 
 
 @dataclass(frozen=True)

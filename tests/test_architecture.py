@@ -9,7 +9,7 @@ import bodylog
 
 ROOT = Path(__file__).parents[1]
 BELOW = {"errors", "version", "wording", "io", "runtime"}
-RECORDS = {*BELOW, "logs", "types", "body_model", "overlay_style", "score_names", "settings", "sources"}
+RECORDS = {*BELOW, "logs", "types", "fault_kinds", "body_model", "overlay_style", "score_names", "settings", "sources"}
 ROOMS = {
     "__main__": set(),
     "errors": set(),
@@ -22,7 +22,8 @@ ROOMS = {
     "sources": BELOW,
     "choices": set(),
     "settings": {*BELOW, "logs", "sources"},
-    "types": {*BELOW, "body_model", "logs", "settings"},
+    "fault_kinds": BELOW,
+    "types": {*BELOW, "body_model", "fault_kinds", "logs", "settings"},
     "body_model": {*BELOW, "logs"},
     "overlay_style": RECORDS,
     "config": RECORDS,

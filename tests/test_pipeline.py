@@ -89,9 +89,9 @@ def test_estimate_rejects_images_of_another_width_unless_unused(tmp_path, arm, a
 
 def test_constant_encoder_offset_may_be_the_camera() -> None:
     from bodylog.findings.faults import fault_warnings
-    from bodylog.types import Fault
+    from bodylog.types import Fault, FaultKind
 
-    given = (("drifting", 0.2), ("drifting", 9.0), ("jumping", 0.2))
+    given = ((FaultKind.DRIFTING, 0.2), (FaultKind.DRIFTING, 9.0), (FaultKind.JUMPING, 0.2))
     first, later, jump = fault_warnings([Fault("encoders", "a", kind, since, 0.1, "rad") for kind, since in given])
     assert first.text == (
         "encoders a: drifting since 0.200 s, 0.1 rad (5.73°); from the start: homed differently, or the camera moved "

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
+from ..fault_kinds import FORMS, Fault, FaultKind
 from ..io.values import reject_impossible
 from ..logs.decode.columns import columns_of
 from ..logs.formats import open_log
@@ -22,7 +23,6 @@ from ..logs.topic_names import PREFIX, TRACK, TRACK_NAMES, unescape_topic_name
 from ..types import (
     Array,
     Estimate,
-    Fault,
     Features,
     Health,
     Poses,
@@ -292,10 +292,15 @@ class _Table:
             for since, amount, row in zip(
                 (stamp - self.start_ns) / 1e9, size, fault_scores.tolist(), strict=True
             ):
+                if (sense[0], kind[0]) not in FORMS:
+                    possible = ", ".join(" ".join(form) for form in FORMS)
+                    raise self._unfit(
+                        PREFIX + "faults",
+                        f"sense and kind {sense[0]} {kind[0]}; possible: {possible}",
+                    )
                 known = (None if value != value else value for value in row)
-                found.append(
-                    Fault(sense[0], name[0], kind[0], float(since), float(amount), unit[0], *known)
-                )
+                sized = float(since), float(amount), unit[0]
+                found.append(Fault(sense[0], name[0], FaultKind(kind[0]), *sized, *known))
         return tuple(sorted(found, key=lambda fault: (fault.since, fault.sense, fault.name)))
 
     def effector(self) -> Poses | None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..estimation.timing.delay_profile import fit_profile_peak, jackknife_error
 from ..logs.datasets.checks import value_ranges
 from ..types import Array
 from .reading import EpisodeReading, StoredNumbers
@@ -120,8 +121,7 @@ def measure_following(reading: EpisodeReading) -> Following | None:
     whole = np.sum(sums, axis=0)
     best, correlation = _best_delay(whole, tried)
     left_out = np.array([_best_delay(whole - part, tried)[0] for part in sums])
-    spread = left_out - left_out.mean(axis=0)
-    std_s = np.sqrt((BLOCKS - 1) / BLOCKS * (spread**2).sum(axis=0))
+    std_s = jackknife_error(left_out)
     # the grid of delays limits what a parabola tells
     return Following(names, best, np.hypot(std_s, step_s / np.sqrt(12.0)), correlation)
 
@@ -161,7 +161,5 @@ def _best_delay(sums: Array, tried: Array) -> tuple[Array, Array]:
     best = np.clip(table.argmax(axis=0), 1, len(tried) - 2)
     column = np.arange(table.shape[1])
     left, middle, right = (table[best + side, column] for side in (-1, 0, 1))
-    bend = 2.0 * middle - left - right
-    safe = np.where(bend > 0.0, bend, 1.0)
-    shift = np.where(bend > 0.0, np.clip(0.5 * (right - left) / safe, -1.0, 1.0), 0.0)
+    shift = np.clip(fit_profile_peak(left, middle, right)[0], -1.0, 1.0)
     return tried[best] + shift * (tried[1] - tried[0]), middle

@@ -13,8 +13,8 @@ from ..types import Array, Features, Finding
 if TYPE_CHECKING:
     from ..body.kinematic.learn import Robotics
     from ..body.learning import Keep, LearnedBody
+    from ..estimation.timing.delay_profile import Delay
     from ..estimation.timing.gp_likelihood import Prior
-    from ..estimation.timing.regression import Delay
 
 MAX_TURNS = 5
 """Most bodies learned, each from images corrected by the delays of the last one."""
@@ -85,7 +85,7 @@ def measure_log_delays(
     make the body better. EvidenceError without a body.
     """
     from ..estimation.timing import correction
-    from ..estimation.timing.regression import Delay
+    from ..estimation.timing.delay_profile import Delay
 
     start = _coarse_delays(features)
     try:

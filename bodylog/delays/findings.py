@@ -19,7 +19,7 @@ from ..settings import Settings
 from ..types import Features, Finding, LazyImage, Recording, Score
 
 if TYPE_CHECKING:
-    from ..estimation.timing.regression import Delay
+    from ..estimation.timing.delay_profile import Delay
 
 MAX_DURATION_S = 60.0
 """s in the middle of a log that are used: a delay is known to milliseconds after 20 s of motion."""

@@ -2,19 +2,16 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from ..types import ALTERNATIVE_SEPARATOR, Estimate, Fault, Score
+from ..fault_kinds import ENCODER_OFFSET, FORMS, Fault, FaultKind
+from ..types import Estimate, Score
 
-OFFSET_KINDS = ("drifting", "jumping", "offset")
-"""Kinds of fault that are offsets of an encoder."""
-KINDS = ("encoder_offset", *OFFSET_KINDS, "frozen", "dead")
-SIZELESS_KINDS = ("frozen", "dead")
-"""Kinds of an encoder's fault without a size."""
-KINDS_NEEDING_IMAGES = ("encoder_offset", "drifting", "offset")
+SCORED_KINDS = (ENCODER_OFFSET, *(kind for (_, kind), form in FORMS.items() if form.scored))
+"""Kinds that are scored by 0 where they are not found."""
+KINDS_NEEDING_IMAGES = (
+    ENCODER_OFFSET,
+    *(kind for (_, kind), form in FORMS.items() if form.needs_images),
+)
 """Kinds found only with images, by methods that look for them; otherwise NaN."""
-OFF_FROM_START_S = 1.0
-"""s: an encoder that is certainly off this early was off from the start."""
-DISPLACED = "displaced"
-"""Kind of a fault that is a camera's, all of whose tracks are displaced."""
 CAMERA = "camera"
 """Name of the first camera, whose tracks are named plainly."""
 MEASURED_DELAYS = "delay_measured"
@@ -42,27 +39,27 @@ def _fault_figures(found: Estimate) -> Iterator[Score]:
     yield Score("faults", float(len(found.faults)), "1")
     tracks = [name for name in found.used if name not in ("encoders", "touch")]
     sought = found.can.repairs and any(found.used[name].used for name in tracks)
-    faults = [fault for fault in found.faults if fault.kind != DISPLACED]
+    faults = [fault for fault in found.faults if fault.kind != FaultKind.DISPLACED]
     for name in dict.fromkeys(
-        (*found.joints.names, *tracks, *(n for f in faults for n in _split_fault_names(f)))
+        (*found.joints.names, *tracks, *(n for f in faults for n in f.names))
     ):
-        others = (f.kind for f in faults if name in _split_fault_names(f))
-        for kind in dict.fromkeys((*KINDS, *others)):
-            own = [
-                fault
-                for fault in found.faults
-                if name in _split_fault_names(fault) and kind in _list_fault_kinds(fault)
-            ]
-            unit = own[0].unit if own else "rad" if name in found.joints.names else "px"
-            unit = "1" if kind in SIZELESS_KINDS and name in found.joints.names else unit
+        joint = name in found.joints.names
+        others = (f.kind for f in faults if name in f.names)
+        for kind in dict.fromkeys((*SCORED_KINDS, *others)):
+            own = [f for f in found.faults if name in f.names and kind in _scored_kinds(f)]
+            unit = own[0].unit if own else "rad" if joint else "px"
+            form = FORMS.get(("encoders", FaultKind(kind))) if kind != ENCODER_OFFSET else None
+            unit = form.unit or unit if joint and form is not None else unit
             open_ = not own and kind in KINDS_NEEDING_IMAGES and not sought
             yield Score(
                 f"fault/{kind}/{name}", float("nan") if open_ else _greatest_fault_size(own), unit
             )
     cameras = [name.rpartition("/")[0] or CAMERA for name in tracks]
+    displaced = FaultKind.DISPLACED
     for name in dict.fromkeys(cameras):
-        own = [fault for fault in found.faults if (fault.kind, fault.name) == (DISPLACED, name)]
-        yield Score(f"fault/{DISPLACED}/{name}", _greatest_fault_size(own), "px")
+        own = [fault for fault in found.faults if (fault.kind, fault.name) == (displaced, name)]
+        unit = FORMS["vision", displaced].unit
+        yield Score(f"fault/{displaced}/{name}", _greatest_fault_size(own), unit)
 
 
 def _greatest_fault_size(faults: Sequence[Fault]) -> float:
@@ -70,16 +67,9 @@ def _greatest_fault_size(faults: Sequence[Fault]) -> float:
     return float("nan") if any(size != size for size in sizes) else max(sizes, default=0.0)
 
 
-def _split_fault_names(fault: Fault) -> list[str]:
-    return fault.name.split(ALTERNATIVE_SEPARATOR)
-
-
-def _list_fault_kinds(fault: Fault) -> tuple[str, ...]:
-    return (
-        (fault.kind, "encoder_offset")
-        if fault.sense == "encoders" and fault.kind in OFFSET_KINDS
-        else (fault.kind,)
-    )
+def _scored_kinds(fault: Fault) -> tuple[str, ...]:
+    """What a fault counts as in scores."""
+    return (fault.kind, ENCODER_OFFSET) if fault.form.offset else (fault.kind,)
 
 
 def list_delays(found: Estimate) -> Iterator[Score]:

@@ -6,15 +6,13 @@ from math import degrees, nan
 from typing import TYPE_CHECKING
 
 from ..body_model import BodyModel
-from ..evaluation.figures import OFF_FROM_START_S
+from ..fault_kinds import OFF_FROM_START_S
 from ..settings import EstimationSettings
-from ..types import ALTERNATIVE_SEPARATOR, Estimate, Fault, Features, Finding, Series
+from ..types import ALTERNATIVE_SEPARATOR, Estimate, Fault, FaultKind, Features, Finding, Series
 
 if TYPE_CHECKING:
     from ..body.kinematic.change import Change
 
-OFFSETS = ("drifting", "offset")
-"""Names of constant offsets in the filters' faults, and in those of still poses."""
 DIFFERING_SIGMA = 3.0
 """Standard deviations by which two sizes of one
 offset must differ, in addition to a tenth of it.
@@ -79,7 +77,8 @@ def _usable_tracks(features: Features, found: Estimate) -> Features:
 
 def _is_constant_offset(fault: Fault) -> bool:
     """Whether a fault is an encoder's offset from the start on."""
-    return fault.sense == "encoders" and fault.kind in OFFSETS and fault.since < OFF_FROM_START_S
+    constant = fault.sense == "encoders" and fault.kind in (FaultKind.DRIFTING, FaultKind.OFFSET)
+    return constant and fault.since < OFF_FROM_START_S
 
 
 def merge_changes_and_faults(
@@ -92,11 +91,7 @@ def merge_changes_and_faults(
     kept = []
     for fault in found.faults:
         same = next(
-            (
-                one
-                for one in own
-                if _alternative_names(one) & _alternative_names(fault) and one.sense == "encoders"
-            ),
+            (one for one in own if set(one.names) & set(fault.names) and one.sense == "encoders"),
             None,
         )
         moved = next((one for one in own if one.sense == "vision"), None)
@@ -112,11 +107,7 @@ def merge_changes_and_faults(
             findings += _differing_size_findings(same, fault)
     findings += [Finding("info", _describe_change(one)) for one in changes]
     lasting = {fault.name for fault in kept if fault.sense == "encoders"}
-    return (*kept, *(one for one in own if not _alternative_names(one) & lasting)), tuple(findings)
-
-
-def _alternative_names(fault: Fault) -> set[str]:
-    return set(fault.name.split(ALTERNATIVE_SEPARATOR))
+    return (*kept, *(one for one in own if not lasting.intersection(one.names))), tuple(findings)
 
 
 def _change_as_fault(one: "Change", start: float) -> Fault:
@@ -125,14 +116,18 @@ def _change_as_fault(one: "Change", start: float) -> Fault:
     since = start if one.since is None else one.since
     if one.kind == "joint":
         size, std = (nan, None) if one.alternatives else (-float(one.value[0]), float(one.std[0]))
-        return Fault("encoders", name, "offset", since, size, one.unit, std)
+        return Fault("encoders", name, FaultKind.OFFSET, since, size, one.unit, std)
     assert one.shift is not None
     if one.alternatives:
-        return Fault("vision", name, "moved", since, nan, "rad" if one.kind == "camera" else "m")
+        return Fault(
+            "vision", name, FaultKind.MOVED, since, nan, "rad" if one.kind == "camera" else "m"
+        )
     if one.kind == "camera":
         assert one.turn is not None
-        return Fault("vision", name, "moved", since, one.turn[0], "rad", one.turn[1])
-    return Fault("vision", name, "moved", since, one.shift[0], "m", one.shift[1], *(one.turn or ()))
+        return Fault("vision", name, FaultKind.MOVED, since, one.turn[0], "rad", one.turn[1])
+    return Fault(
+        "vision", name, FaultKind.MOVED, since, one.shift[0], "m", one.shift[1], *(one.turn or ())
+    )
 
 
 def _differing_size_findings(same: Fault, fault: Fault) -> Iterable[Finding]:

@@ -5,48 +5,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..body_model import BodyModel
-from ..evaluation.figures import OFF_FROM_START_S
+from ..fault_kinds import fault_warning
 from ..settings import Settings, list_configured_sources
 from ..sources import describe_source, feature_of
 from ..types import Estimate, Fault, Features, Finding, Series
-from ..wording import list_in_words, quantity_text
+from ..wording import list_in_words
 
 
 def fault_warnings(faults: Sequence[Fault]) -> tuple[Finding, ...]:
     """A warning for each fault: sensor, kind, since when, size."""
-    return tuple(Finding("warning", _fault_warning_text(fault)) for fault in faults)
-
-
-def span_text(fault: Fault, decimals: int = 1) -> str:
-    """When a fault was there: "since 18.0 s", or "18.0 to 21.0 s"."""
-    if fault.until is None:
-        return f"since {fault.since:.{decimals}f} s"
-    return f"{fault.since:.{decimals}f} to {fault.until:.{decimals}f} s"
-
-
-def _fault_warning_text(fault: Fault) -> str:
-    since = f"{fault.sense} {fault.name}: {fault.kind} {span_text(fault, 3)}"
-    # the size of an ambiguous fault is NaN
-    known = fault.size == fault.size
-    size = (
-        f", {quantity_text(fault.size, fault.std, fault.unit)}"
-        if known
-        else "; the log does not determine which one"
-    )
-    size += (
-        ""
-        if fault.turn is None
-        else f", turned by {quantity_text(fault.turn, fault.turn_std, 'rad')}"
-    )
-    first = "; from the start: homed differently, or the camera moved since the body was learned"
-    body = "; relative to the body"
-    compared = fault.kind == "moved" or (fault.kind == "offset" and fault.std is not None)
-    return (
-        since
-        + size
-        + first * (fault.kind == "drifting" and fault.since < OFF_FROM_START_S)
-        + body * compared
-    )
+    return tuple(Finding("warning", fault_warning(fault)) for fault in faults)
 
 
 def sighting_findings(found: Features) -> tuple[Finding, ...]:

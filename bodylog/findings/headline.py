@@ -5,8 +5,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..evaluation.figures import MISFIT, list_delays
+from ..fault_kinds import fault_headline
 from ..score_names import split_score_name
-from ..types import Estimate, Fault, Score
+from ..types import Estimate, Score
 from ..wording import list_in_words, quantity_text
 from .verdict import typical_error_bar
 
@@ -36,15 +37,7 @@ def headline_of_estimate(found: Estimate, scores: Sequence[Score]) -> dict[str, 
 def _faults_text(found: Estimate) -> str:
     if MISFIT in found.settings:
         return "not given: the log does not fit the body"
-    return list_in_words([_fault_headline(fault) for fault in found.faults]) or "none found"
-
-
-def _fault_headline(fault: Fault) -> str:
-    sized = np.isfinite(fault.size) and fault.size != 0.0
-    return (
-        f"{fault.name} {fault.kind}"
-        + f" by {quantity_text(fault.size, fault.std, fault.unit)}" * bool(sized)
-    )
+    return list_in_words([fault_headline(fault) for fault in found.faults]) or "none found"
 
 
 def _reprojection_text(values: Mapping[str, float]) -> str:

@@ -42,13 +42,6 @@ MIN_PREDICTABLE_SHARE = 0.9
 MOST_CAUSES = 2
 """Encoders, cameras and markers that may have faults at once which only the body shows: a log of
 another body is more likely than three sensors that fail together."""
-_SHOWN_BY_BODY = {
-    ("encoders", "drifting"),
-    ("encoders", "offset"),
-    ("encoders", "jumping"),
-    ("vision", "displaced"),
-    ("vision", "moved"),
-}
 _PROMISING = 3
 _UNITS = (
     (np.deg2rad(1.0), "deg", "its angles in degrees, not rad"),
@@ -151,7 +144,7 @@ def from_many_faults(
     """Return that a log does not fit where more than MOST_CAUSES
     sensors would have faults that only the body shows.
     """
-    causes = {fault.name for fault in found.faults if (fault.sense, fault.kind) in _SHOWN_BY_BODY}
+    causes = {fault.name for fault in found.faults if fault.form.by_body}
     log = select_sightings(
         correction.shift_features(features, _known_delays(features, body, delay)), body, settings
     )

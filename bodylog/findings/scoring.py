@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..errors import InputError, LogError
 from ..settings import Settings, TopicSettings
-from ..types import Estimate, Poses, Recording, Score, Series
+from ..types import Array, Estimate, Poses, Recording, Score, Series
 
 
 def score_estimate(found: Estimate, read: Recording) -> tuple[Score, ...]:
@@ -55,20 +55,11 @@ def _poses_beside(path: Path, read: Recording) -> Poses | None:
 def _comparable_poses(path: Path, found: Estimate, read: Recording) -> Recording:
     """The recording; InputError where true poses have no estimate beside them."""
     truth = read.truth_pose
-    t = found.joints.t
     assert truth is not None
     if found.effector is None:
         advice = "type: bodylog fit LOG --urdf ROBOT.urdf, and estimate again"
         raise InputError(f"{path}: has x, y, z, but the estimate has no pose; {advice}")
-    if truth.t[0] > t[-1] or truth.t[-1] < t[0]:
-        span = (
-            f"it is from {truth.t[0]:.3f} to {truth.t[-1]:.3f} s, the estimate from {t[0]:.3f} "
-            f"to {t[-1]:.3f} s"
-        )
-        raise InputError(
-            f"{path}: {span} after the log's first joint reading; give times since that one, "
-            "or 1970"
-        )
+    _require_shared_time(path, truth.t, found.joints.t)
     return read
 
 
@@ -101,16 +92,20 @@ def _require_comparable_truth(path: Path, found: Estimate, read: Recording) -> N
     of other joints, or of another time, than the estimate.
     """
     truth = read.truth
-    t = found.joints.t
     assert truth is not None
     if not set(truth.names) & set(found.joints.names):
         names = (
             f"its columns are {', '.join(truth.names)}, possible: {', '.join(found.joints.names)}"
         )
         raise InputError(f"{path}: {names}; name the columns as the joints")
-    if not len(t) or truth.t[0] > t[-1] or truth.t[-1] < t[0]:
+    _require_shared_time(path, truth.t, found.joints.t)
+
+
+def _require_shared_time(path: Path, truth_t: Array, t: Array) -> None:
+    """InputError where a truth's times (N,) s lie beside those of the estimate, t (M,) s."""
+    if not len(t) or truth_t[0] > t[-1] or truth_t[-1] < t[0]:
         span = (
-            f"it is from {truth.t[0]:.3f} to {truth.t[-1]:.3f} s, the estimate from {t[0]:.3f} "
+            f"it is from {truth_t[0]:.3f} to {truth_t[-1]:.3f} s, the estimate from {t[0]:.3f} "
             f"to {t[-1]:.3f} s"
         )
         raise InputError(

@@ -1,21 +1,15 @@
 """The result of a command in a few sentences that a person can act on."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..evaluation.figures import (
-    LEAST_OFFSETS,
-    MEASURED_DELAYS,
-    MISFIT,
-    OFF_FROM_START_S,
-    doubtful_delays,
-)
+from ..evaluation.figures import LEAST_OFFSETS, MEASURED_DELAYS, MISFIT, doubtful_delays
+from ..fault_kinds import fault_sentence
 from ..score_names import split_score_name
-from ..types import ALTERNATIVE_SEPARATOR, HARDWARE_ERRORS, LASTING_ERROR, Estimate, Fault, Score
+from ..types import HARDWARE_ERRORS, LASTING_ERROR, Estimate, Score
 from ..wording import quantity_text
-from .faults import span_text
 
 MAX_LISTED = 3
 """Faults, tracks or offsets that are written out; of more than one other the names."""
@@ -33,7 +27,7 @@ def verdict_of_estimate(found: Estimate, scores: Sequence[Score]) -> tuple[str, 
     """
     if MISFIT in found.settings:
         return (str(found.settings[MISFIT]["text"]),)
-    faults = [_fault_sentence(fault) for fault in found.faults]
+    faults = [fault_sentence(fault) for fault in found.faults]
     sure = (
         *_first_lines(faults, "faults"),
         *_delay_sentences(found),
@@ -119,68 +113,6 @@ def _values_by_part(values: Mapping[str, float], figure: str) -> dict[str, float
     }
 
 
-def _fault_sentence(fault: Fault) -> str:
-    known = fault.size == fault.size
-    size = quantity_text(fault.size, fault.std, fault.unit)
-    text = _WORDS.get((fault.sense, fault.kind), _other_fault_sentence)(
-        fault, size, span_text(fault), known
-    )
-    return (
-        text
-        if known or ALTERNATIVE_SEPARATOR not in fault.name
-        else f"{text} (the log cannot tell which)"
-    )
-
-
-def _drift_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
-    if fault.since < OFF_FROM_START_S:
-        return f"{fault.name}: encoder is off from the start{f', by {size}' * known}"
-    return f"{fault.name}: encoder drifts {since}{f', by {size}' * known}"
-
-
-def _jump_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
-    return f"{fault.name}: encoder jumps{f' by {size}' * known} at {fault.since:.1f} s"
-
-
-def _glitch_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
-    when = f"for a moment at {fault.since:.1f} s" if fault.until is None else since
-    return f"{fault.name}: encoder is off by {size} {when}"
-
-
-def _moved_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
-    if not known:
-        return f"{fault.name}: moved since the body was learned"
-    if fault.unit == "rad":
-        return f"{fault.name}: turned since the body was learned, by {size}"
-    turn = (
-        ""
-        if fault.turn is None
-        else f" and turned by {quantity_text(fault.turn, fault.turn_std, 'rad')}"
-    )
-    return f"{fault.name}: its centre moved since the body was learned, by {size}{turn}"
-
-
-def _other_fault_sentence(fault: Fault, size: str, since: str, known: bool) -> str:
-    return f"{fault.name}: {fault.kind} ({fault.sense}) {since}{f', {size}' * known}"
-
-
-_WORDS: Mapping[tuple[str, str], Callable[[Fault, str, str, bool], str]] = {
-    ("encoders", "drifting"): _drift_sentence,
-    ("encoders", "offset"): lambda f, size, since, known: (
-        f"{f.name}: encoder is off{f' by {size}' * known} {since}"
-    ),
-    ("encoders", "jumping"): _jump_sentence,
-    ("encoders", "glitch"): _glitch_sentence,
-    ("encoders", "frozen"): lambda f, size, since, known: f"{f.name}: encoder is frozen {since}",
-    ("encoders", "dead"): lambda f, size, since, known: f"{f.name}: encoder is silent {since}",
-    ("vision", "frozen"): lambda f, size, since, known: f"{f.name}: its images are frozen {since}",
-    ("vision", "displaced"): lambda f, size, since, known: (
-        f"{f.name}: camera moved {since}, by {size} in the image"
-    ),
-    ("vision", "moved"): _moved_sentence,
-}
-
-
 def _delay_sentences(found: Estimate) -> Iterator[str]:
     """Camera delays that the estimate corrects, and those that are evident but in doubt."""
     known = found.settings.get("delay", {})
@@ -223,11 +155,7 @@ def _hardware_error_sentences(found: Estimate) -> Iterator[str]:
 
 def _agreement_sentence(found: Estimate) -> str:
     """The senses in which no fault is found, and which faults were not looked for."""
-    faulty = {
-        name
-        for fault in found.faults
-        for name in (*fault.name.split(ALTERNATIVE_SEPARATOR), fault.name)
-    }
+    faulty = {name for fault in found.faults for name in (*fault.names, fault.name)}
     tracks = [name for name, health in found.used.items() if health.used and name != "encoders"]
     sound = [
         name

@@ -18,6 +18,7 @@ from ..types import (
     Array,
     Estimate,
     Fault,
+    FaultKind,
     Features,
     Finding,
     PostureReadings,
@@ -487,15 +488,15 @@ def _winning_fault(one: CameraJudgement, since: float, learned: BodyModel) -> Fa
         return Fault(
             "encoders",
             ALTERNATIVE_SEPARATOR.join(indistinct_names),
-            "offset",
+            FaultKind.OFFSET,
             since,
             float("nan"),
             "rad",
         )
     if best.name == CAMERA:
-        return Fault("vision", one.camera, "moved", since, float("nan"), "m")
+        return Fault("vision", one.camera, FaultKind.MOVED, since, float("nan"), "m")
     if abs(best.value) < _least_offset(best) or names[best.name] not in one.identifiable:
         return None
     # a reading that is too large by x needs a zero that is smaller by x
     unit = "m" if best.beforehand < _SLIDES_BELOW else "rad"
-    return Fault("encoders", names[best.name], "offset", since, -best.value, unit, best.std)
+    return Fault("encoders", names[best.name], FaultKind.OFFSET, since, -best.value, unit, best.std)

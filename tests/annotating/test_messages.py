@@ -98,8 +98,8 @@ def test_annotations_show_points_and_the_two_sigma_ellipse(written):
 def test_from_estimate_stamps_faults_at_their_onset(written):
     faults = decoded(written[2]["/bodylog/faults"])
     assert [(f.sense, f.name, f.kind, f.size, f.unit) for f in faults] == [
-        ("encoders", "elbow", "drift", 0.25, "rad"),
-        ("effector", "u", "jump", 9.0, "px"),
+        ("encoders", "elbow", "drifting", 0.25, "rad"),
+        ("vision", "effector", "displaced", 9.0, "px"),
         ("vision", "board", "moved", 0.003, "m"),
     ]
     assert [stamp_ns(f.header.stamp) - START for f in faults[:2]] == [1_500_000_000, 2_000_000_000]

@@ -61,6 +61,14 @@ def test_read_estimate_reads_faults_without_std(tmp_path, monkeypatch):
     assert again.faults == tuple(replace(fault, **unknown) for fault in estimate.faults)
 
 
+def test_a_fault_of_an_unknown_kind_is_refused(tmp_path):
+    features, estimate = found()
+    strange = replace(estimate.faults[0], kind="melted")
+    path = log_of(tmp_path / "log.mcap", features, replace(estimate, faults=(strange,)))
+    with pytest.raises(LogError, match="/bodylog/faults: sense and kind encoders melted; possible: encoders drifting, "):
+        read_estimate(path, START)
+
+
 def _without_fault_scores(fields):
     score_count = len(FAULT_DOUBTS)
     kinds = [kind for kind, _ in fields[-score_count - 2 :]]

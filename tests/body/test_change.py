@@ -11,7 +11,7 @@ from bodylog.body.kinematic.model import can_show_changes
 from bodylog.findings import changes as change_findings
 from bodylog.findings.faults import fault_warnings
 from bodylog.settings import EstimationSettings, Settings
-from bodylog.types import Fault
+from bodylog.types import Fault, FaultKind
 from tests.body.changed_arms import DEGREE, explored, run
 from tests.kinematics.robots import JOINTS
 
@@ -30,7 +30,7 @@ def test_change_is_absent_in_a_sound_log(known):
 def test_change_detects_a_moved_zero_with_its_size(known, joint, degrees):
     (one,) = change.find_changes(run(offset={joint: degrees * DEGREE}), known)
     assert (one.kind, one.name, one.since, one.alternatives) == ("joint", joint, None, ())
-    assert abs(one.value[0] - degrees * DEGREE) < 3 * one.std[0] < 0.5 * DEGREE and one.nats > change.GAIN
+    assert abs(one.value[0] - degrees * DEGREE) < 3 * one.std[0] < 0.5 * DEGREE and one.nats > change.CHANGE_NATS
 
 
 def test_change_detects_a_slipped_gear_with_its_time(known):
@@ -97,7 +97,7 @@ def test_change_findings_attribute_no_pushed_camera_to_joints(known):
     pushed = replace(track, values=track.values + 12.0 * (track.t >= 7.0)[:, None])
     features = replace(features, tracks={"effector": pushed})
     assert change.find_changes(features, known)
-    displaced = replace(found, faults=(Fault("vision", "camera", "displaced", 7.0, 17.0, "px", 0.2),))
+    displaced = replace(found, faults=(Fault("vision", "camera", FaultKind.DISPLACED, 7.0, 17.0, "px", 0.2),))
     assert change_findings.compare_changes_with_faults(features, known, displaced, EstimationSettings()).faults == displaced.faults
 
 
@@ -109,7 +109,7 @@ def test_bias_off_reports_no_offset(known):
 def test_sizes_that_differ_are_both_reported(known):
     found, _ = _estimate(run(), known)
     (one,) = change.find_changes(run(offset={"elbow": 3 * DEGREE}), known)
-    other = replace(found, faults=(Fault("encoders", "elbow", "drifting", 0.1, 0.2, "rad"),))
+    other = replace(found, faults=(Fault("encoders", "elbow", FaultKind.DRIFTING, 0.1, 0.2, "rad"),))
     faults, findings = change_findings.merge_changes_and_faults([one], other)
     assert [fault.kind for fault in faults] == ["offset"]
     assert any("by the filter its offset is 0.2 rad" in finding.text for finding in findings)

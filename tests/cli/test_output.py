@@ -115,9 +115,9 @@ def test_many_logs_evaluated_are_a_table_with_a_row_for_each(tmp_path, capsys, r
 def test_fault_is_printed_once(capsys) -> None:
     from bodylog.findings.faults import fault_warnings
     from bodylog.pipeline import Result
-    from bodylog.types import Fault
+    from bodylog.types import Fault, FaultKind
 
-    fault = Fault("encoders", "elbow", "drifting", 8.8, 0.3, "rad")
+    fault = Fault("encoders", "elbow", FaultKind.DRIFTING, 8.8, 0.3, "rad")
     verdict, findings = ("elbow: encoder drifts",), fault_warnings([fault])
     output.print_result(Result(None, findings=findings, faults=(fault,), verdict=verdict), "x", False)
     assert capsys.readouterr() == ("elbow: encoder drifts\n", "")

@@ -10,7 +10,7 @@ from bodylog.estimation import estimate_from_features
 from bodylog.evaluation.bounds import check_bounds, parse_bound
 from bodylog.evaluation.figures import list_figures
 from bodylog.settings import EstimationSettings
-from bodylog.types import Fault
+from bodylog.types import Fault, FaultKind
 from tests.estimation.conftest import draw
 
 
@@ -24,9 +24,9 @@ def judged(found, *bounds):
     check_bounds({"run.mcap": list_figures(found)}, [parse_bound(text) for text in bounds])
 
 
-OFFSET = Fault("encoders", "elbow", "drifting", 0.1, -0.087, "rad")
-FROZEN = Fault("encoders", "pan", "frozen", 0.1, 0.0, "rad")
-OPEN = Fault("encoders", "lift or elbow", "drifting", 0.1, float("nan"), "rad")
+OFFSET = Fault("encoders", "elbow", FaultKind.DRIFTING, 0.1, -0.087, "rad")
+FROZEN = Fault("encoders", "pan", FaultKind.FROZEN, 0.1, 0.0, "rad")
+OPEN = Fault("encoders", "lift or elbow", FaultKind.DRIFTING, 0.1, float("nan"), "rad")
 
 
 @pytest.mark.parametrize("bound", ["faults>0", "fault/*>0", "fault/encoder_offset/elbow>0.05", "delay/camera>0.05"])

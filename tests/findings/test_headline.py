@@ -6,7 +6,7 @@ import numpy as np
 
 from bodylog.evaluation.figures import MEASURED_DELAYS, MISFIT
 from bodylog.findings.headline import NAMES, headline_of_estimate
-from bodylog.types import Fault, Score
+from bodylog.types import Fault, FaultKind, Score
 from tests.report.records import JOINTS, estimate
 
 SOUND = estimate(faults=())
@@ -33,9 +33,9 @@ def test_the_error_stands_where_there_is_truth() -> None:
 
 
 def test_faults_have_their_sizes_and_a_log_that_does_not_fit_has_none() -> None:
-    drift = Fault("encoders", JOINTS[0], "drifting", 8.8, 0.302, "rad", 0.01)
-    frozen = Fault("encoders", JOINTS[1], "frozen", 5.0, 0.0, "rad")
-    either = Fault("encoders", " or ".join(JOINTS[:2]), "offset", 5.0, float("nan"), "rad")
+    drift = Fault("encoders", JOINTS[0], FaultKind.DRIFTING, 8.8, 0.302, "rad", 0.01)
+    frozen = Fault("encoders", JOINTS[1], FaultKind.FROZEN, 5.0, 0.0, "rad")
+    either = Fault("encoders", " or ".join(JOINTS[:2]), FaultKind.OFFSET, 5.0, float("nan"), "rad")
     shown = headline_of_estimate(replace(SOUND, faults=(drift, frozen, either)), ())["faults"]
     drifting = f"{JOINTS[0]} drifting by 0.302 ± 0.01 rad (17.3 ± 0.57°)"
     assert shown == f"{drifting}, {JOINTS[1]} frozen, {either.name} offset"

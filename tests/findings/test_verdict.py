@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.findings.verdict import verdict_of_batch, verdict_of_body, verdict_of_estimate
-from bodylog.types import Capabilities, Fault, Health, Score
+from bodylog.types import Capabilities, Fault, FaultKind, Health, Score
 from tests.report.records import JOINTS, estimate
 
 SOUND = estimate(faults=())
@@ -31,21 +31,21 @@ def test_verdict_without_truth_gives_typical_error_bars() -> None:
     ("fault", "text"),
     [
         (
-            Fault("encoders", JOINTS[0], "drifting", 8.8, 0.302, "rad"),
+            Fault("encoders", JOINTS[0], FaultKind.DRIFTING, 8.8, 0.302, "rad"),
             "encoder drifts since 8.8 s, by 0.302 rad (17.3°)",
         ),
         (
-            Fault("encoders", JOINTS[0], "drifting", 0.2, -0.1, "rad"),
+            Fault("encoders", JOINTS[0], FaultKind.DRIFTING, 0.2, -0.1, "rad"),
             "encoder is off from the start, by -0.1 rad (-5.73°)",
         ),
-        (Fault("encoders", JOINTS[0], "jumping", 5.0, 0.2, "rad"), "encoder jumps by 0.2 rad (11.5°) at 5.0 s"),
-        (Fault("encoders", JOINTS[0], "frozen", 5.0, 0.0, "rad"), "encoder is frozen since 5.0 s"),
-        (Fault("encoders", JOINTS[0], "dead", 5.0, 0.0, "rad"), "encoder is silent since 5.0 s"),
+        (Fault("encoders", JOINTS[0], FaultKind.JUMPING, 5.0, 0.2, "rad"), "encoder jumps by 0.2 rad (11.5°) at 5.0 s"),
+        (Fault("encoders", JOINTS[0], FaultKind.FROZEN, 5.0, 0.0, "rad"), "encoder is frozen since 5.0 s"),
+        (Fault("encoders", JOINTS[0], FaultKind.DEAD, 5.0, 0.0, "rad"), "encoder is silent since 5.0 s"),
         (
-            Fault("encoders", JOINTS[0], "offset", 0.0, 0.1, "rad", 0.01),
+            Fault("encoders", JOINTS[0], FaultKind.OFFSET, 0.0, 0.1, "rad", 0.01),
             "encoder is off by 0.1 ± 0.01 rad (5.73 ± 0.57°) since 0.0 s",
         ),
-        (Fault("encoders", JOINTS[0], "new kind", 1.0, 2.0, "rad"), "new kind (encoders) since 1.0 s, 2 rad (115°)"),
+        (Fault("encoders", JOINTS[0], FaultKind.GLITCH, 1.0, 2.0, "rad"), "encoder is off by 2 rad (115°) for a moment at 1.0 s"),
     ],
 )
 def test_verdict_names_a_fault_first(fault: Fault, text: str) -> None:
@@ -55,7 +55,7 @@ def test_verdict_names_a_fault_first(fault: Fault, text: str) -> None:
 
 
 def test_a_moved_board_has_the_displacement_of_its_centre_and_its_turn() -> None:
-    moved = Fault("vision", "board", "moved", 0.0, 0.0031, "m", 0.0003, 0.0367, 0.001)
+    moved = Fault("vision", "board", FaultKind.MOVED, 0.0, 0.0031, "m", 0.0003, 0.0367, 0.001)
     lines = verdict_of_estimate(replace(SOUND, faults=(moved,)), TRUTH)
     displacement = "board: its centre moved since the body was learned, by 3.1 ± 0.3 mm"
     assert lines[0] == f"{displacement} and turned by 0.0367 ± 0.001 rad (2.1 ± 0.057°)"
@@ -63,13 +63,14 @@ def test_a_moved_board_has_the_displacement_of_its_centre_and_its_turn() -> None
 
 def test_verdict_admits_ambiguity_between_two_joints() -> None:
     either = " or ".join(JOINTS[:2])
-    lines = verdict_of_estimate(replace(SOUND, faults=(Fault("encoders", either, "drifting", 8.8, float("nan"), "rad"),)), ())
+    fault = Fault("encoders", either, FaultKind.DRIFTING, 8.8, float("nan"), "rad")
+    lines = verdict_of_estimate(replace(SOUND, faults=(fault,)), ())
     assert lines[0] == f"{either}: encoder drifts since 8.8 s (the log cannot tell which)"
     assert lines[1].startswith(f"no fault found in {len(JOINTS) - 2} encoder")
 
 
 def test_verdict_excludes_tracks_of_a_faulty_camera() -> None:
-    moved = Fault("vision", "camera", "displaced", 4.0, 12.0, "px", 1.0)
+    moved = Fault("vision", "camera", FaultKind.DISPLACED, 4.0, 12.0, "px", 1.0)
     lines = verdict_of_estimate(replace(SOUND, faults=(moved,)), ())
     assert lines[:2] == (
         "camera: camera moved since 4.0 s, by 12 ± 1 px in the image", f"no fault found in {len(JOINTS)} encoders"
@@ -77,13 +78,13 @@ def test_verdict_excludes_tracks_of_a_faulty_camera() -> None:
 
 
 def test_verdict_stays_short_with_many_faults() -> None:
-    many = tuple(Fault("encoders", f"j{k}", "frozen", 1.0, 0.0, "rad") for k in range(9))
+    many = tuple(Fault("encoders", f"j{k}", FaultKind.FROZEN, 1.0, 0.0, "rad") for k in range(9))
     lines = verdict_of_estimate(replace(SOUND, faults=many), TRUTH)
     assert len(lines) == 6 and lines[3] == "6 more faults: j3, j4, j5, j6, j7, j8"
 
 
 def test_a_fourth_fault_is_reported_as_the_others() -> None:
-    four = tuple(Fault("encoders", f"j{k}", "frozen", 1.0, 0.0, "rad") for k in range(4))
+    four = tuple(Fault("encoders", f"j{k}", FaultKind.FROZEN, 1.0, 0.0, "rad") for k in range(4))
     assert verdict_of_estimate(replace(SOUND, faults=four), TRUTH)[3] == "j3: encoder is frozen since 1.0 s"
 
 

@@ -13,6 +13,7 @@ from bodylog.annotating.messages import from_estimate, from_features
 from bodylog.types import (
     Estimate,
     Fault,
+    FaultKind,
     Features,
     Finding,
     Health,
@@ -82,9 +83,9 @@ def found(seed=0, steps=300, frames=90):
         settings={"method": "laplace", "rate": 100.0},
         bias=series(rng, ticks, 3, JOINTS, "rad"),
         faults=(
-            Fault("encoders", "elbow", "drift", 1.5, 0.25, "rad", 0.01),
-            Fault("effector", "u", "jump", 2.0, 9.0, "px"),
-            Fault("vision", "board", "moved", 2.5, 0.003, "m", 0.0002, 0.04, 0.001),
+            Fault("encoders", "elbow", FaultKind.DRIFTING, 1.5, 0.25, "rad", 0.01),
+            Fault("vision", "effector", FaultKind.DISPLACED, 2.0, 9.0, "px"),
+            Fault("vision", "board", FaultKind.MOVED, 2.5, 0.003, "m", 0.0002, 0.04, 0.001),
         ),
         findings=(Finding("warning", "the elbow's encoder drifts"),),
         effector=effector(rng, joints),

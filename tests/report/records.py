@@ -10,6 +10,7 @@ from bodylog.types import (
     Array,
     Estimate,
     Fault,
+    FaultKind,
     Features,
     Finding,
     Health,
@@ -104,7 +105,7 @@ def estimate(seed: int = 0, duration: float = 20.0, joints: tuple[str, ...] = JO
         "predicted": {"effector": series(tf, track, ("u", "v"), "px", np.full(track.shape, 2.0))},
         "predicted_cov": {"effector": np.broadcast_to(np.array([[9.0, 4.0], [4.0, 5.0]]), (len(tf), 2, 2))},
         "settings": {"method": "laplace", "preset": "default", "senses": None},
-        "faults": (Fault("encoders", joints[0], "drift", 8.25, 0.3, "rad"),),
+        "faults": (Fault("encoders", joints[0], FaultKind.DRIFTING, 8.25, 0.3, "rad"),),
     }
     return Estimate(**(fields | changes))
 

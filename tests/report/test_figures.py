@@ -123,7 +123,7 @@ def test_estimate_figure_shows_belief_truth_faults_and_errors(tmp_path):
     log = recording()
     estimate_figure(estimate(), log.truth, log.joints, tmp_path / "e.svg")
     reported = set(words(tmp_path / "e.svg"))
-    assert {"belief", "truth", "encoder", "off truth, mrad", "drift since 8.2 s"} <= reported
+    assert {"belief", "truth", "encoder", "off truth, mrad", "drifting since 8.2 s"} <= reported
     assert {"encoders error, σ", "effector error, σ", "free energy, nats"} <= reported
     assert axes_of(tmp_path / "e.svg") == 3 + 3 + 2 + 1
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from bodylog.report.viewers.image_overlay import OverlayPicture, draw_pictures
-from bodylog.types import Fault, Health, Score, Stroke, Synchrony, Touch
+from bodylog.types import Fault, FaultKind, Health, Score, Stroke, Synchrony, Touch
 from tests.report.pages import HOSTILE, LIMIT, hostile_parts, plotted, report, titles
 
 from .records import SCORES, UNSEEN, estimate, features, recording, series
@@ -179,7 +179,7 @@ def test_numbers_that_are_none_do_not_break_the_page(tmp_path):
         belief,
         free_energy=wild,
         cov=np.full_like(belief.cov, np.nan),
-        faults=(Fault("encoders", "elbow", "stuck", np.nan, np.nan, "rad"),),
+        faults=(Fault("encoders", "elbow", FaultKind.FROZEN, np.nan, np.nan, "rad"),),
     )
     page = report(tmp_path / "r.html", estimate=broken, scores=(Score("nees/joint", np.nan, "1"),))
     data = plotted(page)

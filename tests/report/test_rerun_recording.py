@@ -219,7 +219,7 @@ def test_events_are_in_order_with_their_synchrony():
     given = rerun_recording.list_events(features(), estimate())
     assert [ns for ns, *_ in given] == sorted(ns for ns, *_ in given) and len(given) == 6
     assert given[0][2] == "touch of cells 11, 12, 13, seen +0.050 s later, synchrony 0.93"
-    assert [text for _, level, text in given if level == "WARN"] == ["encoders shoulder_pan_joint: drift, 0.3 rad"]
+    assert [text for _, level, text in given if level == "WARN"] == ["encoders shoulder_pan_joint: drifting, 0.3 rad"]
     assert rerun_recording.list_events(None, None) == []
 
 

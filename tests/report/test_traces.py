@@ -17,7 +17,7 @@ from tests.report import records
 )
 def test_offsets_are_drawn_of_the_joints_that_faults_name(named, drawn):
     found = records.estimate()
-    faults = () if named is None else (records.Fault("encoders", named, "drifting", 8.0, 0.3, "rad"),)
+    faults = () if named is None else (records.Fault("encoders", named, records.FaultKind.DRIFTING, 8.0, 0.3, "rad"),)
     offsets = records.series(found.joints.t, np.full(found.joints.values.shape, 0.1), records.JOINTS, "rad")
     found = records.estimate(faults=faults, bias=offsets)
     (panel,) = [one for one in list_panels(records.recording(), records.features(), found) if "offset" in one.title]

@@ -32,11 +32,11 @@ from .change_system import (
 )
 from .model import KinematicGP, can_show_changes
 
-GAIN = 20.0
-APART = 5.0
-"""Nats that a change must win, and its margin over any
-other for a unique name, as for offsets in estimation/.
-"""
+CHANGE_NATS = 20.0
+"""Nats that a change since learning must win, more than the 12 of `estimation/faults/threshold.py`: it
+explains every sighting of a log at once, and a residual process that is learned too small does, too."""
+CHANGE_MARGIN_NATS = 5.0
+"""Nats by which a change must win over any other for a name of its own."""
 LEAST = 0.01
 """rad: smallest offset that counts as a fault, as in `estimation`."""
 SLIP = np.radians(5.0)
@@ -118,7 +118,7 @@ class _Search:
 
 def _search_parts(problem: ChangeProblem, most: int) -> _Search:
     """Add one part after the other while each wins
-    GAIN nats; drop parts that later ones explain.
+    CHANGE_NATS nats; drop parts that later ones explain.
     """
     accepted = tuple[ChangePart, ...]()
     known = fit_parts(problem, ())
@@ -126,7 +126,7 @@ def _search_parts(problem: ChangeProblem, most: int) -> _Search:
     while len(accepted) < most:
         taken = {*won, *(other for alternatives in won.values() for other in alternatives)}
         tried = _try_remaining_parts(problem, accepted, known, taken)
-        if not tried or tried[0][1].evidence < known.evidence + GAIN:
+        if not tried or tried[0][1].evidence < known.evidence + CHANGE_NATS:
             break
         part, best = tried[0]
         if np.isfinite(part.onset):
@@ -171,7 +171,7 @@ def _drop_unneeded_parts(
     for part in parts[:-1]:
         others = tuple(one for one in parts if one is not part)
         without = fit_parts(problem, others, fit.unknowns)
-        if without.evidence > fit.evidence - APART:
+        if without.evidence > fit.evidence - CHANGE_MARGIN_NATS:
             return _drop_unneeded_parts(problem, others, without)
     return parts, fit
 
@@ -280,7 +280,7 @@ def _try_remaining_parts(
             )
     promised.sort(key=lambda one: -one[0])
     least = promised[0][0] if promised else 0.0
-    if least < 0.5 * GAIN:
+    if least < 0.5 * CHANGE_NATS:
         return []
     some = [one for k, one in enumerate(promised) if k < _PROMISING or one[0] > 0.8 * least][
         : 2 * _PROMISING
@@ -301,10 +301,12 @@ def _try_remaining_parts(
 def _find_alternatives(
     best: ChangePart, tried: Sequence[tuple[ChangePart, ChangeFit]]
 ) -> _Alternatives:
-    """Other things whose change explains the sightings within APART nats of the best."""
+    """Other things whose change explains the sightings within CHANGE_MARGIN_NATS nats of the best."""
     top = tried[0][1].evidence
     near = [
-        part.thing for part, fit in tried if fit.evidence > top - APART and part.thing != best.thing
+        part.thing
+        for part, fit in tried
+        if fit.evidence > top - CHANGE_MARGIN_NATS and part.thing != best.thing
     ]
     return tuple(dict.fromkeys(near))
 

@@ -24,7 +24,7 @@ from ...kinematics.starts import board_poses, find_starts
 from ...types import Array
 from ..data.pairs import SmoothedJoint
 from ..data.subsampling import choose_spaced_rows
-from .change import APART, GAIN
+from .change import CHANGE_MARGIN_NATS, CHANGE_NATS
 from .explicit import shared_evidence
 from .residuals import fit_residual_kernel, with_periodic_errors
 from .sightings import ThingSightings
@@ -67,7 +67,7 @@ def find_moves(
     joints: Sequence[SmoothedJoint],
     seed: int,
 ) -> tuple[FoundLinks, tuple[Move, ...]]:
-    """Add one move after the other to a calibration while each wins GAIN nats, and return both."""
+    """Add one move after the other to a calibration while each wins CHANGE_NATS nats, and return both."""
     still = links.calibrated
     seen = list(parts.values())
     moves = tuple[Move, ...]()
@@ -79,12 +79,12 @@ def find_moves(
             _judge_move(rig, current, moves, move, seen, joints, seed, logs) for move in tried
         ]
         nats, move, found, current = max(judged, key=lambda one: one[0])
-        if nats < GAIN:
+        if nats < CHANGE_NATS:
             break
         indistinct_things = [
             other.things
             for gain, other, *_ in judged
-            if gain > nats - APART and other.things != move.things
+            if gain > nats - CHANGE_MARGIN_NATS and other.things != move.things
         ]
         moves = (
             *moves,
@@ -119,7 +119,7 @@ def _screen_moves(
             (_calibrate_with_moves(rig, (*moves, way), few, logs, current).evidence, way)
             for way in ways
         ]
-        if found and max(found, key=lambda one: one[0])[0] > before.evidence + GAIN:
+        if found and max(found, key=lambda one: one[0])[0] > before.evidence + CHANGE_NATS:
             yield max(found, key=lambda one: one[0])[1]
 
 

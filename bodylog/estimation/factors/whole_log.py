@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from ...types import ALTERNATIVE_SEPARATOR, Array
+from ...types import Array
 from ..faults.threshold import PRIOR_STD_RAD
 from ..inference.problem import FilterProblem
 from ..measurements.records import Encoders, Sighting, unmix_rows
@@ -193,7 +193,7 @@ def _repaired_steps(problem: FilterProblem) -> Iterator[EncoderShift]:
     """
     names = problem.evidence.joints
     for fault in problem.evidence.faults:
-        joint = fault.name.partition(ALTERNATIVE_SEPARATOR)[0]
+        joint = fault.names[0]
         if fault.sense == "encoders" and fault.std is not None and joint in names:
             yield EncoderShift(
                 "repaired step", fault.std, joint=names.index(joint), since=fault.since

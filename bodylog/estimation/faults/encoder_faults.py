@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...body_model import BodyModel
-from ...types import Array, Fault, Finding, Hypothesis
+from ...types import Array, Fault, FaultKind, Finding, Hypothesis
 from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.records import Encoders, Evidence
 from .jumping import find_jumps, find_level_shifts, unwrap_turns
@@ -27,7 +27,7 @@ class ReadingFault(NamedTuple):
     until when (s; None: to the end), size ± std (rad).
     """
 
-    kind: str
+    kind: FaultKind
     since: float
     until: float | None = None
     size: float = 0.0
@@ -138,7 +138,7 @@ def _screen_encoder(t: Array, y: Array, moved: Callable[[int, int], float]) -> S
         return ScreenedEncoder(y, (), {})
     values = y.copy()
     found = list[ReadingFault]()
-    nats = {"frozen": 0.0, "dead": 0.0, "jumped": 0.0}
+    nats: dict[str, float] = {FaultKind.FROZEN: 0.0, FaultKind.DEAD: 0.0, "jumped": 0.0}
     for one in (find_final_silence(t, y), *find_frozen_readings(t, y, moved)):
         nats[one.kind] = max(nats[one.kind], one.nats)
         if one.nats > EVIDENCE_THRESHOLD_NATS:
@@ -149,10 +149,10 @@ def _screen_encoder(t: Array, y: Array, moved: Callable[[int, int], float]) -> S
     moves = find_level_shifts(t, values)
     nats["jumped"] = max((won for *_, won in moves), default=0.0)
     for begin, end, size in _find_excursions(t, values, moves):
-        found.append(ReadingFault("glitch", float(t[begin]), float(t[end]), size))
+        found.append(ReadingFault(FaultKind.GLITCH, float(t[begin]), float(t[end]), size))
         values[begin:end] = np.nan
     for at, size, std in find_jumps(t, values):
-        found.append(ReadingFault("jumping", float(t[at]), None, size, std))
+        found.append(ReadingFault(FaultKind.JUMPING, float(t[at]), None, size, std))
         values[at:] -= size
     return ScreenedEncoder(values, found, nats)
 

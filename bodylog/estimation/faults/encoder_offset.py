@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...types import ALTERNATIVE_SEPARATOR, Array, Fault, Hypothesis
+from ...types import ALTERNATIVE_SEPARATOR, Array, Fault, FaultKind, Hypothesis
 from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import FilterProblem
 from ..inference.solution import Solution
@@ -120,11 +120,7 @@ def _remove_joint_offset(problem: FilterProblem, found: FilterProblem, joint: in
     values = np.where(own, problem.evidence.encoders.values, found.evidence.encoders.values)
     name = problem.evidence.joints[joint]
     known = problem.evidence.faults
-    kept = [
-        fault
-        for fault in found.evidence.faults
-        if fault in known or fault.name.partition(ALTERNATIVE_SEPARATOR)[0] != name
-    ]
+    kept = [fault for fault in found.evidence.faults if fault in known or fault.names[0] != name]
     encoders = replace(found.evidence.encoders, values=values)
     evidence = replace(found.evidence, encoders=encoders, faults=tuple(kept))
     alternatives = {j: others for j, others in found.alternatives.items() if j != joint}
@@ -237,7 +233,7 @@ def preset_walks(setting: str, evidence: Evidence) -> Array | None:
     """
     names = evidence.joints
     seen = any(sighting.name != "touch" for sighting in evidence.sightings)
-    jumped = {fault.name for fault in evidence.faults if fault.kind == "jumping" and seen}
+    jumped = {fault.name for fault in evidence.faults if fault.kind == FaultKind.JUMPING and seen}
     if setting == "on" or (setting == "auto" and jumped):
         return np.array(
             [RANDOM_WALKS[1] if setting == "on" or name in jumped else 0.0 for name in names]
@@ -258,7 +254,7 @@ def repaired_variance(problem: FilterProblem, offset_var: Array | None) -> Array
     names = problem.evidence.joints
     added = np.zeros((len(t), len(names)))
     for fault in problem.evidence.faults:
-        joint = fault.name.partition(ALTERNATIVE_SEPARATOR)[0]
+        joint = fault.names[0]
         if fault.sense != "encoders" or fault.std is None or joint not in names:
             continue
         column = names.index(joint)
@@ -328,6 +324,8 @@ def list_drifting_encoders(problem: FilterProblem, offset: Array, var: Array) ->
             either = _name_alternatives(names, joint, alternatives)
             since = float(t[lasting.argmax()])
             found.append(
-                Fault("encoders", either, "drifting", since, size, problem.evidence.unit, std)
+                Fault(
+                    "encoders", either, FaultKind.DRIFTING, since, size, problem.evidence.unit, std
+                )
             )
     return tuple(found)

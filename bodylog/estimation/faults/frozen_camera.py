@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...body_model import BodyModel
-from ...types import Array, Fault
+from ...types import Array, Fault, FaultKind
 from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Encoders, Evidence, Sighting
 from .repeats import find_equal_stretches, split_stretch
@@ -52,7 +52,9 @@ def _remove_false_repeats(sighting: Sighting, encoders: Encoders) -> tuple[Array
             values[own[1:]] = np.nan
             since = float(sighting.t[own[1]])
             until = float(sighting.t[shown[end]]) if end < len(shown) else None
-            found.append(Fault("vision", sighting.name, "frozen", since, moved, "px", until=until))
+            found.append(
+                Fault("vision", sighting.name, FaultKind.FROZEN, since, moved, "px", until=until)
+            )
     return values, found
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
 from ...linear_algebra import forward_substituted
-from ...types import Array, Fault, Hypothesis
+from ...types import Array, Fault, FaultKind, Hypothesis
 from ..inference.initial_path import OFFSET_STD
 from ..measurements.gather import camera_of_track
 from ..measurements.records import Encoders, Evidence, Sighting
@@ -127,7 +127,7 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
 def _displacement_fault(name: str, found: CameraDisplacement) -> Fault:
     size = float(np.hypot(*found.size))
     std = float(np.sqrt(found.size @ found.cov @ found.size)) / size
-    return Fault("vision", name, "displaced", found.t, size, "px", std)
+    return Fault("vision", name, FaultKind.DISPLACED, found.t, size, "px", std)
 
 
 def subtract_displacement(sighting: Sighting, moved: CameraDisplacement) -> Sighting:

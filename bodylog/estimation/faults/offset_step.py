@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...types import Array, Fault
+from ...types import Array, Fault, FaultKind
 from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import FilterProblem
 from ..inference.solution import Solution
@@ -81,7 +81,7 @@ def find_likeliest_step(
         0.5 * (np.log1p((PRIOR_STD_RAD / std) ** 2) + (size / PRIOR_STD_RAD) ** 2)
         + (np.log(len(t)) if row else 0.0)
     )
-    kind = "jumping" if row else "drifting"
+    kind = FaultKind.JUMPING if row else FaultKind.DRIFTING
     name = problem.evidence.joints[joint]
     fault = Fault("encoders", name, kind, float(t[row]), size, problem.evidence.unit, std)
     return OffsetHypothesis(without(row, size), cost + prior, fault, prior)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...types import Array
+from ...types import Array, FaultKind
 from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.long_arrays import all_of_row
 from ..noise.encoder_noise import MAX_MEMORY_S
@@ -26,7 +26,7 @@ class RepeatedReadings(NamedTuple):
     repeats, none if it is silent, and the nats it wins.
     """
 
-    kind: str
+    kind: FaultKind
     begin: int
     end: int
     nats: float
@@ -49,7 +49,8 @@ def find_frozen_readings(
         nats = max(float(chance), fell.get(begin, 0.0), moved(begin, end))
         dead = y[begin] == 0.0
         # the first of the values that a frozen encoder repeats was sound
-        yield RepeatedReadings("dead" if dead else "frozen", begin + (not dead), end, nats)
+        kind = FaultKind.DEAD if dead else FaultKind.FROZEN
+        yield RepeatedReadings(kind, begin + (not dead), end, nats)
 
 
 def find_final_silence(t: Array, y: Array) -> RepeatedReadings:
@@ -60,7 +61,7 @@ def find_final_silence(t: Array, y: Array) -> RepeatedReadings:
     longest = np.diff(t[known]).max(initial=0.0)
     last = int(known[-1])
     return RepeatedReadings(
-        "dead",
+        FaultKind.DEAD,
         last,
         last,
         EVIDENCE_THRESHOLD_NATS * float(t[-1] - t[last]) / max(MAX_MEMORY_S, 2.0 * longest),

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...types import Array, Fault, Finding
+from ...types import Array, Fault, FaultKind, Finding
 from ..faults.threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 from ..inference.initial_path import OFFSET_STD
 from .solve import StillPoses, solve_poses
@@ -195,6 +195,6 @@ def list_pose_offset_faults(
         OFFSET_STD, CERTAIN_SIGMA * np.sqrt(found.offset_var)
     )
     return tuple(
-        Fault("encoders", names[j], "offset", since, float(found.offset[j]), "rad")
+        Fault("encoders", names[j], FaultKind.OFFSET, since, float(found.offset[j]), "rad")
         for j in np.flatnonzero(certain)
     )

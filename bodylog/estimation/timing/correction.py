@@ -16,7 +16,8 @@ from ..faults.encoder_faults import repair_readings
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S
 from ..measurements.gather import camera_of_track, gather_measurements
 from ..measurements.records import Encoders, Sighting
-from .regression import MAX_DELAY_S, Delay, measure_delay_by_regression
+from .delay_profile import MAX_DELAY_S, Delay
+from .regression import measure_delay_by_regression
 
 INSIGNIFICANT_SIGMA = 3.0
 """Standard errors below which a delay needs no other reason for not being applied."""

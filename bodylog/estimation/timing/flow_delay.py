@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array, Series
-from .regression import Delay
+from .delay_profile import Delay, fit_profile_peak, jackknife_error
 
 EARLIEST_S = -0.3
 LATEST_S = 0.5
@@ -367,14 +367,14 @@ def _refine_evidence_peak(
     curvature = 0.0
     for step in FINE_STEPS_S:
         around = delay + step * np.array([-1.0, 0.0, 1.0])
-        left, middle, right = (_total_evidence(parts, motion, float(x)) for x in around)
-        bend = (2.0 * middle - left - right) / step**2
+        values = np.array([_total_evidence(parts, motion, float(x)) for x in around])
+        shift, bend = fit_profile_peak(*values)
         if bend > 0.0:
             # the noise's table makes evidence uneven over milliseconds: the wider bend is kept then
-            curvature = bend
-            delay += float(np.clip(0.5 * (right - left) / (bend * step), -step, step))
+            curvature = float(bend) / step**2
+            delay += step * float(np.clip(shift, -1.0, 1.0))
         else:
-            delay += step * (float(np.argmax([left, middle, right])) - 1.0)
+            delay += step * (float(np.argmax(values)) - 1.0)
     return delay, curvature
 
 
@@ -391,9 +391,6 @@ def _jackknife_std(parts: Sequence[_FlowPart], motion: _JointMotion, delay: floa
                 np.delete(part.components, block, axis=0), np.delete(part.times, block, axis=0)
             )
             reduced = np.array([_part_evidence(rest, motion, float(x)) for x in around])
-            left, middle, right = whole.sum(axis=0) - whole[number] + reduced
-            curvature = (2.0 * middle - left - right) / step**2
-            shift = 0.5 * (right - left) / (curvature * step) if curvature > 0.0 else step
-            delays.append(float(np.clip(shift, -2.0 * step, 2.0 * step)))
-    count = len(delays)
-    return float(np.sqrt((count - 1) / count * ((np.array(delays) - np.mean(delays)) ** 2).sum()))
+            shift, bend = fit_profile_peak(*(whole.sum(axis=0) - whole[number] + reduced))
+            delays.append(step * float(np.clip(shift, -2.0, 2.0)) if bend > 0.0 else step)
+    return float(jackknife_error(np.array(delays)))

@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ...types import Array
-from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS, median_by_pivot
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track_curve import (
@@ -22,7 +21,7 @@ from ..measurements.track_curve import (
     interpolate_curve,
     track_curve,
 )
-from .regression import MAX_DELAY_S, Delay
+from .delay_profile import Delay, climb_profile
 
 Prior = Callable[[Array], tuple[Array, Array]]
 """The prior of a track at angles (B,M) rad: mean (D,) px and covariance (D,B,B) px²."""
@@ -37,18 +36,15 @@ def measure_delay_by_likelihood(
         for track, prior in zip(seen, priors, strict=True)
         if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None
     ]
-    late = 0.0
-    for _ in range(MAX_SWEEPS):
+
+    def step_at(late: float) -> tuple[float, float, None] | None:
         parts = [_delay_sums(curve, mean, cov, late) for curve, mean, cov in curves]
         # tracks beside the same encoders have correlated errors
         pull, weight = np.sum(parts, axis=0) / len(parts) if parts else (0.0, 0.0)
-        if weight <= 0.0 or abs(late) > MAX_DELAY_S:
-            return None
-        error = weight**-0.5
-        late -= float(pull / weight)
-        if abs(pull / weight) < ROUGHLY_CONVERGED_MOVE * error:
-            return Delay(late, error)
-    return None
+        return None if weight <= 0.0 else (-float(pull / weight), weight**-0.5, None)
+
+    found = climb_profile(step_at)
+    return None if found is None else found[0]
 
 
 def _delay_sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, float]:

@@ -7,7 +7,7 @@ the larger standard error is taken.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from math import isqrt
 
@@ -18,9 +18,8 @@ from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track_curve import MAX_CURVE_MEANS, RegressionRows, regression_rows, track_curve
+from .delay_profile import Delay, climb_profile, jackknife_error
 
-MAX_DELAY_S = 1.0
-"""s: largest delay."""
 HALF_WEIGHT_SQUARE = 4.0
 """Squared residuals over their variance that have half weight."""
 LEAST_WEIGHT_SHARE = 0.61
@@ -30,22 +29,6 @@ a clock steps by 0.3 s. A log with play, sag and correlated errors has 0.58, too
 """
 HALVES_APART = 3.0
 """Standard deviations within which the delays of a log's halves are alike."""
-
-
-@dataclass(frozen=True)
-class Delay:
-    """A delay of image timestamps (s) and its standard
-    error (s); doubt: why it is not believed, "" if it is.
-    """
-
-    seconds: float
-    std_error: float
-    doubt: str = ""
-
-    @property
-    def nats(self) -> float:
-        """Evidence against no delay (nats)."""
-        return 0.5 * (self.seconds / self.std_error) ** 2
 
 
 def measure_delay_by_regression(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
@@ -82,8 +65,8 @@ def _regress_delay(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay,
         for track in seen
         if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None
     ]
-    late = 0.0
-    for _ in range(MAX_SWEEPS):
+
+    def step_at(late: float) -> tuple[float, float, tuple[RegressionRows, Array, Array]] | None:
         each = [regression_rows(curve, late) for curve in curves]
         if sum(len(one.t) for one in each) < MIN_READINGS:
             return None
@@ -97,15 +80,16 @@ def _regress_delay(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay,
         if not 0.0 < lean[0] * float(weight @ rows.own) < 1.0:
             return None
         own = np.sqrt(spread * _pull_variance(rows, weight[:, None] * (rows.slopes @ lean)))
-        late += step
-        if abs(step) < ROUGHLY_CONVERGED_MOVE * own:
-            information = np.square(rows.slopes @ lean).sum(axis=1)
-            parts = isqrt(min(len(curve.t) for curve in curves))
-            delay = Delay(late, max(own, _jackknife_error(rows, weight, parts)))
-            return delay, float(weight @ information / information.sum())
-        if abs(late) > MAX_DELAY_S:
-            return None
-    return None
+        return step, float(own), (rows, weight, lean)
+
+    found = climb_profile(step_at)
+    if found is None:
+        return None
+    delay, (rows, weight, lean) = found
+    information = np.square(rows.slopes @ lean).sum(axis=1)
+    parts = isqrt(min(len(curve.t) for curve in curves))
+    error = max(delay.std_error, _jackknife_error(rows, weight, parts))
+    return Delay(delay.seconds, error), float(weight @ information / information.sum())
 
 
 def _jackknife_error(rows: RegressionRows, weight: Array, parts: int) -> float:
@@ -118,7 +102,7 @@ def _jackknife_error(rows: RegressionRows, weight: Array, parts: int) -> float:
     without = np.linalg.solve(normal.sum(axis=0) - normal, (pull.sum(axis=0) - pull)[..., None])[
         :, 0, 0
     ]
-    return float(np.sqrt((1.0 - 1.0 / len(sums)) * np.square(without - without.mean()).sum()))
+    return float(jackknife_error(without))
 
 
 def _fit_delay_step(rows: RegressionRows) -> tuple[float, Array, float]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...overlay_style import OTHER, measurement_ink
-from ...types import ALTERNATIVE_SEPARATOR, Array, Estimate, Features, Recording, Series
+from ...types import Array, Estimate, Features, Recording, Series
 
 JOINTS = 24
 TRACKS = 12
@@ -92,10 +92,8 @@ def _offset_traces(estimate: Estimate, offsets: Series) -> tuple[PlotTrace, ...]
     """The offsets of joints that faults name, or of all
     where none is named: a cause has one story on the page.
     """
-    faults = (fault.name for fault in estimate.faults if fault.sense == "encoders")
-    named = {joint for name in faults for joint in name.split(ALTERNATIVE_SEPARATOR)} & set(
-        offsets.names
-    )
+    faults = (fault for fault in estimate.faults if fault.sense == "encoders")
+    named = {joint for fault in faults for joint in fault.names} & set(offsets.names)
     return tuple(trace for trace in _column_traces(offsets) if trace.name in named or not named)
 
 
