@@ -329,7 +329,6 @@ def estimate(
             else observe(log, settings, progress)
         )
         learned = without_body(read, settings) if known is None else known
-        written.copy()
         cameras = require_same_camera(log, learned.provenance.get("cameras", ()), read, features)
         require_same_size(log, learned, features, settings)
         if learned.surface is None:

@@ -10,7 +10,7 @@ from typing import BinaryIO
 import numpy as np
 
 from ..errors import FormatError
-from ..io.atomic_files import replace_atomically, sync_to_disk
+from ..io.atomic_files import replace_atomically
 from ..io.outputs import Output, guard_outputs
 from ..logs.conversion.transcode import LIBRARY, PROFILE, write_log_messages
 from ..logs.limits import LIMITS, Input
@@ -39,7 +39,6 @@ def annotate_log(
     whole. UsageError if `out` is the source, LogError if the copy fails verification.
     """
     with open_annotation(source, out, whole=only is None) as under_way:
-        under_way.copy()
         findings = under_way.add(outgoing, only)
         under_way.about(metadata)
     return findings
@@ -52,8 +51,7 @@ def open_annotation(
     """`annotate_log` in steps: the source is read and,
     if unchanged, copied while the messages are made.
 
-    Call `add_topics` and `about` once each; `copy` may come before, when a core is free: short
-    copies wait for that. An exception leaves no `out`.
+    Call `add` and `about` once each. An exception leaves no `out`.
     """
     guard_outputs([source], [Output(out)])
     with replace_atomically(out) as beside:
@@ -62,11 +60,8 @@ def open_annotation(
             with beside.open("r+b") as stream:
                 under_way = Annotation(source, base, copy, stream, limits)
                 yield under_way
-            copy.copied()
-            verify_message_count(beside, under_way.messages, out)
-            # while the rest is digested; what is left to sync then is its name
-            sync_to_disk(beside)
             copy.digest()
+            verify_message_count(beside, under_way.messages, out)
 
 
 class Annotation:
@@ -77,7 +72,6 @@ class Annotation:
     ) -> None:
         """`base` is the part of the source that is copied; None to rewrite everything."""
         self.messages = 0
-        self.copy = copy.begin
         self.digest = copy.digest
         self._source = source
         self._base = base

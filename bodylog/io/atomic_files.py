@@ -5,9 +5,8 @@ import mmap
 import os
 import select
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 
 from ..errors import LogError, OutputError, WriteError
@@ -15,6 +14,8 @@ from . import temporary
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of writing that no reading raises."""
+
+_PIECE = 1 << 20
 
 
 @contextmanager
@@ -152,33 +153,18 @@ def hash_files(*paths: Path) -> str:
 
     digest = sha256()
     for path in paths:
-        for piece, drop in iter_mapped(path, 1 << 20):
+        for piece in read_pieces(path):
             digest.update(piece)
-            drop()
     return digest.hexdigest()
 
 
-def iter_mapped(path: Path, size: int) -> Iterator[tuple[memoryview, Callable[[], None]]]:
-    """The bytes of a file, or of a folder's files in name
-    order, `size` at a time; only a file's last is shorter.
-
-    Each is a view of the page cache, without copies, with a function
-    that unmaps its pages after use; it begins at a page if `size` is a
-    number of pages. Bytes cut off or appended meanwhile are missing.
+def read_pieces(path: Path) -> Iterator[memoryview]:
+    """The bytes of a file, or of a folder's files in name order, a piece
+    at a time, each at a page of memory and valid until the next.
     """
     require_regular(path)
+    buffer = memoryview(mmap.mmap(-1, _PIECE))
     for part in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
-        with part.open("rb") as stream:
-            if whole := os.fstat(stream.fileno()).st_size:
-                yield from _iterate_file_maps(stream.fileno(), whole, size)
-
-
-def _iterate_file_maps(
-    handle: int, whole: int, size: int
-) -> Iterator[tuple[memoryview, Callable[[], None]]]:
-    data = mmap.mmap(handle, whole, access=mmap.ACCESS_READ)
-    data.madvise(mmap.MADV_SEQUENTIAL)
-    for at in range(0, whole, size):
-        end = min(at + size, whole, os.fstat(handle).st_size)
-        if end > at:
-            yield memoryview(data)[at:end], partial(data.madvise, mmap.MADV_DONTNEED, at, end - at)
+        with part.open("rb", buffering=0) as stream:
+            while size := stream.readinto(buffer):
+                yield buffer[:size]

@@ -16,10 +16,9 @@ from ..io.atomic_files import replace_atomically
 from ..io.outputs import Output, guard_outputs
 from ..logs.conversion.transcode import LIBRARY, PROFILE
 from ..logs.episode_files import hash_log
-from ..logs.mcap.encode import MessageTable
 from ..logs.mcap.prefix import NAME
 from ..logs.mcap.verification import verify_message_count
-from ..logs.mcap.writer import CHUNK_BYTES, Contents, McapRecordWriter
+from ..logs.mcap.writer import Contents, McapRecordWriter
 from ..logs.protocol import Progress
 from ..settings import Settings
 from ..types import Finding, Outgoing, Recording, Series
@@ -168,14 +167,12 @@ def _write_images(
     about: Mapping[str, Mapping[str, str]],
     progress: Progress | None,
 ) -> tuple[int, int]:
-    """Write the images within `window`, about a chunk at
-    a time; returns how many, and how many came before it.
+    """Write the images within `window`; returns how many, and how many came before it.
 
     about {camera's topic without /image…: metadata}.
     """
-    pending: list[ImageMessage] = []
     channels: dict[Kind, int] = {}
-    size = count = early = 0
+    count = early = 0
     for image in found:
         if progress is not None:
             progress(1)
@@ -188,29 +185,10 @@ def _write_images(
             channels[kind] = writer.topic(
                 kind.topic, kind.type, "cdr", kind.definition, kind.form, own
             )
-        pending.append(image)
-        size += len(image.payload)
-        if size >= CHUNK_BYTES:
-            writer.write(_table_of_images(pending, channels, count, start_ns))
-            count = count + len(pending)
-            size = 0
-            pending = []
-    if pending:
-        writer.write(_table_of_images(pending, channels, count, start_ns))
-    return count + len(pending), early
-
-
-def _table_of_images(
-    pending: list[ImageMessage], channels: dict[Kind, int], count: int, start_ns: int
-) -> MessageTable:
-    log_ns = stamps_ns(np.array([image.t for image in pending]), start_ns)
-    length = np.array([len(image.payload) for image in pending])
-    data = np.frombuffer(b"".join(image.payload for image in pending), np.uint8)
-    channel = np.array([channels[image.kind] for image in pending])
-    sequence = count + np.arange(len(pending))
-    return MessageTable(
-        channel, sequence, log_ns, log_ns, (data,), np.cumsum(length) - length, length
-    )
+        log_ns = int(stamps_ns(np.array([image.t]), start_ns)[0])
+        writer.add_message(channels[image.kind], count, log_ns, log_ns, image.payload)
+        count += 1
+    return count, early
 
 
 def _describe_window(start: float | None, end: float | None) -> str:

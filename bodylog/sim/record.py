@@ -3,6 +3,7 @@ and the ground truth, as an ordinary ROS 2 MCAP.
 """
 
 import heapq
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +13,8 @@ import numpy as np
 
 from ..errors import UsageError
 from ..io import atomic_files
+from ..logs.conversion.transcode import LIBRARY, PROFILE
+from ..logs.mcap.writer import Contents, McapRecordWriter
 from .arms import ARMS
 from .film import camera_items, side_items
 from .hardware import parse_hardware
@@ -21,9 +24,6 @@ from .plan import Request, ScenarioPlan, choose_or_default, describe_unknown_nam
 from .scenarios import SCENARIOS
 from .stage import Stage, Wish, open_stage
 from .streams import encoder_items, event_items, other_items, skin_items
-
-_CHUNK_BYTES = 1 << 18
-"""Small chunks: a log truncated by a crash loses little."""
 
 
 def record_scenario(
@@ -76,38 +76,35 @@ def _plan_scenario(scenario: str, options: Options) -> tuple[ScenarioPlan, float
 
 
 def _write_recording(path: Path, stage: Stage, progress: Callable[[int], None] | None) -> None:
-    from mcap.writer import CompressionType, Writer
-
     with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD)
-        writer.start(profile="ros2", library="bodylog")
-        writer.add_metadata("bodylog_simulation", _recording_metadata(stage.wish))
+        writer = McapRecordWriter(stream, Contents())
+        writer.begin(PROFILE, LIBRARY)
+        writer.about("bodylog_simulation", _recording_metadata(stage.wish))
         _write_streams(writer, stage, progress)
-        writer.finish()  # type: ignore[no-untyped-call]
+        writer.finish()
 
 
-def _write_streams(writer: Any, stage: Stage, progress: Callable[[int], None] | None) -> None:
-    from .messages import type_store
+def _write_streams(
+    writer: McapRecordWriter, stage: Stage, progress: Callable[[int], None] | None
+) -> None:
+    from .messages import message_definition, type_store
 
-    channels: dict[str, tuple[int, int]] = {}
+    channels: dict[str, int] = {}
+    counts: Counter[str] = Counter()
     streams = (encoder_items, other_items, skin_items, camera_items, side_items, event_items)
     for item in heapq.merge(*(stream(stage) for stream in streams), key=lambda item: item.log_ns):
+        topic = item.topic
         kind = item.message.__msgtype__
-        if item.topic not in channels:
-            channels[item.topic] = (_register_channel(writer, item.topic, kind), 0)
-        channel, count = channels[item.topic]
-        channels[item.topic] = (channel, count + 1)
-        payload = bytes(type_store().serialize_cdr(item.message, kind))
-        writer.add_message(channel, item.log_ns, payload, item.stamp_ns, count)
-        if progress is not None and item.topic == stage.image_topic:
+        if topic not in channels:
+            definition = message_definition(kind)
+            channels[topic] = writer.topic(topic, kind, "cdr", definition, "ros2msg", {})
+        payload = type_store().serialize_cdr(item.message, kind)
+        writer.add_message(
+            channels[topic], counts[topic], item.log_ns, item.stamp_ns, bytes(payload)
+        )
+        counts[topic] += 1
+        if progress is not None and topic == stage.image_topic:
             progress(1)
-
-
-def _register_channel(writer: Any, topic: str, kind: str) -> int:
-    from .messages import message_definition
-
-    schema = writer.register_schema(kind, "ros2msg", message_definition(kind))
-    return int(writer.register_channel(topic, "cdr", schema))
 
 
 def _recording_metadata(wish: Wish) -> dict[str, str]:

@@ -1,7 +1,7 @@
 """Rewrite the sound part of a log as a clean, indexed MCAP."""
 
 from pathlib import Path
-from typing import Any
+from typing import BinaryIO
 
 from ...errors import LogError
 from ...io.atomic_files import replace_atomically
@@ -10,10 +10,13 @@ from ..formats import open_log, payload_views
 from ..limits import LIMITS, Input
 from ..mcap import opcodes as op
 from ..mcap.chunks import MESSAGE_HEAD
+from ..mcap.encode import encode_attachment
 from ..mcap.reader import McapLog
-from ..mcap.records import HEAD, Record
+from ..mcap.records import HEAD
+from ..mcap.writer import Contents, McapRecordWriter
 from ..protocol import Log
-from ..records import Finding, Topic
+from ..records import Finding
+from .transcode import LIBRARY, keep_payloads
 
 _U64 = 1 << 64
 _PROFILES = {"cdr": "ros2", "ros1": "ros1"}
@@ -25,11 +28,12 @@ def rewrite_sound_messages(path: Path, out: Path, limits: Input = LIMITS) -> tup
     """
     guard_outputs([path], [Output(out, "--repair")])
     with open_log(path, limits=limits) as log, replace_atomically(out) as beside:
-        written = (
-            _rewrite_mcap(log, beside)
-            if isinstance(log, McapLog)
-            else _rewrite_other_log(log, beside)
-        )
+        with beside.open("wb") as stream:
+            written = (
+                _rewrite_mcap(log, stream)
+                if isinstance(log, McapLog)
+                else _rewrite_other_log(log, stream)
+            )
         if not written and any(finding.severity == "lost" for finding in log.findings):
             raise LogError(
                 f"{path}: nothing in it can be saved; "
@@ -39,31 +43,26 @@ def rewrite_sound_messages(path: Path, out: Path, limits: Input = LIMITS) -> tup
         return log.findings
 
 
-def _open_mcap_writer(beside: Path, profile: str) -> Any:
-    from mcap.writer import Writer
-
-    writer = Writer(str(beside), enable_data_crcs=True)
-    writer.start(profile=profile, library="bodylog")
-    return writer
-
-
-def _rewrite_mcap(log: McapLog, beside: Path) -> int:
+def _rewrite_mcap(log: McapLog, stream: BinaryIO) -> int:
     """Copy channels, sequence numbers, publish times,
     attachments and metadata unchanged; returns messages written.
     """
     header = next(log.records(op.HEADER), None)
-    writer = _open_mcap_writer(beside, header.fields["profile"] if header else "")
+    writer = McapRecordWriter(stream, Contents(), crc=0)
+    writer.begin(header.fields["profile"] if header else "", LIBRARY)
     survey = log.survey
     count = 0
-    schemas = {
-        number: _register_schema(writer, record) for number, record in survey.schemas.items()
-    }
     channels = {}
     for number, record in survey.channels.items():
         fields = record.fields
-        schema = schemas.get(fields["schema_id"], 0)
-        channels[number] = writer.register_channel(
-            fields["topic"], fields["message_encoding"], schema, fields["metadata"]
+        schema = survey.schemas.get(fields["schema_id"])
+        channels[number] = writer.topic(
+            fields["topic"],
+            schema.fields["name"] if schema else "",
+            fields["message_encoding"],
+            schema.fields["data"] if schema else b"",
+            schema.fields["encoding"] if schema else "",
+            fields["metadata"],
         )
     for content, found in log.messages():
         for start, head in zip(found.starts.tolist(), found.heads.tolist(), strict=True):
@@ -71,49 +70,30 @@ def _rewrite_mcap(log: McapLog, beside: Path) -> int:
             if channel in channels:
                 payload = content[start + MESSAGE_HEAD.itemsize : start + HEAD.size + size]
                 writer.add_message(
-                    channels[channel], log_ns % _U64, bytes(payload), publish_ns % _U64, sequence
+                    channels[channel], sequence, log_ns % _U64, publish_ns % _U64, payload.data
                 )
                 count += 1
     for record in log.records(op.ATTACHMENT):
-        fields = record.fields
-        writer.add_attachment(
-            fields["create_time"],
-            fields["log_time"],
-            fields["name"],
-            fields["media_type"],
-            bytes(fields["data"]),
-        )
+        writer.keep_attachment(encode_attachment(record.fields), record.fields)
     for record in log.records(op.METADATA):
-        writer.add_metadata(record.fields["name"], record.fields["metadata"])
+        writer.about(record.fields["name"], record.fields["metadata"])
     writer.finish()
     return count
 
 
-def _register_schema(writer: Any, record: Record) -> int:
-    fields = record.fields
-    return int(writer.register_schema(fields["name"], fields["encoding"], fields["data"]))
-
-
-def _rewrite_other_log(log: Log, beside: Path) -> int:
+def _rewrite_other_log(log: Log, stream: BinaryIO) -> int:
     """Write one channel per topic; returns messages written."""
     profiles = {_PROFILES.get(topic.encoding, "") for topic in log.topics}
-    writer = _open_mcap_writer(beside, profiles.pop() if len(profiles) == 1 else "")
+    writer = McapRecordWriter(stream, Contents(), crc=0)
+    writer.begin(profiles.pop() if len(profiles) == 1 else "", LIBRARY)
     count = 0
-    channels = {topic.id: _register_topic_channel(writer, topic) for topic in log.topics}
+    channels = {topic.id: keep_payloads(writer, topic) for topic in log.topics}
     for batch in log.batches():
         for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
-            writer.add_message(channels[batch.topic_id], log_ns, bytes(payload), log_ns)
+            writer.add_message(channels[batch.topic_id], 0, log_ns, log_ns, payload)
             count += 1
     writer.finish()
     return count
-
-
-def _register_topic_channel(writer: Any, topic: Topic) -> int:
-    ros1 = topic.encoding == "ros1"
-    name = topic.type.replace("/msg/", "/") if ros1 else topic.type
-    encoding = topic.definition_encoding or ("ros1msg" if ros1 else "ros2msg")
-    schema = writer.register_schema(name, encoding, topic.definition)
-    return int(writer.register_channel(topic.name, topic.encoding, schema, dict(topic.metadata)))
 
 
 def _confirm_message_count(beside: Path, written: int) -> None:

@@ -119,7 +119,7 @@ def _plan_topic_carrier(
                     "warning", f"{problem}; its messages stay ROS 1, which ROS 2 tools do not read"
                 )
             )
-            return _Carrier(topic, _keep_payloads(writer, topic))
+            return _Carrier(topic, keep_payloads(writer, topic))
     if container != "mcap" and not definition and convert is None:
         known = known_definition(kind)
         form = "ros2msg"
@@ -131,16 +131,17 @@ def _plan_topic_carrier(
             )
             findings.append(Finding("warning", text))
     if topic.encoding == "ros1" and convert is None:
-        return _Carrier(topic, _keep_payloads(writer, topic))
+        return _Carrier(topic, keep_payloads(writer, topic))
     return _Carrier(
         topic, writer.topic(topic.name, kind, encoding, definition, form, topic.metadata), convert
     )
 
 
-def _keep_payloads(writer: McapRecordWriter, topic: Topic) -> int:
+def keep_payloads(writer: McapRecordWriter, topic: Topic) -> int:
     """A channel for unchanged payloads; ROS 1 writes types without /msg/."""
-    kind = topic.type.replace("/msg/", "/") if topic.encoding == "ros1" else topic.type
-    form = topic.definition_encoding or "ros1msg"
+    ros1 = topic.encoding == "ros1"
+    kind = topic.type.replace("/msg/", "/") if ros1 else topic.type
+    form = topic.definition_encoding or ("ros1msg" if ros1 else "ros2msg")
     return writer.topic(topic.name, kind, topic.encoding, topic.definition, form, topic.metadata)
 
 
@@ -234,7 +235,7 @@ def _convert_payloads(
         try:
             single.append(carrier.convert(payload))
         except FormatError:
-            carrier.spare = carrier.spare or _keep_payloads(writer, carrier.topic)
+            carrier.spare = carrier.spare or keep_payloads(writer, carrier.topic)
             carrier.unconverted += 1
             channel[i] = carrier.spare
             single.append(bytes(payload))

@@ -71,6 +71,9 @@ class McapRecordWriter:
         self._position = position
         self._crc = crc
         self._schema_ids = {record[11:]: number for number, record in contents.schemas.items()}
+        self._waiting: list[tuple[int, int, int, int]] = []
+        self._payloads: list[bytes] = []
+        self._waiting_bytes = 0
 
     def begin(self, profile: str, library: str) -> None:
         """Write the magic and header of a new file."""
@@ -103,8 +106,31 @@ class McapRecordWriter:
         self.put(self.contents.channels[number])
         return number
 
+    def add_message(
+        self, channel: int, sequence: int, log_ns: int, publish_ns: int, payload: bytes | memoryview
+    ) -> None:
+        """Keep one message until a chunk of about 1 MiB is full, or until more is written."""
+        self._waiting.append((channel, sequence, log_ns, publish_ns))
+        self._payloads.append(bytes(payload))  # a view's buffer may be filled again
+        self._waiting_bytes += mcap.MESSAGE_HEAD + len(payload)
+        if self._waiting_bytes >= CHUNK_BYTES:
+            self._write_waiting()
+
+    def _write_waiting(self) -> None:
+        if not self._waiting:
+            return
+        channel, sequence, log_ns, publish_ns = np.array(self._waiting, np.uint64).T
+        length = np.array([len(payload) for payload in self._payloads])
+        data = (np.frombuffer(b"".join(self._payloads), np.uint8),)
+        self._waiting = []
+        self._payloads = []
+        self._waiting_bytes = 0
+        offset = np.cumsum(length) - length
+        self.write(MessageTable(channel, sequence, log_ns, publish_ns, data, offset, length))
+
     def write(self, table: MessageTable) -> None:
         """Write messages in the given order, as chunks of about 1 MiB each."""
+        self._write_waiting()
         edges = np.cumsum(table.length + mcap.MESSAGE_HEAD) // CHUNK_BYTES
         cuts = [0, *(np.flatnonzero(np.diff(edges)) + 1).tolist(), len(edges)]
         parts = (
@@ -135,6 +161,7 @@ class McapRecordWriter:
 
     def finish(self) -> None:
         """Write DataEnd, the summary, its offsets and the footer."""
+        self._write_waiting()
         self.put(mcap.data_end(self._crc or 0))
         self._stream.write(_encode_summary(self.contents, self._position))
 
