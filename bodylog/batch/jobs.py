@@ -3,6 +3,7 @@
 import glob
 import itertools
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +43,8 @@ EXAMINE = "examine"
 """The tasks of a batch: estimate and score each log, or examine it beside its siblings."""
 MOST = 100_000
 """Most names that a pattern may match, and most folders that are searched."""
+_MOST_FOLDERS = 3
+"""Most folders whose names tell files of one name apart."""
 SUFFIXES = (
     ".bag",
     ".bag.active",
@@ -83,8 +86,19 @@ def name_logs(logs: Sequence[str], wait_s: float = remote.WAIT_S) -> dict[str, s
     found = sorted({log for given in logs for log in find_logs(given, wait_s)}, key=_order_of_path)
     if not found:
         raise LogError(f"{', '.join(logs)}: no log in there; logs end in {', '.join(SUFFIXES)}")
-    names = folders.name_folders({log: _file_name(log) for log in found})
+    names = folders.name_folders(_name_by_files(found))
     return {names[log]: log for log in found}
+
+
+def _name_by_files(logs: Sequence[str]) -> dict[str, str]:
+    """The logs' file names, with the names of as many folders as tell files of one name apart."""
+    names = {log: _file_name(log) for log in logs}
+    for depth in range(2, _MOST_FOLDERS + 2):
+        counts = Counter(map(folders.fold_case, names.values()))
+        for log, name in names.items():
+            if counts[folders.fold_case(name)] > 1 and not remote.is_url(log):
+                names[log] = "_".join(Path(log).parts[-depth:])
+    return names
 
 
 def _order_of_path(path: str) -> tuple[list[str | int], str]:

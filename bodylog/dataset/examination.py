@@ -120,6 +120,7 @@ def episode_evidence(
     points · action: the same · cameras {name: thumbnails and the view at rest (JPEG, base64), size,
     stored_hz, mean_row: place of what moves, in image heights below the middle, arm: whose
     joints move its picture, of several} ·
+    robot: its type, "" if it is not known ·
     statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
     `examine_episode` adds by_surface, the figures that are by the robot's surface.
     """
@@ -138,6 +139,7 @@ def episode_evidence(
         "digest": _digest_episode(reading),
         "duration_s": reading.read.duration_s,
         "rows": reading.rows,
+        "robot": reading.robot,
     }
 
 

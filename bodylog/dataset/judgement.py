@@ -89,13 +89,23 @@ def judge_episodes(
     """Judge the rows of a dataset's episodes; `findings`: what is wrong with the dataset's own
     files."""
     names = [row["name"] for row in rows if row["name"] in evidence]
-    views = compare_views(names, evidence)
-    table = _comparable_figures(names, evidence)
-    looks = sum(int(np.isfinite(values).sum()) for values, _, _ in table.values())
-    looks += sum(int(np.isfinite(one.moves).sum()) for one in views.values())
-    moved = {camera: find_moved(one, looks) for camera, one in views.items()}
-    single = {camera: outliers for camera, (outliers, _) in moved.items()}
-    odd = sorted(_find_standouts(names, evidence, table, single, looks), key=lambda one: -one.z)
+    kinds = _group_by_robot(names, evidence)
+    groups = list(kinds.values())
+    views = [compare_views(group, evidence) for group in groups]
+    tables = [_comparable_figures(group, evidence) for group in groups]
+    looks = sum(
+        int(np.isfinite(values).sum()) for table in tables for values, _, _ in table.values()
+    )
+    looks += sum(int(np.isfinite(one.moves).sum()) for own in views for one in own.values())
+    standouts = list[StandsOut]()
+    lasting = list[str]()
+    for group, table, own in zip(groups, tables, views, strict=True):
+        moved = {camera: find_moved(one, looks) for camera, one in own.items()}
+        single = {camera: outliers for camera, (outliers, _) in moved.items()}
+        standouts += _find_standouts(group, evidence, table, single, looks)
+        for camera, (_, step) in moved.items():
+            lasting += moved_sentences(camera, step, group)
+    odd = sorted(standouts, key=lambda one: -one.z)
     outliers = tuple(one for one in odd if one.accused)
     summary_findings = [
         _with_outliers(row, [one for one in odd if one.episode == row["name"]]) for row in rows
@@ -103,13 +113,51 @@ def judge_episodes(
     doubles = tuple(_duplicate_sentences(names, evidence))
     pooled = _pool_delays(names, evidence, outliers)
     scores = tuple(_dataset_scores(rows, evidence, outliers, pooled, views))
-    lasting = [
-        text for camera, (_, step) in moved.items() for text in moved_sentences(camera, step, names)
-    ]
-    whole = (*findings, *doubles, *lasting)
+    whole = (*findings, *_robot_sentences(kinds), *doubles, *lasting)
     differing = [one for one in odd if not one.accused]
     verdict = tuple(_dataset_verdict(rows, names, evidence, outliers, differing, pooled, whole))
     return DatasetJudgement(summary_findings, evidence, verdict, scores, outliers, whole, pooled)
+
+
+Robot = tuple[str, tuple[str, ...]]
+"""The type of a robot and the names of its joints, sorted."""
+
+
+def _group_by_robot(
+    names: Sequence[str], evidence: Mapping[str, Evidence]
+) -> dict[Robot, list[str]]:
+    """The episodes of each robot, the one with most episodes first; those whose joints are not
+    known are taken for its own."""
+    found: dict[Robot, list[str]] = {}
+    unknown = list[str]()
+    for name in names:
+        joints = evidence[name]["joints"]
+        if joints is None or not joints["names"]:
+            unknown.append(name)
+        else:
+            robot = (str(evidence[name].get("robot", "")), tuple(sorted(joints["names"])))
+            found.setdefault(robot, []).append(name)
+    ordered = dict(sorted(found.items(), key=lambda one: -len(one[1]))) or {("", ()): []}
+    first = next(iter(ordered))
+    chosen = {*ordered[first], *unknown}
+    ordered[first] = [name for name in names if name in chosen]
+    return ordered
+
+
+def _robot_sentences(kinds: Mapping[Robot, Sequence[str]]) -> Iterator[str]:
+    """That there are several robots, and whose episodes are few."""
+    if len(kinds) < 2:
+        return
+    shown = []
+    for number, ((robot, joints), group) in enumerate(kinds.items()):
+        about = f"{robot or 'a robot'} with {len(joints)} joints"
+        about += f" ({list_in_words(list(joints))})"
+        whose = f": {list_in_words(list(group))}" if number else ""
+        shown.append(f"{about} in {len(group)} of them{whose}")
+    yield (
+        f"the episodes are of {len(kinds)} robots, and each is compared with its own: "
+        + "; ".join(shown)
+    )
 
 
 def _with_outliers(row: Row, outliers: Sequence[StandsOut]) -> Row:
@@ -372,7 +420,7 @@ def _dataset_scores(
     evidence: Mapping[str, Evidence],
     outliers: Sequence[StandsOut],
     pooled: Mapping[str, PooledDelay],
-    views: Mapping[str, Views],
+    views: Sequence[Mapping[str, Views]],
 ) -> Iterator[Score]:
     """Scores of the whole dataset: counts, pooled delays, and medians of shares and rates over
     episodes."""
@@ -387,8 +435,9 @@ def _dataset_scores(
         rolling = pooled_row_time(figure.partition("/")[2], list(evidence), evidence)
         if rolling is not None:
             yield Score(f"row_time/{figure.partition('/')[2]}", rolling.mean, "s", rolling.std)
-    for camera, one_view in views.items():
-        yield Score(f"moved/{camera}", float(np.nanmax(one_view.moved_px)), "px")
+    for camera in sorted({camera for own in views for camera in own}):
+        farthest = max(float(np.nanmax(own[camera].moved_px)) for own in views if camera in own)
+        yield Score(f"moved/{camera}", farthest, "px")
     for figure in _list_median_figures(evidence):
         yield Score(
             figure, _median_over_episodes(figure, evidence), BY_NAME[figure.partition("/")[0]].unit
@@ -429,6 +478,7 @@ def _dataset_verdict(
     )
     text += f"; {len(unusable)} cannot be used: {list_in_words(unusable)}" if unusable else ""
     yield text
+    yield from _loss_sentences(rows)
     others = [f"{one.episode} ({min(one.figures, key=_check_rank)})" for one in differing]
     if others:
         yield f"differ from the others, perhaps for good reasons: {list_in_words(others)}"
@@ -444,6 +494,20 @@ def _dataset_verdict(
             yield f"{figure.partition('/')[2]}: a rolling shutter takes {size} over the image"
     yield from _joint_sentences(names, evidence)
     yield from whole
+
+
+def _loss_sentences(rows: Sequence[Row]) -> Iterator[str]:
+    """Which episodes lost a part, and what the first of them lost."""
+    lost = {
+        row["name"]: text.removeprefix(f"{row['log']}: ")
+        for row in rows
+        for severity, text in row["findings"][::-1]
+        if severity == "lost"
+    }
+    names = list(lost)
+    if names:
+        whose = f"{len(names)} of {len(rows)} episodes lost a part: {list_in_words(names)}"
+        yield f"{whose}; {lost[names[0]]}"
 
 
 def _camera_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:
@@ -525,14 +589,10 @@ def _joint_sentences(names: Sequence[str], evidence: Mapping[str, Evidence]) -> 
     never = [joint for joint, count in still.items() if count == len(joints)]
     if never:
         yield f"never moved in any episode: {list_in_words(never)}"
-    for what, values in (
-        ("units", [one["unit"] for one in joints]),
-        ("joints", [str(one["names"]) for one in joints]),
-    ):
-        kinds = Counter(values)
-        if len(kinds) > 1:
-            shown = ", ".join(f"{text[:60]} in {count}" for text, count in kinds.most_common(3))
-            yield f"the episodes differ in their {what}: {shown}"
+    units = Counter(one["unit"] for one in joints)
+    if len(units) > 1:
+        shown = ", ".join(f"{text[:60]} in {count}" for text, count in units.most_common(3))
+        yield f"the episodes differ in their units: {shown}"
     jitters = [evidence[name]["figures"].get("stamp_jitter/joints", (None,))[0] for name in names]
     if jitters and all(one == 0.0 for one in jitters):
         yield "stamps are row numbers over the rate: they tell nothing of when a picture was taken"

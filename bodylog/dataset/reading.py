@@ -64,7 +64,7 @@ class EpisodeReading:
     joints, action: None where the episode has none · films {camera: Film} · read: the same episode
     as estimation sees it, its joints in rad · rows: rows of its table, and `declared_rows`, those
     that the dataset lists (None: none) · features {name: (dtype, values (N,K))}: all numbers of the
-    table · findings of the readers.
+    table · findings of the readers · robot: its type as the dataset names it, empty if it does not.
     """
 
     joints: StoredNumbers | None
@@ -75,6 +75,7 @@ class EpisodeReading:
     declared_rows: int | None = None
     features: Mapping[str, Array] = field(default_factory=dict)
     findings: tuple[Finding, ...] = ()
+    robot: str = ""
 
 
 def read_episode(log: Path, settings: Settings) -> EpisodeReading:
@@ -200,6 +201,7 @@ def _with_stored_rows(reading: EpisodeReading, log: "EpisodeLog") -> EpisodeRead
         declared_rows=log.episode.length,
         features={one.metadata.get(FEATURE, one.topic): one.values for one in log.signals},
         findings=tuple(texts),
+        robot="" if joints is None else joints.metadata.get("bodylog.robot", ""),
     )
 
 

@@ -2,6 +2,7 @@
 arrays, cameras decoded on reading; see protocol.Log.
 """
 
+import re
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,8 +31,15 @@ EPOCH_NS = 1_000_000_000
 """Start of times that count from an episode's start: a stamp of 0 would mean no stamp."""
 _BATCH_BYTES = 4 << 20
 
+_DEPTH = re.compile(r"(^|[._/])depth([._/]|$)")
+
 Item = tuple[int, Array | bytes | None]
 """Number of a frame, and its image (H,W,3) uint8 BGR or encoded bytes; None if unreadable."""
+
+
+def is_named_depth(name: str) -> bool:
+    """Whether a feature's name says that it holds depth."""
+    return bool(_DEPTH.search(name))
 
 
 @dataclass(frozen=True, eq=False)

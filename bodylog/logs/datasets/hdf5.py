@@ -32,6 +32,7 @@ from .episode_log import (
     EpisodeSignal,
     Item,
     Texts,
+    is_named_depth,
 )
 from .hdf5_file import Sets, is_bytes_list, open_hdf5_file, read_attribute, sets_of
 from .units import guess_joint_unit
@@ -217,10 +218,10 @@ def _read_stream(
     if _is_image_dataset(name, one):
         yield from _read_hdf5_camera(path, found, name, ns, findings, limits)
         return
-    if one.dtype.kind not in "fiub" or one.ndim > 3:
-        findings.append(
-            Finding("info", f"{name}: {one.dtype} of shape {one.shape}, which is not read")
-        )
+    of_depth = one.ndim >= 3 and is_named_depth(name)
+    if of_depth or one.dtype.kind not in "fiub" or one.ndim > 3:
+        kind = "depth" if of_depth else str(one.dtype)
+        findings.append(Finding("info", f"{name}: {kind} of shape {one.shape}, which is not read"))
         return
     try:
         size.take(8 * one.size, name)

@@ -31,6 +31,7 @@ from .episode_log import (
     EpisodeSignal,
     Item,
     Texts,
+    is_named_depth,
 )
 from .lerobot_layout import DatasetLayout, EpisodePart, read_dataset_layout, read_task_texts
 from .units import guess_joint_unit
@@ -304,8 +305,9 @@ def _read_lerobot_camera(
     about = known.features[name]
     topic = f"/{escape_topic_name(name.removeprefix('observation.images.').replace('.', '/'))}"
     metadata = {FEATURE: name}
-    if _is_depth(about):
+    if of_depth := _is_depth(name, about):
         findings.append(Finding("info", f"{name}: depth, which is not read"))
+    if about["dtype"] == "image" and of_depth:
         return
     if about["dtype"] == "image":
         table = known.table(number)
@@ -318,6 +320,8 @@ def _read_lerobot_camera(
             raise LogError(
                 f"{part.path}: there is no such file; is the dataset downloaded completely?"
             )
+        if of_depth:
+            return
         film = video.survey_video(part.path, limits)
     except InputError as problem:
         findings.append(Finding("lost", f"{name}: {problem}"))
@@ -333,7 +337,11 @@ def _read_lerobot_camera(
     )
 
 
-def _is_depth(about: Mapping[str, Any]) -> bool:
+def _is_depth(name: str, about: Mapping[str, Any]) -> bool:
+    """Whether a camera's images are of depth: info.json says so, or its name and one channel do."""
+    shape = about.get("shape")
+    if is_named_depth(name) and isinstance(shape, list) and 1 in shape:
+        return True
     found = {**_mapping_or_empty(about.get("info")), **_mapping_or_empty(about.get("video_info"))}
     return bool(found.get("is_depth_map") or found.get("video.is_depth_map"))
 
