@@ -49,7 +49,9 @@ def draw_log_or_body(
 
         learned = storage.load_body(source)
         with log_context(source):
-            figures.body_figure(learned, out, *_reprojection_sheets(learned))
+            from .body.kinematic.placements import image_sizes
+
+        figures.body_figure(learned, out, *_reprojection_sheets(learned), image_sizes(learned))
         return Result(out)
     read, features = observe(source, settings, progress, guess=True)
     with log_context(source):
@@ -67,19 +69,22 @@ def _reprojection_sheets(
     from .body.kinematic.model import KinematicGP
     from .body.kinematic.offsets import learned_zeros as told
     from .body.kinematic.offsets import offsets_as_values as values
+    from .body.kinematic.placements import image_sizes
     from .report.figures import reprojection
+    from .sources import group_of
 
     senses = {
         name: sense for name, sense in learned.senses.items() if isinstance(sense, KinematicGP)
     }
     if not senses:
         return (), ()
-    drawn = tuple(
-        reprojection.ReprojectionSheet(
-            name, sense.targets, sense.kinematics(sense.samples), sense.means(sense.samples)[0]
-        )
-        for name, sense in senses.items()
-    )
+    parts = dict[str, list[Array]]()
+    for name, sense in senses.items():
+        alone = sense.kinematics(sense.samples)
+        both = sense.means(sense.samples)[0]
+        rows = np.concatenate([sense.targets, alone, both], axis=1)
+        parts.setdefault(group_of(name), []).append(rows)
+    drawn = reprojection.merge_rows(parts, image_sizes(learned))
     return drawn, reprojection.parse_zeros(values(told(learned)))
 
 
@@ -96,7 +101,7 @@ def write_report(
     the images, after the page and after the figures.
     """
     from .annotating import read_back
-    from .report.figures import surface_sheet
+    from .report.figures import pose_numbers, reprojection, surface_sheet
     from .report.page import page
     from .report.viewers import image_overlay
 
@@ -108,11 +113,18 @@ def write_report(
     surface = surface_sheet.surface_pictures(read, found)
     # a log without a marker has nothing else to show in its images
     plain = found.predicted or not surface
-    shown = image_overlay.draw_pictures(read, features, found) if plain else ()
+    sheets = reprojection.build_sheets(features, found, image_overlay.measure_images(read))
+    if read.poses and sheets:
+        times = min(sheet.magnified for sheet in sheets)
+        shown = image_overlay.draw_pose_pictures(read, features, found, times)
+    else:
+        shown = image_overlay.draw_pictures(read, features, found) if plain else ()
     done(1)
     findings = (*read.findings, *fault_warnings(found.faults))
     result = estimate_result(out, found, score_estimate(found, read), found.used, findings)
     metadata = read_back.read_metadata(log)
+    if read.poses:
+        read, features, found = pose_numbers.number_poses(read, features, found)
     page.write_report_page(
         out,
         found,
@@ -124,10 +136,11 @@ def write_report(
         result.verdict,
         result.headline,
         surface,
+        sheets,
     )
     done(1)
     if figures is not None:
-        _write_report_figures(figures, read, features, found, shown)
+        _write_report_figures(figures, read, features, found, shown, sheets)
         if surface:
             legend = surface_sheet.LEGEND
             image_overlay.overlay_sheet(surface, figures / "surface.png", legend=legend)
@@ -454,6 +467,7 @@ def _write_report_figures(
     features: Features,
     found: Estimate,
     shown: "Sequence[OverlayPicture]",
+    sheets: "Sequence[ReprojectionSheet]",
 ) -> None:
     from .report.figures import figures, reprojection
     from .report.viewers import image_overlay
@@ -462,10 +476,14 @@ def _write_report_figures(
     for suffix in (".png", ".svg"):
         figures.recording_figure(read, features, folder / f"recording{suffix}")
         figures.estimate_figure(found, read.truth, read.joints, folder / f"estimate{suffix}")
-    drawn = reprojection.build_sheets(features, found)
     zeros = reprojection.parse_zeros(found.settings.get("offsets"))
-    if drawn:
+    if sheets:
         for suffix in (".png", ".svg"):
-            figures.reprojection_figure(drawn, zeros, folder / f"reprojection{suffix}")
+            figures.reprojection_figure(sheets, zeros, folder / f"reprojection{suffix}")
     if shown:
-        image_overlay.overlay_sheet(shown, folder / "overlay.png", features.hand is not None)
+        legend = None
+        if read.poses and sheets:
+            times = min(sheet.magnified for sheet in sheets)
+            legend = f"green dot: measured | yellow arrow: to the calibration's, {times:g} x"
+        hand = features.hand is not None
+        image_overlay.overlay_sheet(shown, folder / "overlay.png", hand, legend)

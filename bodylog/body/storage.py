@@ -66,7 +66,7 @@ def save(model: BodyModel, path: Path) -> None:
         own = storage.kinematic_arrays(sense) if isinstance(sense, KinematicGP) else {}
         fields = (
             *_SHAPES[header.KINDS[type(sense)]],
-            *(field for field in own if field in storage.BASE),
+            *(field for field in own if field in storage.BASE | storage.RESTING),
         )
         values = {field: own[field] if field in own else getattr(sense, field) for field in fields}
         arrays |= {

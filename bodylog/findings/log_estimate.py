@@ -39,7 +39,7 @@ def estimate_log(
             misfit = from_many_faults(found, features, learned, *chosen)
         if misfit is not None:
             found = with_doubt(infer_from_encoders(features, learned, settings), features, misfit)
-        found = effector_poses.add_kinematic_results(learned, found)
+        found = effector_poses.add_kinematic_results(learned, found, features)
     if misfit is not None:
         return found
     require_tracks(log, found.used, features, typed, "; or go on with the rest: --without {}")

@@ -218,10 +218,14 @@ def with_robot_chain(
         return body
     from ..body.kinematic.learn import still_joint_angles
     from ..body.kinematic.model import KinematicGP
-    from ..body.kinematic.placements import IMAGE_SIZES
+    from ..body.kinematic.placements import IMAGE_SIZES, calibration_of_body
     from ..kinematics.pose import find_base
 
     held = still_joint_angles(features, body.joints)
+    if any(isinstance(one, KinematicGP) for one in body.senses.values()):
+        for zero in calibration_of_body(body).zeros:
+            if zero.joint in held and zero.identifiable:
+                held[zero.joint] += zero.value
     senses = {
         name: replace(one, base=find_base(known.robot, one.rig, one.printed, held))
         if isinstance(one, KinematicGP) and one.base is None

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -58,6 +59,22 @@ def test_load_refuses_numbers_that_no_camera_has(kinematic, tmp_path, field):
 
 def test_load_reads_a_learned_body(kinematic, tmp_path):
     storage.load_body(_changed(kinematic, tmp_path / "x.npz", "chain", lambda array: None))
+
+
+def test_zeros_of_resting_joints_come_back_and_need_rigid_steps(kinematic, tmp_path):
+    body = storage.load_body(kinematic)
+    sense = body.senses["effector"]
+    chain = sense.rig.sights[0].chain.fixed.copy()
+    chain[1, :3, 3] += 0.01
+    rested = replace(body, senses={**body.senses, "effector": replace(sense, resting=chain)})
+    storage.save(rested, tmp_path / "rested.npz")
+    again = storage.load_body(tmp_path / "rested.npz").senses["effector"]
+    np.testing.assert_array_equal(again.resting, chain)
+    x = sense.samples[:3]
+    assert np.abs(again.kinematics(x) - sense.kinematics(x)).max() > 1.0
+    np.testing.assert_array_equal(again.means(x)[0], sense.means(x)[0])
+    with pytest.raises(ModelError, match=r"field effector/resting: found .*, possible: a rotation"):
+        storage.load_body(_changed(tmp_path / "rested.npz", tmp_path / "x.npz", "resting", _sheared))
 
 
 def _changed(source, path, field, change):

@@ -6,6 +6,7 @@ import numpy as np
 
 from bodylog.evaluation.figures import MEASURED_DELAYS, MISFIT
 from bodylog.findings.headline import NAMES, headline_of_estimate
+from bodylog.robot.effector_poses import CALIBRATED
 from bodylog.types import Fault, FaultKind, Score
 from tests.report.records import JOINTS, estimate
 
@@ -28,7 +29,7 @@ def test_a_sound_log_without_truth_has_four_figures() -> None:
 
 def test_the_error_stands_where_there_is_truth() -> None:
     found = headline_of_estimate(SOUND, (Score("rmse/joint", 0.0072, "rad"),))
-    assert tuple(found) == NAMES and found["error (RMSE)"] == "0.0072 rad (0.413°)"
+    assert tuple(found) == (*NAMES[:4], "delay") and found["error (RMSE)"] == "0.0072 rad (0.413°)"
     assert found["reprojection error (RMS)"] == "–"
 
 
@@ -47,6 +48,25 @@ def test_faults_have_their_sizes_and_a_log_that_does_not_fit_has_none() -> None:
 def test_of_many_tracks_the_median_and_the_largest_stand() -> None:
     shown = headline_of_estimate(SOUND, _innovations(0.4, 0.5, 0.6, 0.5, 3.0))["reprojection error (RMS)"]
     assert shown == "0.5 px (median of 5 tracks), largest 3 px (tag4)"
+
+
+def test_a_board_is_one_thing_in_px_and_mm_and_zeros_beyond_two_sigma_stand() -> None:
+    zeros = {
+        "lift": {"value": 0.02, "std": 0.005, "unit": "rad"},
+        "elbow": {"value": 0.02, "std": 0.011, "unit": "rad"},
+        "rail": {"value": -0.003, "std": 0.001, "unit": "m"},
+        "pan": {"value": None, "std": 0.09, "unit": "rad"},
+    }
+    calibrated = {"board": {"mm_per_px": 0.5, "px": 2.0, "mm": 1.0}}
+    settings = {"offsets": zeros, CALIBRATED: calibrated, "motion": "none"}
+    scores = [Score(f"rmse/innovation/board.{k}", error, "px") for k, error in enumerate((0.3, 0.4, 0.5, 0.6))]
+    shown = headline_of_estimate(replace(SOUND, settings=settings), scores)
+    assert shown["reprojection error (RMS)"] == "0.46 px, 0.23 mm (board)"
+    assert shown["error of the calibration alone"] == "2 px, 1 mm (board)"
+    assert shown["zeros off by more than 2σ"] == "lift +1.15° ± 0.29°, rail -3.00 mm ± 1.00 mm"
+    assert shown["delay"] == "none: the poses stand still"
+    sound = {**settings, "offsets": {"elbow": zeros["elbow"]}}
+    assert headline_of_estimate(replace(SOUND, settings=sound), ())["zeros off by more than 2σ"] == "none"
 
 
 def test_a_delay_says_whether_it_is_corrected() -> None:

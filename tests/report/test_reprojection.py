@@ -48,6 +48,29 @@ def test_sheets_omit_tracks_without_kinematics_or_sightings():
     assert build_sheets(replace(seen, tracks={"effector": blind}), found) == ()
 
 
+def test_corners_of_a_board_share_a_sheet_on_the_plane_of_their_camera():
+    seen, found = some()
+    track = seen.tracks["effector"]
+    seen = replace(seen, tracks={"left/board.0": track, "left/board.7": track})
+    alone = found.kinematic["effector"]
+    # the body has a sense for one of the corners alone
+    found = replace(found, predicted={"left/board.0": found.predicted["effector"]})
+    found = replace(found, kinematic={"left/board.0": alone, "left/board.7": alone})
+    (sheet,) = build_sheets(seen, found, {"left": (640, 480)})
+    known = np.isfinite(track.values).all(axis=1).sum()
+    assert sheet.name == "left/board" and len(sheet.measured) == 2 * known
+    assert np.isfinite(sheet.both).all(axis=1).sum() == known
+    assert sheet.errors == pytest.approx(some_errors(), rel=1e-9)
+    np.testing.assert_array_equal(sheet.limits, [[-0.5, -0.5], [639.5, 479.5]])
+    assert "nan" not in render_section([sheet], ())
+
+
+def some_errors():
+    """Errors of the one track alone."""
+    (sheet,) = build_sheets(*some())
+    return sheet.errors
+
+
 def test_zeros_show_their_std_or_why_they_are_not_identifiable():
     lift, rail, pan = parse_zeros(TOLD)
     assert lift.shown == ("+2.00° ± 0.10°", "+0.03490 ± 0.00170 rad")
@@ -77,4 +100,4 @@ def test_section_draws_the_first_tracks_and_counts_the_rest():
     point = np.array([[0.0, 0.0], [5.0, 3.0]])
     many = [ReprojectionSheet(f"corner.{k}", point, point, point) for k in range(40)]
     text = render_section(many, ())
-    assert text.count("<svg") == reprojection.TRACKS and "the first 12 of 40 tracks" in text
+    assert text.count("<svg") == reprojection.TRACKS and "the first 12 of 40 boards" in text

@@ -99,13 +99,24 @@ def adjust_calibration(
     ]
     found = adjust(rig, data, start, links.calibrated.noise, known)
     own = np.ix_(moved, moved)
-    printed = Adjusted(
-        links.calibrated.rig,
-        printed_unknowns(found, links.calibrated.rig.joints)[moved],
-        found.covariance[own],
-        found.curvature[own],
-    )
+    given = printed_unknowns(found)
+    narrow = links.calibrated.rig
+    if names:
+        zeros = dict(zip(rig.joints, given[rig.of_joints], strict=True))
+        narrow = _with_resting_zeros(narrow, zeros, beside.resting)
+    printed = Adjusted(narrow, given[moved], found.covariance[own], found.curvature[own])
     return calibration_of(found), found, printed
+
+
+def _with_resting_zeros(rig: Rig, zeros: Mapping[str, float], resting: Resting | None) -> Rig:
+    """The rig without further joints, held where they stood, their zeros included."""
+    if resting is None:
+        return rig
+    still = {name: angle + zeros.get(name, 0.0) for name, angle in resting.still.items()}
+    space = Space(resting.robot, rig.joints, still, resting.doubt)
+    chains = [space.chain(one.chain.start, one.chain.end) for one in rig.sights]
+    sights = [replace(one, chain=chain) for one, chain in zip(rig.sights, chains, strict=True)]
+    return replace(rig, sights=tuple(sights))
 
 
 def _resting_joints(rig: Rig, resting: Resting) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 its mean, and a Gaussian process on the residuals.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -12,7 +12,7 @@ from ...body_model import UNUSED_URDF, BodyModel
 from ...errors import ModelError
 from ...kinematics.instant import Instant, compile_predictor
 from ...kinematics.pose import Base
-from ...kinematics.rig import Rig, RigPrediction
+from ...kinematics.rig import Rig, RigPrediction, Sight
 from ...types import Array
 from ..gp.model import GP, se_kernel
 
@@ -31,7 +31,8 @@ class KinematicGP(GP):
     chain from the robot's root to the marker, or to a moving camera, if known.
 
     printed (P,): θ of the calibration, which has the least error without the process · unsure
-    (P,w): the inverse of its information is unsure unsureᵀ.
+    (P,w): the inverse of its information is unsure unsureᵀ · resting (K+1,4,4): the fixed steps of
+    the chain with the zeros of joints that stood still, as printed; None where none did.
     """
 
     rig: Rig
@@ -42,6 +43,7 @@ class KinematicGP(GP):
     printed: Array
     unsure: Array
     base: Base | None = None
+    resting: Array | None = None
 
     @classmethod
     def on(cls, plain: GP, rig: Rig, **unknowns: Any) -> Self:
@@ -87,15 +89,18 @@ class KinematicGP(GP):
 
     def kinematics(self, x: Array) -> Array:
         """Predict at x (N,M) rad by the calibration alone: (N,D) px."""
-        return np.asarray(
-            self.rig.see(self.rig.sights[0], self.printed, np.atleast_2d(x)).image[:, 0]
-        )
+        return self.kinematics_of_points(x, self.rig.sights[0].points)[:, 0]
+
+    def kinematics_of_points(self, x: Array, points: Array) -> Array:
+        """Predict points (C,3) m of the marker at x (N,M) rad by the calibration: (N,C,2) px."""
+        sight = replace(self._printed_sight, points=points)
+        return np.asarray(self.rig.see(sight, self.printed, np.atleast_2d(x)).image)
 
     def calibration_doubt(self, x: Array) -> Array:
         """Effect (N,D,w), px, of one standard deviation of each
         direction of the calibration that images leave open.
         """
-        seen = self.rig.see(self.rig.sights[0], self.printed, x)
+        seen = self.rig.see(self._printed_sight, self.printed, x)
         return np.asarray(seen.design[:, 0] @ self.unsure)
 
     def design(self, x: Array) -> Array:
@@ -130,6 +135,14 @@ class KinematicGP(GP):
         """The joints' zeros (M,) rad or m, and their covariance (M,M)."""
         part = self.rig.of_joints
         return self.theta[part], np.asarray(self.root[part] @ self.root[part].T)
+
+    @property
+    def _printed_sight(self) -> Sight:
+        """The sight with the zeros of joints that stood still."""
+        sight = self.rig.sights[0]
+        if self.resting is None:
+            return sight
+        return replace(sight, chain=replace(sight.chain, fixed=self.resting))
 
     @cached_property
     def _instant(self) -> Instant:

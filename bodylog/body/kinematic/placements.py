@@ -140,11 +140,16 @@ def calibration_of_body(model: BodyModel) -> Calibration:
     ]
     if not zeros:
         findings.append(_without_zeros(model.joints))
-    sizes = {
-        name: (int(size[0]), int(size[1]))
+    sizes = {f"camera {name}".strip(): size for name, size in image_sizes(model).items()}
+    return Calibration(cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier)
+
+
+def image_sizes(model: BodyModel) -> dict[str, tuple[int, int]]:
+    """(width, height) px of a body's images by camera, "" the first; those that are known."""
+    return {
+        name.removeprefix("camera").strip(): (int(size[0]), int(size[1]))
         for name, size in model.provenance.get(IMAGE_SIZES, {}).items()
     }
-    return Calibration(cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier)
 
 
 def _zeros_and_scales(found: Adjusted) -> tuple[Offset, ...]:
@@ -154,11 +159,10 @@ def _zeros_and_scales(found: Adjusted) -> tuple[Offset, ...]:
     )
 
 
-def printed_unknowns(found: Adjusted, joints: Sequence[str]) -> Array:
-    """θ (P,) with the zeros as given, and those of other joints at 0."""
+def printed_unknowns(found: Adjusted) -> Array:
+    """θ (P,) with the zeros as given."""
     known = _zeros_and_scales(found)
-    held = [one if one.joint in joints else replace(one, value=0.0) for one in known]
-    return _given_zeros(found.rig, found.theta, found.covariance, held, found.curvature)[0]
+    return _given_zeros(found.rig, found.theta, found.covariance, known, found.curvature)[0]
 
 
 def calibration_of(found: Adjusted) -> Calibration:

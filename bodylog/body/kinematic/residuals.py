@@ -238,6 +238,8 @@ def forward_models(
     values, vectors = np.linalg.eigh(printed.curvature / rig.prior[1] / rig.prior[1][:, None])
     unsure = rig.prior[1][:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     centres = _choose_inducing_centres(part)
+    chain = printed.rig.sights[index].chain
+    moved = not np.array_equal(chain.fixed, rig.sights[index].chain.fixed)
     made = {}
     for track, seen in part.tracks.items():
         point = part.points[track]
@@ -256,6 +258,7 @@ def forward_models(
             drift=part.drift * share,
             printed=printed.theta[used],
             unsure=unsure[used],
+            resting=chain.fixed if moved else None,
         )
     return made
 

@@ -31,9 +31,15 @@ SHAPES = {
 }
 BASE = {"base": "x44", "base_steps": "y4", "base_tool": "44"}
 """Arrays of a model with a base: x steps and one, y steps."""
+RESTING = {"resting": "k44"}
+"""The array of a model in which joints that stood still have zeros."""
 _BASE_NAMES = ("base_start", "base_end", "base_tool", "base_thing")
 _SCALED = "scales"
-"""Present, with the value "unknown", where each joint's scale is one more unknown."""
+_RESTED = "resting"
+_MARKS = {_SCALED: "unknown", _RESTED: "known"}
+"""Present, with these values, where each joint's scale is one more unknown, and where joints
+that stood still have zeros.
+"""
 _THINGS = ("marker", "camera")
 _UNKNOWNS = ("theta", "root", "lean", "drift", "printed", "unsure")
 _NAMES = ("camera", "camera_link", "marker", "marker_link", "sight", "start", "end")
@@ -54,21 +60,26 @@ def kinematic_arrays(model: KinematicGP) -> dict[str, Array]:
             "base_tool": base.tool,
         }
     )
-    return carried | {
-        "chain": chain.fixed,
-        "steps": _chain_step_array(chain),
-        "camera": rig.cameras[0].anchor,
-        "marker": rig.carriers[0].anchor,
-        "lens": rig.cameras[0].lens,
-        "doubt": rig.prior[1],
-        "theta": model.theta,
-        "root": model.root,
-        "lean": model.lean,
-        "drift": model.drift,
-        "printed": model.printed,
-        "unsure": model.unsure,
-        "points": sight.points,
-    }
+    rested = {} if model.resting is None else {_RESTED: model.resting}
+    return (
+        carried
+        | rested
+        | {
+            "chain": chain.fixed,
+            "steps": _chain_step_array(chain),
+            "camera": rig.cameras[0].anchor,
+            "marker": rig.carriers[0].anchor,
+            "lens": rig.cameras[0].lens,
+            "doubt": rig.prior[1],
+            "theta": model.theta,
+            "root": model.root,
+            "lean": model.lean,
+            "drift": model.drift,
+            "printed": model.printed,
+            "unsure": model.unsure,
+            "points": sight.points,
+        }
+    )
 
 
 def kinematic_names(model: KinematicGP) -> dict[str, str]:
@@ -91,8 +102,9 @@ def kinematic_names(model: KinematicGP) -> dict[str, str]:
     if base is not None:
         texts = (base.chain.start, base.chain.end, base.link, _THINGS[base.camera])
         carried = dict(zip(_BASE_NAMES, texts, strict=True))
-    scaled = {_SCALED: "unknown"} if len(rig.scale_doubt) else dict[str, str]()
-    return dict(zip(_NAMES, values, strict=True)) | carried | scaled
+    there = {_SCALED: len(rig.scale_doubt) > 0, _RESTED: model.resting is not None}
+    marks = {name: word for name, word in _MARKS.items() if there[name]}
+    return dict(zip(_NAMES, values, strict=True)) | carried | marks
 
 
 def _chain_step_array(chain: Chain) -> Array:
@@ -101,7 +113,8 @@ def _chain_step_array(chain: Chain) -> Array:
 
 def kinematic_shapes(header: Mapping[str, Any]) -> dict[str, str]:
     """The arrays of a model with these names, and their shapes."""
-    return SHAPES | (BASE if _BASE_NAMES[0] in header else {})
+    rested = RESTING if _RESTED in header else {}
+    return SHAPES | (BASE if _BASE_NAMES[0] in header else {}) | rested
 
 
 def build_kinematic_gp(
@@ -114,7 +127,7 @@ def build_kinematic_gp(
     doubt = found["doubt"]
     count = len(joints)
     own = 2 * count if _SCALED in header else count
-    for field in ("chain", "camera", "marker"):
+    for field in ("chain", "camera", "marker", *(RESTING if _RESTED in header else ())):
         insist_rigid(found[field], field)
     for field, most in (
         ("theta", _LARGEST),
@@ -149,7 +162,8 @@ def build_kinematic_gp(
     )
     unknowns = {name: found[name] for name in _UNKNOWNS}
     model = KinematicGP.on(plain, rig, **unknowns)
-    return replace(model, base=_build_base(joints, found, header))
+    rested = found[_RESTED] if _RESTED in header else None
+    return replace(model, base=_build_base(joints, found, header), resting=rested)
 
 
 def _build_chain(
@@ -199,19 +213,19 @@ def check_kinematic_names(header: Any) -> dict[str, str]:
         raise ValueError(
             f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_NAMES)}"
         )
-    scaled = {_SCALED: "unknown"} if _SCALED in header else dict[str, str]()
-    if header.get(_SCALED, "unknown") != "unknown":
-        raise ValueError(
-            f"kinematics.{_SCALED}: found {str(header[_SCALED])[:80]!r}, possible: unknown"
-        )
+    marks = {name: word for name, word in _MARKS.items() if name in header}
+    for name, word in marks.items():
+        if header[name] != word:
+            found = str(header[name])[:80]
+            raise ValueError(f"kinematics.{name}: found {found!r}, possible: {word}")
     if _BASE_NAMES[0] not in header:
-        return {name: header[name] for name in _NAMES} | scaled
+        return {name: header[name] for name in _NAMES} | marks
     carried = all(isinstance(header.get(name), str) for name in _BASE_NAMES)
     if not carried or header[_BASE_NAMES[-1]] not in _THINGS:
         raise ValueError(
             f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_BASE_NAMES)}"
         )
-    return {name: header[name] for name in (*_NAMES, *_BASE_NAMES)} | scaled
+    return {name: header[name] for name in (*_NAMES, *_BASE_NAMES)} | marks
 
 
 def insist_rigid(poses: Array, field: str) -> None:

@@ -2,7 +2,7 @@
 paper's figure 3), a body (3b), an estimate (figure 4).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
 from ...errors import LogError, ModelError
+from ...sources import group_of
 from ...types import Array, Estimate, Features, Recording, Series
 from .canvas import INK, open_figure, printable_label
 from .panels import (
@@ -25,17 +26,20 @@ from .panels import (
     draw_trajectories,
     seen_tracks,
 )
-from .reprojection import TRACKS as SHEETS
 from .reprojection import (
+    NO_SIZES,
     JointZero,
     ReprojectionSheet,
     draw_image_plane,
     draw_residuals,
     draw_zero_offsets,
 )
+from .reprojection import TRACKS as SHEETS
 
 Panel = Callable[[Any], None]
 
+TIME_AXIS = "time, s"
+POSE_AXIS = "pose"
 _ROWS = 24
 _GRID = 61
 
@@ -45,6 +49,8 @@ def recording_figure(recording: Recording, features: Features, out: Path) -> Non
     skin, events, trajectories; absent ones are left out.
     """
     panels = _recording_panels(recording, features)
+    if recording.poses:
+        panels = [partial(_draw_separate_rows, draw) for draw in panels]
     tracks = seen_tracks(features)
     if not panels:
         raise LogError("no joints, tracks, skin or events to draw; type: bodylog info LOG")
@@ -53,9 +59,28 @@ def recording_figure(recording: Recording, features: Features, out: Path) -> Non
             len(panels), 2 if tracks else 1, width_ratios=(5, 3) if tracks else (1,)
         )
         drawing.suptitle(printable_label(recording.name, 80), x=0.01, ha="left", weight="bold")
-        _stack_panels(drawing, grid, panels, recording.duration_s)
+        label = POSE_AXIS if recording.poses else TIME_AXIS
+        _stack_panels(drawing, grid, panels, recording.duration_s, label=label)
         if tracks:
-            draw_trajectories(tracks, features.strokes, drawing.add_subplot(grid[:, 1]))
+            ax = drawing.add_subplot(grid[:, 1])
+            draw_trajectories(tracks, features.strokes, ax)
+            if recording.poses:
+                _replace_lines_by_points(ax)
+
+
+def _draw_separate_rows(draw: Panel, ax: Any) -> None:
+    """Draw a panel of still poses."""
+    draw(ax)
+    _replace_lines_by_points(ax)
+
+
+def _replace_lines_by_points(ax: Any) -> None:
+    """Points in place of lines and bands: nothing lies between still poses."""
+    for line in ax.get_lines():
+        if line.get_linestyle() in ("-", "--") and len(line.get_xdata()) > 2:
+            line.set(linestyle="none", marker=".", markersize=4)
+    for band in ax.findobj(lambda one: type(one).__name__ == "FillBetweenPolyCollection"):
+        band.remove()
 
 
 def body_figure(
@@ -63,19 +88,26 @@ def body_figure(
     out: Path,
     sheets: Sequence[ReprojectionSheet] = (),
     zeros: Sequence[JointZero] = (),
+    sizes: Mapping[str, tuple[int, int]] = NO_SIZES,
 ) -> None:
     """Draw each output's mean and standard deviation over
     the two joints that moved most, with its samples.
 
-    With a URDF, also the reprojection of every track and the joints' zeros.
+    With a URDF, also the reprojection of every track and the joints' zeros. sizes: (width, height)
+    px of images by camera; where a mean is outside its image, nothing is drawn.
     """
     if len(body.joints) < 2:
         raise ModelError(
             f"body of {len(body.joints)} joint: a surface needs two; type: bodylog fit LOG "
             "--joints a,b"
         )
+    # one point stands for a board
+    first = {group_of(sense): sense for sense in sorted(body.senses, reverse=True)}.values()
     rows = [
-        (sense, model, d) for sense, model in body.senses.items() for d in range(len(model.outputs))
+        (sense, model, d)
+        for sense, model in body.senses.items()
+        if sense in first
+        for d in range(len(model.outputs))
     ][:_ROWS]
     if not rows:
         raise ModelError("body model without a sense: nothing to draw; type: bodylog info body.npz")
@@ -92,6 +124,7 @@ def body_figure(
                 f"{printable_label(sense)} {printable_label(model.outputs[d])}",
                 model,
                 d,
+                sizes.get(sense.rpartition("/")[0]),
             )
 
 
@@ -137,9 +170,13 @@ def estimate_figure(
     ]
     panels.append(partial(draw_free_energy, estimate))
     real = truth if truth is not None and set(names) & set(truth.names) else None
+    still = estimate.settings.get("motion") == "none"
+    if still:
+        panels = [partial(_draw_separate_rows, draw) for draw in panels]
+    label = POSE_AXIS if still else TIME_AXIS
     with open_figure(out, 13.0 if real else 9.0, 0.6 + 1.75 * len(panels)) as drawing:
         grid = drawing.add_gridspec(len(panels), 2 if real else 1)
-        axes = _stack_panels(drawing, grid, panels, None, aside=len(names))
+        axes = _stack_panels(drawing, grid, panels, None, aside=len(names), label=label)
         drawing.suptitle(
             f"{printable_label(estimate.method)}: belief with its 2σ band",
             x=0.01,
@@ -167,9 +204,14 @@ def _recording_panels(recording: Recording, features: Features) -> list[Panel]:
 
 
 def _stack_panels(
-    drawing: Any, grid: Any, panels: list[Panel], duration: float | None, aside: int | None = None
+    drawing: Any,
+    grid: Any,
+    panels: list[Panel],
+    duration: float | None,
+    aside: int | None = None,
+    label: str = TIME_AXIS,
 ) -> list[Any]:
-    """One panel below the other on one time axis in s; the
+    """One panel below the other on one axis, of times or of poses' numbers; the
     first `aside` (None: all) leave the right column free.
     """
     axes: list[Any] = []
@@ -179,22 +221,33 @@ def _stack_panels(
         draw(ax)
         ax.tick_params(labelbottom=row == len(panels) - 1)
         axes.append(ax)
-    axes[-1].set_xlabel("time, s")
+    axes[-1].set_xlabel(label)
     axes[0].set_xlim(0.0, duration) if duration else axes[0].margins(x=0.01)
     drawing.align_ylabels(axes)
     return axes
 
 
 def _draw_output_surface(
-    drawing: Any, row: Any, joints: tuple[str, ...], title: str, model: ForwardModel, d: int
+    drawing: Any,
+    row: Any,
+    joints: tuple[str, ...],
+    title: str,
+    model: ForwardModel,
+    d: int,
+    size: tuple[int, int] | None,
 ) -> None:
     samples = getattr(model, "samples", None)
     first, second, x = _posture_lattice(samples, len(joints))
     # by line, to bound the memory
     means, _, variances = zip(*(model.predict(line) for line in x), strict=True)
+    mean = np.stack(means)
+    outside = np.zeros(mean.shape[:2], bool)
+    if size is not None and model.outputs == ("u", "v"):
+        middle = 0.5 * np.array(size)
+        outside[:] = (np.abs(mean - middle) > middle).any(axis=-1)
     drawn = {
-        "mean": np.stack(means)[..., d],
-        "standard deviation": np.sqrt(np.stack(variances)[..., d]),
+        "mean": np.ma.masked_where(outside, mean[..., d]),
+        "standard deviation": np.ma.masked_where(outside, np.sqrt(np.stack(variances)[..., d])),
     }
     for cell, (what, values), cmap in zip(
         row.subgridspec(1, 2), drawn.items(), ("viridis", "magma"), strict=True

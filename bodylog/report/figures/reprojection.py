@@ -1,22 +1,25 @@
-"""The reprojection sheet: each track in the image plane,
-as measured, by kinematics alone and with the process.
+"""The reprojection sheet: each board or marker in the image
+plane, as measured, by kinematics alone and with the process.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees, isfinite
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from ...overlay_style import PREDICTED, measurement_ink
-from ...types import Array, Estimate, Features
+from ...sources import group_of
+from ...types import Array, Estimate, Features, Series
 from ..page.tables import escape_text, html_table
 from .canvas import LINES, printable_label
 
 TRACKS = 12
 POINTS = 300
-"""Most tracks that are drawn, and points of each."""
+"""Most boards and markers that are drawn, and points of each."""
+NO_SIZES: Mapping[str, tuple[int, int]] = MappingProxyType({})
 _ZEROS = 64
 _ALONE = LINES[4]
 _BOTH = PREDICTED.plot
@@ -30,12 +33,16 @@ _LONG = 0.06
 
 @dataclass(frozen=True, eq=False)
 class ReprojectionSheet:
-    """One track: measured, expected by kinematics alone and with the process, each (N,2) px."""
+    """One board or marker: measured, expected by kinematics alone and with the process, each (N,2)
+    px; `both` is NaN for points of a board that are no sense. plane (2,2): the image's first and
+    last corner, px; None where its size is unknown.
+    """
 
     name: str
     measured: Array
     kinematics: Array
     both: Array
+    plane: Array | None = None
 
     def some(self) -> "ReprojectionSheet":
         """At most POINTS of it, evenly spaced."""
@@ -44,9 +51,22 @@ class ReprojectionSheet:
             .round()
             .astype(int)
         )
-        return ReprojectionSheet(
-            self.name, self.measured[rows], self.kinematics[rows], self.both[rows]
+        return replace(
+            self,
+            measured=self.measured[rows],
+            kinematics=self.kinematics[rows],
+            both=self.both[rows],
         )
+
+    @property
+    def limits(self) -> tuple[Array, Array]:
+        """The corners of what is drawn of the image plane, px: the image, or where points were."""
+        if self.plane is not None:
+            return self.plane[0], self.plane[1]
+        low = self.measured.min(axis=0)
+        high = self.measured.max(axis=0)
+        margin = np.maximum(0.08 * (high - low), 1.0)
+        return low - margin, high + margin
 
     @property
     def errors(self) -> tuple[float, float]:
@@ -56,7 +76,8 @@ class ReprojectionSheet:
     @property
     def magnified(self) -> float:
         """Magnification of drawn residuals: 1, 2, 5, 10, …"""
-        extent = float(np.ptp(self.measured, axis=0).max(initial=1.0))
+        low, high = self.limits
+        extent = float((high - low).max(initial=1.0))
         size = max(
             float(np.quantile(np.linalg.norm(self.measured - self.kinematics, axis=1), 0.9)), 1e-6
         )
@@ -89,28 +110,52 @@ class JointZero:
         )
 
 
-def build_sheets(features: Features, estimate: Estimate) -> tuple[ReprojectionSheet, ...]:
-    """For every track that kinematics predicts: measurements and predictions."""
-    found = []
+def build_sheets(
+    features: Features, estimate: Estimate, sizes: Mapping[str, tuple[int, int]] = NO_SIZES
+) -> tuple[ReprojectionSheet, ...]:
+    """For every board or marker that kinematics predicts: measurements and predictions.
+
+    sizes: (width, height) px of images by camera, "" the first.
+    """
+    parts = dict[str, list[Array]]()
     for name, alone in estimate.kinematic.items():
         track = features.tracks.get(name)
-        both = estimate.predicted.get(name)
-        if (
-            track is None
-            or both is None
-            or alone.values.shape != both.values.shape
-            or not len(track.t)
-        ):
+        if track is None or not len(track.t) or alone.values.shape[1] != 2:
             continue
-        rows = np.clip(np.searchsorted(track.t, alone.t - 1e-6), 0, len(track.t) - 1)
-        measured = track.values[rows]
-        sound = (np.abs(track.t[rows] - alone.t) < 1e-6) & np.isfinite(measured).all(axis=1)
-        sound &= np.isfinite(alone.values).all(axis=1) & np.isfinite(both.values).all(axis=1)
-        if sound.any():
-            found.append(
-                ReprojectionSheet(name, measured[sound], alone.values[sound], both.values[sound])
-            )
+        measured = values_at_times(track, alone.t)
+        both = np.full(alone.values.shape, np.nan)
+        if name in estimate.predicted:
+            both = values_at_times(estimate.predicted[name], alone.t)
+        rows = np.concatenate([measured, alone.values, both[:, :2]], axis=1)
+        rows = rows[np.isfinite(rows[:, :4]).all(axis=1)]
+        if len(rows):
+            parts.setdefault(group_of(name), []).append(rows)
+    return merge_rows(parts, sizes)
+
+
+def merge_rows(
+    parts: Mapping[str, Sequence[Array]], sizes: Mapping[str, tuple[int, int]]
+) -> tuple[ReprojectionSheet, ...]:
+    """A sheet for each board or marker from its tracks' rows (N,6) px: measured, by kinematics
+    alone and with the process. sizes: (width, height) px of images by camera, "" the first.
+    """
+    found = []
+    for name, each in parts.items():
+        rows = np.concatenate(each)
+        size = sizes.get(name.rpartition("/")[0])
+        plane = None if size is None else np.array([[0.0, 0.0], size]) - 0.5
+        found.append(ReprojectionSheet(name, rows[:, :2], rows[:, 2:4], rows[:, 4:], plane))
     return tuple(found)
+
+
+def values_at_times(series: Series, t: Array) -> Array:
+    """The rows (N,D) of a series at times t (N,), NaN where it has none; its times ascend."""
+    found = np.full((len(t), series.values.shape[1]), np.nan)
+    if len(series.t):
+        rows = np.clip(np.searchsorted(series.t, t - 1e-6), 0, len(series.t) - 1)
+        there = np.abs(series.t[rows] - t) < 1e-6
+        found[there] = series.values[rows[there]]
+    return found
 
 
 def parse_zeros(entries: Any) -> tuple[JointZero, ...]:
@@ -142,12 +187,12 @@ def render_section(drawn: Sequence[ReprojectionSheet], offsets: Sequence[JointZe
     """The sheets as part of a page, every name escaped; "" where there is nothing to show."""
     body = "\n".join(_render_sheet_figure(sheet.some()) for sheet in drawn[:TRACKS])
     left = (
-        f'<p class="soft">Drawn: the first {TRACKS} of {len(drawn)} tracks.</p>'
+        f'<p class="soft">Drawn: the first {TRACKS} of {len(drawn)} boards and markers.</p>'
         if len(drawn) > TRACKS
         else ""
     )
     key = (
-        "dot: measured · violet: by kinematics alone · yellow: with the process; lines lead from "
+        "dot: measured · violet: by kinematics alone · yellow: with the process; arrows lead from "
         "measured to expected"
     )
     shown = f'<h2>Reprojection</h2>\n<p class="soft">{key}</p>\n<div>\n{body}\n</div>{left}'
@@ -157,15 +202,16 @@ def render_section(drawn: Sequence[ReprojectionSheet], offsets: Sequence[JointZe
 
 
 def _render_sheet_figure(sheet: ReprojectionSheet) -> str:
-    alone, both = sheet.errors
     times = sheet.magnified
-    text = (
-        f"{sheet.name}: {alone:.2f} px by kinematics alone, {both:.2f} px with the process "
-        f"(RMS); lines {times:g} ×"
-    )
+    text = f"{sheet.name}: {_errors_text(sheet)} (RMS distance); arrows {times:g} ×"
     width = _WIDTH + _SIDE + 10
+    low, high = sheet.limits
+    wide, tall = np.maximum(high - low, 1.0)
+    # below and above a wide image nothing is drawn
+    left_out = max(0.0, _HEIGHT - max(_WIDTH * tall / wide, 0.75 * _SIDE))
+    box = f"0 {0.5 * left_out:.0f} {width:g} {_HEIGHT - left_out:.0f}"
     return (
-        f'<figure><svg viewBox="0 0 {width:g} {_HEIGHT:g}" width="{width:g}" role="img">'
+        f'<figure><svg viewBox="{box}" width="{width:g}" role="img">'
         f"<title>{escape_text(text)}</title>{''.join(_render_image_plane(sheet, times))}{''.join(_render_residuals(sheet))}</svg>"
         f"<figcaption>{escape_text(text)}</figcaption></figure>"
     )
@@ -173,20 +219,21 @@ def _render_sheet_figure(sheet: ReprojectionSheet) -> str:
 
 def _render_image_plane(sheet: ReprojectionSheet, times: float) -> Iterator[str]:
     """The image plane with magnified residuals."""
-    low = sheet.measured.min(axis=0)
-    span = np.maximum(np.ptp(sheet.measured, axis=0), 1.0)
-    scale = float(0.84 * min(_WIDTH / span[0], _HEIGHT / span[1]))
+    low, high = sheet.limits
+    span = np.maximum(high - low, 1.0)
+    scale = float(min((_WIDTH - 2) / span[0], (_HEIGHT - 2) / span[1]))
     corner = 0.5 * (np.array([_WIDTH, _HEIGHT]) - scale * span)
     places = (sheet.measured - low) * scale + corner
+    x, y = corner
+    wide, tall = scale * span
     yield (
-        f'<rect width="{_WIDTH:g}" height="{_HEIGHT:g}" fill="none" stroke="{_RULE}" '
-        'stroke-opacity="0.4"/>'
+        f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{tall:.1f}" fill="none" '
+        f'stroke="{_RULE}" stroke-opacity="0.4"/>'
     )
     for expected, ink in ((sheet.kinematics, _ALONE), (sheet.both, _BOTH)):
         ends = places + times * scale * (expected - sheet.measured)
-        lines = "".join(
-            f"M{_svg_point(a)}L{_svg_point(b)}" for a, b in zip(places, ends, strict=True)
-        )
+        known = np.isfinite(ends).all(axis=1)
+        lines = "".join(map(_svg_arrow, places[known], ends[known]))
         yield f'<path d="{lines}" stroke="{ink}" fill="none"/>'
     ink = measurement_ink(sheet.name).plot
     yield from (f'<circle cx="{x:.1f}" cy="{y:.1f}" r="1.6" fill="{ink}"/>' for x, y in places)
@@ -209,7 +256,7 @@ def _render_residuals(sheet: ReprojectionSheet) -> Iterator[str]:
         "px</text>"
     )
     for part, ink in zip(left, (_ALONE, _BOTH), strict=True):
-        near = part[np.linalg.norm(part, axis=1) <= reach]
+        near = part[np.linalg.norm(part, axis=1) <= reach]  # false for NaN
         dots = (centre + scale * one for one in near)
         yield from (
             f'<circle cx="{u:.1f}" cy="{v:.1f}" r="1.8" fill="{ink}" fill-opacity="0.6"/>'
@@ -217,8 +264,21 @@ def _render_residuals(sheet: ReprojectionSheet) -> Iterator[str]:
         )
 
 
-def _svg_point(place: Array) -> str:
-    return f"{place[0]:.1f} {place[1]:.1f}"
+def _svg_arrow(start: Array, end: Array) -> str:
+    """A path from start to end with a head at its end."""
+    line = end - start
+    length = max(float(np.linalg.norm(line)), 1e-9)
+    back = line / length * min(4.0, 0.5 * length)
+    across = 0.5 * np.array([-back[1], back[0]])
+    points = (start, end, end - back + across, end, end - back - across)
+    marks = zip("MLLML", points, strict=True)
+    return "".join(f"{mark}{place[0]:.1f} {place[1]:.1f}" for mark, place in marks)
+
+
+def _errors_text(sheet: ReprojectionSheet) -> str:
+    alone, both = sheet.errors
+    process = f", {both:.2f} px with the process" if isfinite(both) else ""
+    return f"{alone:.2f} px by kinematics alone{process}"
 
 
 def draw_image_plane(sheet: ReprojectionSheet, ax: Any) -> None:
@@ -230,23 +290,20 @@ def draw_image_plane(sheet: ReprojectionSheet, ax: Any) -> None:
         (some.both, _BOTH, "with process"),
     ):
         off = times * (expected - some.measured)
-        arrows = {
-            "angles": "xy",
-            "scale_units": "xy",
-            "scale": 1,
-            "headwidth": 1,
-            "headlength": 0,
-            "width": 0.003,
-        }
-        ax.quiver(*some.measured.T, *off.T, color=ink, label=what, **arrows)
+        known = np.isfinite(off).all(axis=1)
+        if not known.any():
+            continue
+        arrows = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.003}
+        ax.quiver(*some.measured[known].T, *off[known].T, color=ink, label=what, **arrows)
     ax.plot(*some.measured.T, ".", color=measurement_ink(sheet.name).plot, ms=2, label="measured")
     ax.set(
         aspect="equal",
-        title=f"{printable_label(sheet.name)}: residuals {times:g} ×",
+        title=f"{printable_label(sheet.name)}: arrows {times:g} ×",
         xlabel="u, pixels",
         ylabel="v, pixels",
     )
-    ax.invert_yaxis()
+    low, high = sheet.limits
+    ax.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
     ax.legend(loc="best")
 
 
@@ -257,6 +314,8 @@ def draw_residuals(sheet: ReprojectionSheet, ax: Any) -> None:
         (sheet.kinematics, _ALONE, f"kinematics: {alone:.2f} px RMS"),
         (sheet.both, _BOTH, f"with process: {both:.2f}"),
     ):
+        if not np.isfinite(expected).any():
+            continue
         ax.plot(*(expected - sheet.measured).T, ".", color=ink, ms=3, alpha=0.6, label=what)
     reach = _residual_reach_px(sheet)
     ax.set(aspect="equal", title="expected minus measured", xlabel="u, pixels", ylabel="v, pixels")
@@ -289,8 +348,10 @@ def _is_finite_number(value: Any) -> bool:
 def _residual_reach_px(sheet: ReprojectionSheet) -> float:
     """px around zero that hold nearly all residuals; the first of a log are far off."""
     left = np.concatenate([sheet.kinematics - sheet.measured, sheet.both - sheet.measured])
-    return max(1.1 * float(np.quantile(np.linalg.norm(left, axis=1), 0.98)), 1e-3)
+    return max(1.1 * float(np.nanquantile(np.linalg.norm(left, axis=1), 0.98)), 1e-3)
 
 
 def _rms_length(left: Array) -> float:
-    return float(np.sqrt(np.square(left).sum(axis=1).mean()))
+    square = np.square(left).sum(axis=1)
+    known = np.isfinite(square)
+    return float(np.sqrt(square[known].mean())) if known.any() else float("nan")

@@ -28,13 +28,17 @@ def most_points(panels: Sequence[Panel]) -> int:
 
 
 def panels_as_json(
-    panels: Sequence[Panel], marks: Sequence[dict[str, Any]], duration: float
+    panels: Sequence[Panel], marks: Sequence[dict[str, Any]], duration: float, unit: str = "s"
 ) -> dict[str, Any]:
-    """{span (2,) s · marks over every panel · panels} with every number finite."""
-    span = _time_span(duration, panels)
+    """{span (2,) s · unit · marks over every panel · panels} with every number finite.
+
+    Without a unit t is the number of a pose, and duration the number of poses.
+    """
+    span = _time_span(duration, panels) if unit else [0.5, duration + 0.5]
     points = most_points(panels)
     return {
         "span": span,
+        "unit": unit,
         "marks": list(marks),
         "panels": [_panel_as_json(panel, span, points) for panel in panels],
     }

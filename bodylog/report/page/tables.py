@@ -12,6 +12,8 @@ from ...score_names import split_score_name
 from ...types import Estimate, Fault, Features, Health, Recording, Score, Synchrony, Touch
 from .traces import EVENTS, JOINTS, TRACKS
 
+_FIRST_DATE_NS = 31_536_000 * 10**9
+"""A clock that reads less, until 1971, began at 0 and tells no date."""
 _ROWS = 200
 _WORD = 200
 _TEXT = 40_000
@@ -51,11 +53,12 @@ def page_header(
     headline: Mapping[str, str],
 ) -> str:
     """Title, start, duration, method, the verdict's sentences, and the main figures as cards."""
-    facts = [
-        _start_time_text(recording.start_ns),
-        f"{recording.duration_s:.2f} s",
-        recording.format,
-    ]
+    lasting = f"{recording.duration_s:.2f} s"
+    if recording.poses:
+        count = len(estimate.joints.t)
+        lasting = f"{count} still poses, each independent of the others"
+    dated = recording.start_ns >= _FIRST_DATE_NS
+    facts = [*([_start_time_text(recording.start_ns)] if dated else []), lasting, recording.format]
     facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"]
     line = escape_text(" · ".join(facts))
     cards = "".join(
@@ -88,8 +91,10 @@ def _score_parts_table(scores: Sequence[Score]) -> str:
     return html_table("Scores in parts", ("part", *figures), rows)
 
 
-def fault_table(estimate: Estimate) -> str:
-    """The table of sensor faults: sense, name, kind, start, end, size."""
+def fault_table(estimate: Estimate, still: bool = False) -> str:
+    """The table of sensor faults: sense, name, kind, start, end, size; of still poses without
+    start and end.
+    """
     rows = [
         (
             x.sense,
@@ -101,7 +106,10 @@ def fault_table(estimate: Estimate) -> str:
         )
         for x in estimate.faults
     ]
-    return html_table("Sensor faults", ("sense", "name", "kind", "since", "until", "size"), rows)
+    heads = ["sense", "name", "kind", "since", "until", "size"]
+    if still:
+        return html_table("Sensor faults", heads[:3] + heads[5:], [x[:3] + x[5:] for x in rows])
+    return html_table("Sensor faults", heads, rows)
 
 
 def _fault_end_text(fault: Fault) -> str:

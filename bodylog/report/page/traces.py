@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...overlay_style import OTHER, measurement_ink
+from ...sources import group_of
 from ...types import Array, Estimate, Features, Recording, Series
 
 JOINTS = 24
@@ -19,8 +20,8 @@ _INKS = 8
 
 @dataclass(frozen=True, eq=False)
 class PlotTrace:
-    """One line, dashes, dots, stems or band (y to high) of
-    colour `ink` of the style sheet: t (n,) s · y, high (n,).
+    """One line, dashes, dots, stems, or band or whiskers (y to high)
+    of colour `ink` of the style sheet: t (n,) s · y, high (n,).
     """
 
     name: str
@@ -57,6 +58,8 @@ class Panel:
 
 def list_panels(recording: Recording, features: Features, estimate: Estimate) -> tuple[Panel, ...]:
     """All panels with content, in reading order."""
+    if recording.poses:
+        return tuple(_pose_panels(recording, estimate))
     drawn = [
         *_belief_panels(recording, estimate),
         *_track_panels(features, estimate),
@@ -67,6 +70,35 @@ def list_panels(recording: Recording, features: Features, estimate: Estimate) ->
         for panel in drawn
         if panel.rows or any(np.isfinite(trace.y).any() for trace in panel.traces)
     )
+
+
+def _pose_panels(recording: Recording, estimate: Estimate) -> Iterator[Panel]:
+    """Of still poses: each joint's belief minus its reading, and the errors of each sense; points
+    of one board share a panel.
+    """
+    for m, name in enumerate(estimate.joints.names[:JOINTS]):
+        t = estimate.joints.t
+        encoder = _line_trace(recording.joints, name, "encoder", "encoder")
+        read = np.interp(t, encoder[0].t, encoder[0].y) if encoder else np.zeros(len(t))
+        off = 1e3 * (estimate.joints.values[:, m] - read)
+        spread = 2e3 * np.sqrt(np.maximum(estimate.cov[:, m, m], 0.0))
+        bars = PlotTrace("2σ", "belief", t, off - spread, "whiskers", off + spread)
+        what = "minus its reading, mrad" if encoder else "mrad"
+        dots = PlotTrace("belief", "belief", t, off, "dots")
+        yield Panel(f"{name} {what}", (bars, dots), half=True)
+    groups = dict[str, list[Series]]()
+    for sense, errors in estimate.errors.items():
+        groups.setdefault(group_of(sense), []).append(errors)
+    for sense, each in groups.items():
+        rows = np.concatenate([errors.values for errors in each])
+        t = np.concatenate([errors.t for errors in each])
+        order = np.argsort(t, kind="stable")
+        names = enumerate(each[0].names[:COLUMNS])
+        traces = [
+            PlotTrace(name, f"c{d % _INKS}", t[order], rows[order, d], "dots") for d, name in names
+        ]
+        title = f"{sense}: prediction error, standard deviations"
+        yield Panel(title, tuple(traces), shade=(-2.0, 2.0))
 
 
 def _belief_panels(recording: Recording, estimate: Estimate) -> Iterator[Panel]:

@@ -10,7 +10,7 @@ import numpy as np
 from ...errors import FormatError, UsageError
 from ...io.atomic_files import replace_atomically
 from ...overlay_style import PREDICTED, ellipse_corners, measurement_ink
-from ...types import Array, Estimate, Features, Recording, Series
+from ...types import Array, Estimate, Features, LazyImage, Recording, Series
 
 _RIM = (20, 20, 20)
 # BGR
@@ -18,6 +18,9 @@ _MEASURED, _PREDICTED, _HAND = (
     ink.rgb[::-1] for ink in (measurement_ink("effector"), PREDICTED, measurement_ink("hand"))
 )
 _WIDTH = 480
+_POSE_WIDTH = 640
+MOST_POSES = 16
+"""Most images of still poses on a page."""
 # images per row of a sheet, and their width there in px
 _ACROSS = 3
 _TILE = 320
@@ -91,6 +94,48 @@ def draw_pictures(
                     if (after := next(due, np.inf)) == np.inf:
                         break
     return tuple(drawn)
+
+
+def draw_pose_pictures(
+    recording: Recording, features: Features, estimate: Estimate, times: float
+) -> tuple[OverlayPicture, ...]:
+    """Images of still poses with an arrow from each point as measured to where the calibration
+    alone expects it, `times` as long as it is; of many images those with the largest errors.
+    """
+    films = {} if recording.frames is None else {"": recording.frames}
+    poses = np.unique([t for series in estimate.kinematic.values() for t in series.t.tolist()])
+    found = list[tuple[float, str, LazyImage, Array]]()
+    for camera, frames in (films | dict(recording.views)).items():
+        tracks = [name for name in estimate.kinematic if name.rpartition("/")[0] == camera]
+        for frame in frames():
+            arrows = [_arrow_at_time(features, estimate, name, frame.t) for name in tracks]
+            sound = np.array([one for one in arrows if one is not None]).reshape(-1, 4)
+            error = float(np.square(sound[:, 2:] - sound[:, :2]).sum() / max(len(sound), 1)) ** 0.5
+            found.append((error, camera, frame, sound))
+    found.sort(key=lambda one: -one[0])
+    chosen = sorted(found[:MOST_POSES], key=lambda one: (one[1], one[2].t))
+    drawn = []
+    for error, camera, frame, points in chosen:
+        number = int(np.searchsorted(poses, frame.t - 1e-6)) + 1
+        text = f"{f'{camera} · ' if camera else ''}pose {number} · {len(points)} points"
+        text += f" · {error:.2f} px (RMS distance)" * (len(points) > 0)
+        with suppress(FormatError):  # a damaged image: health counts it
+            image = _draw_arrows(frame.image, points, times)
+            drawn.append(OverlayPicture(frame.t, image, text))
+    return tuple(drawn)
+
+
+def measure_images(recording: Recording) -> dict[str, tuple[int, int]]:
+    """(width, height) px of each camera's first sound image, "" the first camera."""
+    films = {} if recording.frames is None else {"": recording.frames}
+    sizes = dict[str, tuple[int, int]]()
+    for camera, frames in (films | dict(recording.views)).items():
+        for frame in frames():
+            with suppress(FormatError):
+                height, width = frame.image.shape[:2]
+                sizes[camera] = (width, height)
+                break
+    return sizes
 
 
 def overlay_sheet(
@@ -174,6 +219,30 @@ def _draw_enlarged_overlay(
     return draw_overlay(
         scale_image(image, _WIDTH), seen, mean, None if cov is None else cov * scale**2, hand
     )
+
+
+def _arrow_at_time(features: Features, estimate: Estimate, name: str, t: float) -> Array | None:
+    """u, v as measured and u, v as the calibration expects, px, at t s; None where not seen."""
+    seen = _place_at_time(features.tracks.get(name), t)
+    expected = _place_at_time(estimate.kinematic[name], t)
+    return None if seen is None or expected is None else np.concatenate([seen, expected])
+
+
+def _draw_arrows(image: Array, arrows: Array, times: float) -> Array:
+    """The image _POSE_WIDTH px wide with arrows (K,4) px, `times` as long as they are."""
+    import cv2
+
+    scale = _POSE_WIDTH / image.shape[1]
+    drawn = scale_image(image, _POSE_WIDTH)
+    for start, end in ((row[:2], row[2:]) for row in arrows):
+        place = (start + 0.5) * scale - 0.5
+        tip = place + times * scale * (end - start)
+        if (np.abs(tip) < 1e5).all():
+            for width, ink in ((4, _RIM), (2, _PREDICTED)):
+                ends = _fixed_point(place), _fixed_point(tip)
+                cv2.arrowedLine(drawn, *ends, ink, width, cv2.LINE_AA, _FINE, 0.25)
+            cv2.circle(drawn, _fixed_point(place), 3 << _FINE, _MEASURED, -1, cv2.LINE_AA, _FINE)
+    return drawn
 
 
 def _place_at_time(track: Series | None, t: float) -> Array | None:

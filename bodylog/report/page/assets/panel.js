@@ -178,6 +178,15 @@ class Panel {
     pen.globalAlpha = 1;
   }
 
+  /** A bar from y to high at each sample: nothing lies between samples. */
+  whiskers(trace) {
+    const [a, b] = this.visible(trace);
+    for (let i = a; i < b; i++) {
+      const top = this.y(trace.high[i]), end = this.y(trace.y[i]);
+      if (!Number.isNaN(top + end)) this.fill(this.x(trace.t[i]) - 1.5, top, 3, Math.max(1, end - top), trace.ink, 0.35);
+    }
+  }
+
   dots(trace) {
     const [a, b] = this.visible(trace), size = b - a > this.width / 2 ? 2 : 3;
     this.pen.fillStyle = ink(trace.ink);

@@ -1,7 +1,7 @@
 // One axis for all panels of a group: drag selects, shift-drag or arrows move, ctrl-wheel or + and - zoom, 0 shows all.
 class Axis {
   constructor(spec, place) {
-    Object.assign(this, { span: spec.span, marks: spec.marks, place, hover: null, grip: null, asked: false });
+    Object.assign(this, { span: spec.span, unit: spec.unit, marks: spec.marks, place, hover: null, grip: null, asked: false });
     [this.from, this.to] = spec.span;
     this.bar = place.parentElement.querySelector(".bar");
     this.bar.querySelector("button").addEventListener("click", () => this.whole());
@@ -16,10 +16,14 @@ class Axis {
     requestAnimationFrame(() => {
       this.asked = false;
       this.panels.forEach((panel) => panel.draw());
-      const at = this.hover === null ? "" : ` · at ${this.hover.toFixed(3)} s`;
-      this.bar.querySelector("output").textContent = `${this.from.toFixed(2)} – ${this.to.toFixed(2)} s${at}`;
+      const at = this.hover === null ? "" : ` · at ${this.tell(this.hover, 3)}`;
+      const shown = this.unit ? `${this.from.toFixed(2)} – ${this.to.toFixed(2)} s` : `poses ${Math.ceil(this.from)} – ${Math.floor(this.to)}`;
+      this.bar.querySelector("output").textContent = shown + at;
     });
   }
+
+  /** A time, or the number of a pose where there is no unit. */
+  tell(t, digits) { return this.unit ? `${t.toFixed(digits)} ${this.unit}` : `pose ${Math.round(t)}`; }
 
   look(from, to) {
     const [begin, end] = this.span;
