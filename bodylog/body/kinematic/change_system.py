@@ -283,7 +283,7 @@ def _linearise_track(
     value, slope = moved.means(x)
     design = moved.design(x)
     unknown = moved.unknowns(x)
-    by = np.zeros((len(kept), 2, len(unknowns)))
+    by = np.zeros((*value.shape, len(unknowns)))
     for one in problem.parts:
         if one.kind == "joint":
             active = (t >= one.onset)[:, None]
