@@ -75,7 +75,7 @@ def _reprojection_sheets(
     if not senses:
         return (), ()
     drawn = tuple(
-        reprojection.ReprojectionSheet(
+        reprojection.build_sheet(
             name, sense.targets, sense.kinematics(sense.samples), sense.means(sense.samples)[0]
         )
         for name, sense in senses.items()

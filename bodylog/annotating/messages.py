@@ -28,10 +28,7 @@ ERROR = PREFIX + "prediction_error/"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 ANNOTATIONS = PREFIX + "annotations"
 NAMES_OF_TRACK = {2: TRACK_NAMES, 3: POINT_NAMES}
-PREDICTED_NAMES = {
-    2: (*TRACK_NAMES, "cov_uv"),
-    3: (*POINT_NAMES, "cov_xy", "cov_xz", "cov_yz"),
-}
+PREDICTED_NAMES = {2: (*TRACK_NAMES, "cov_uv"), 3: (*POINT_NAMES, "cov_xy", "cov_xz", "cov_yz")}
 """Names of a track's vectors by its number of columns: px, or m."""
 SIZE_OF_UNIT = {2: 1.0, 3: 1.0 / MM_PER_M}
 """What a track's unit is in its messages: px stay px, mm become m."""

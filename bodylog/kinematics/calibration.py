@@ -312,9 +312,7 @@ def _finish_calibration(
     covariance = np.linalg.inv(scaled) * std * std[:, None]
     weights = []
     entropy = 0.0
-    for residual, one, kind in zip(
-        image_residuals(rig, theta, data), data, rig.kinds, strict=True
-    ):
+    for residual, one, kind in zip(image_residuals(rig, theta, data), data, rig.kinds, strict=True):
         precision = 1.0 / (noise[kind] + one.variance)
         square = (np.square(residual) * precision).sum(axis=-1)
         seen = np.isfinite(square)

@@ -9,6 +9,7 @@ from ..types import MM_PER_M, Array
 NEAREST = 0.02
 """m: lower bound on depth, so that a search can pass a point behind the camera."""
 
+
 def lens_without_distortion(focal: float, width: float, height: float) -> Array:
     """Parameters (6,) of a lens without distortion:
     ln f (px), ln of fv over fu, centre (px), k1, k2.

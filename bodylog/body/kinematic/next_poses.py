@@ -86,7 +86,9 @@ def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal
         left.append(_rms_std_of_visible(covariance, known))
     rig = next(iter(senses.values())).rig
     sliding = tuple(rig.slides(m) for m in range(len(body.joints)))
-    return Proposal(body.joints, sliding, candidates[seen[chosen]], np.array(nats), np.array(left), unit)
+    return Proposal(
+        body.joints, sliding, candidates[seen[chosen]], np.array(nats), np.array(left), unit
+    )
 
 
 def _predict_all_tracks(

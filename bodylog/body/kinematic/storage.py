@@ -55,20 +55,24 @@ def kinematic_arrays(model: KinematicGP) -> dict[str, Array]:
         }
     )
     lens = {} if rig.cameras[0].tracks_space else {"lens": rig.cameras[0].lens}
-    return carried | lens | {
-        "chain": chain.fixed,
-        "steps": _chain_step_array(chain),
-        "camera": rig.cameras[0].anchor,
-        "marker": rig.carriers[0].anchor,
-        "doubt": rig.prior[1],
-        "theta": model.theta,
-        "root": model.root,
-        "lean": model.lean,
-        "drift": model.drift,
-        "printed": model.printed,
-        "unsure": model.unsure,
-        "points": sight.points,
-    }
+    return (
+        carried
+        | lens
+        | {
+            "chain": chain.fixed,
+            "steps": _chain_step_array(chain),
+            "camera": rig.cameras[0].anchor,
+            "marker": rig.carriers[0].anchor,
+            "doubt": rig.prior[1],
+            "theta": model.theta,
+            "root": model.root,
+            "lean": model.lean,
+            "drift": model.drift,
+            "printed": model.printed,
+            "unsure": model.unsure,
+            "points": sight.points,
+        }
+    )
 
 
 def kinematic_names(model: KinematicGP) -> dict[str, str]:

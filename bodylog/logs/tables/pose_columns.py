@@ -214,9 +214,9 @@ def _take_track_columns(
         match = _STD.fullmatch(column)
         for name in (match["name"], f"{TRACKER}/{match['name']}") if match else ():
             if match and name in tracks:
-                stds.setdefault(name, {})[
-                    (match["axis"] or match["before"] or "all").lower()
-                ] = column
+                stds.setdefault(name, {})[(match["axis"] or match["before"] or "all").lower()] = (
+                    column
+                )
                 break
     return tracks, {
         name: _track_std(found, left, "xyz" if name in points else "uv")

@@ -45,7 +45,7 @@ def recording_figure(recording: Recording, features: Features, out: Path) -> Non
     skin, events, trajectories; absent ones are left out.
     """
     panels = _recording_panels(recording, features)
-    tracks = seen_tracks(features)
+    tracks = {name: one for name, one in seen_tracks(features).items() if one.unit == "px"}
     if not panels:
         raise LogError("no joints, tracks, skin or events to draw; type: bodylog info LOG")
     with open_figure(out, 11.0 if tracks else 8.0, 0.6 + 1.75 * len(panels)) as drawing:

@@ -3,14 +3,14 @@ as measured, by kinematics alone and with the process.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees, isfinite
 from typing import Any
 
 import numpy as np
 
 from ...overlay_style import PREDICTED, measurement_ink
-from ...types import Array, Estimate, Features
+from ...types import TRACK_AXES, Array, Estimate, Features
 from ..page.tables import escape_text, html_table
 from .canvas import LINES, printable_label
 
@@ -30,12 +30,16 @@ _LONG = 0.06
 
 @dataclass(frozen=True, eq=False)
 class ReprojectionSheet:
-    """One track: measured, expected by kinematics alone and with the process, each (N,2) px."""
+    """One track: measured, expected by kinematics alone and with the process,
+    each (N,2) in `unit`, along two axes.
+    """
 
     name: str
     measured: Array
     kinematics: Array
     both: Array
+    axes: tuple[str, str] = ("u", "v")
+    unit: str = "px"
 
     def some(self) -> "ReprojectionSheet":
         """At most POINTS of it, evenly spaced."""
@@ -44,13 +48,16 @@ class ReprojectionSheet:
             .round()
             .astype(int)
         )
-        return ReprojectionSheet(
-            self.name, self.measured[rows], self.kinematics[rows], self.both[rows]
+        return replace(
+            self,
+            measured=self.measured[rows],
+            kinematics=self.kinematics[rows],
+            both=self.both[rows],
         )
 
     @property
     def errors(self) -> tuple[float, float]:
-        """RMS residual (px) of kinematics alone, and with the process."""
+        """RMS residual of kinematics alone, and with the process."""
         return _rms_length(self.measured - self.kinematics), _rms_length(self.measured - self.both)
 
     @property
@@ -108,9 +115,24 @@ def build_sheets(features: Features, estimate: Estimate) -> tuple[ReprojectionSh
         sound &= np.isfinite(alone.values).all(axis=1) & np.isfinite(both.values).all(axis=1)
         if sound.any():
             found.append(
-                ReprojectionSheet(name, measured[sound], alone.values[sound], both.values[sound])
+                build_sheet(name, measured[sound], alone.values[sound], both.values[sound])
             )
     return tuple(found)
+
+
+def build_sheet(name: str, measured: Array, kinematics: Array, both: Array) -> ReprojectionSheet:
+    """The sheet of a track (N,D); of a point in space along the two axes that it moves most."""
+    names, unit = TRACK_AXES[measured.shape[1]]
+    first, second = sorted(np.argsort(-np.ptp(measured, axis=0), kind="stable")[:2].tolist())
+    plane = [first, second]
+    return ReprojectionSheet(
+        name,
+        measured[:, plane],
+        kinematics[:, plane],
+        both[:, plane],
+        (names[first], names[second]),
+        unit,
+    )
 
 
 def parse_zeros(entries: Any) -> tuple[JointZero, ...]:
@@ -160,7 +182,8 @@ def _render_sheet_figure(sheet: ReprojectionSheet) -> str:
     alone, both = sheet.errors
     times = sheet.magnified
     text = (
-        f"{sheet.name}: {alone:.2f} px by kinematics alone, {both:.2f} px with the process "
+        f"{sheet.name}: {alone:.2f} {sheet.unit} by kinematics alone, {both:.2f} {sheet.unit} "
+        "with the process "
         f"(RMS); lines {times:g} ×"
     )
     width = _WIDTH + _SIDE + 10
@@ -193,7 +216,7 @@ def _render_image_plane(sheet: ReprojectionSheet, times: float) -> Iterator[str]
 
 
 def _render_residuals(sheet: ReprojectionSheet) -> Iterator[str]:
-    """Residuals around zero, px, with a ring at a round distance."""
+    """Residuals around zero with a ring at a round distance."""
     left = [sheet.kinematics - sheet.measured, sheet.both - sheet.measured]
     reach = _residual_reach_px(sheet)
     scale = 0.45 * _SIDE / reach
@@ -206,7 +229,7 @@ def _render_residuals(sheet: ReprojectionSheet) -> Iterator[str]:
     )
     yield (
         f'<text x="{x + ring * scale:.1f}" y="{y - 4:g}" font-size="11" fill="{_RULE}">{ring:g} '
-        "px</text>"
+        f"{sheet.unit}</text>"
     )
     for part, ink in zip(left, (_ALONE, _BOTH), strict=True):
         near = part[np.linalg.norm(part, axis=1) <= reach]
@@ -243,24 +266,30 @@ def draw_image_plane(sheet: ReprojectionSheet, ax: Any) -> None:
     ax.set(
         aspect="equal",
         title=f"{printable_label(sheet.name)}: residuals {times:g} ×",
-        xlabel="u, pixels",
-        ylabel="v, pixels",
+        **_axis_labels(sheet),
     )
-    ax.invert_yaxis()
+    if sheet.unit == "px":
+        ax.invert_yaxis()
     ax.legend(loc="best")
 
 
+def _axis_labels(sheet: ReprojectionSheet) -> dict[str, str]:
+    unit = {"px": "pixels"}.get(sheet.unit, sheet.unit)
+    labels = (f"{axis}, {unit}" for axis in sheet.axes)
+    return dict(zip(("xlabel", "ylabel"), labels, strict=True))
+
+
 def draw_residuals(sheet: ReprojectionSheet, ax: Any) -> None:
-    """The residuals of one track, px, in a figure."""
+    """The residuals of one track in a figure."""
     alone, both = sheet.errors
     for expected, ink, what in (
-        (sheet.kinematics, _ALONE, f"kinematics: {alone:.2f} px RMS"),
+        (sheet.kinematics, _ALONE, f"kinematics: {alone:.2f} {sheet.unit} RMS"),
         (sheet.both, _BOTH, f"with process: {both:.2f}"),
     ):
         ax.plot(*(expected - sheet.measured).T, ".", color=ink, ms=3, alpha=0.6, label=what)
     reach = _residual_reach_px(sheet)
-    ax.set(aspect="equal", title="expected minus measured", xlabel="u, pixels", ylabel="v, pixels")
-    ax.set(xlim=(-reach, reach), ylim=(reach, -reach))
+    ax.set(aspect="equal", title="expected minus measured", **_axis_labels(sheet))
+    ax.set(xlim=(-reach, reach), ylim=(reach, -reach) if sheet.unit == "px" else (-reach, reach))
     ax.legend(loc="best")
 
 
