@@ -66,11 +66,11 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     frames = frame_poses(left, path)
     points, halves = _take_point_columns(left, {one.name for one in frames})
     tracks, std = _take_track_columns(left, points)
-    scales = {name: _metres_per_unit(places) for name, places in points.items()}
+    scales = {name: metres_per_unit(places) for name, places in points.items()}
     for name, scale in scales.items():
         tracks[name] = tracks[name] * scale
         std |= {name: std[name] * scale} if name in std else {}
-    notes += [_millimetres_note(name, points[name]) for name in points if scales[name] != 1.0]
+    notes += [millimetres_note(name, points[name]) for name in points if scales[name] != 1.0]
     notes += halves
     lens = _take_lens_columns(left, path)
     labels = [name for name in left if is_label_column(name)]
@@ -181,13 +181,13 @@ def _take_point_columns(
     return points, halves
 
 
-def _metres_per_unit(points: Array) -> float:
+def metres_per_unit(points: Array) -> float:
     """What the unit of points (N,3) is: 1 m, or 0.001 where no arm spans as many m."""
     seen = points[np.isfinite(points).all(axis=1)]
     return 1e-3 if len(seen) and np.ptp(seen, axis=0).max() > _SPAN_M else 1.0
 
 
-def _millimetres_note(name: str, points: Array) -> str:
+def millimetres_note(name: str, points: Array) -> str:
     """The note on points that are in mm."""
     span = np.ptp(points[np.isfinite(points).all(axis=1)], axis=0).max()
     return f"{name}: points that span {span:.0f} cannot be in m; they are taken in mm"
