@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..linear_algebra import CHI_SQUARE_MEDIANS
 from ..types import Array
 from .rig import IMAGES, SPACE, Rig
 
@@ -22,8 +23,6 @@ _FALSE = 1e-3
 """Prior share of false sightings."""
 _ANYWHERE = 600.0
 """px or mm: false sightings are uniform in a square or a cube of this side."""
-_CHI_SQUARE_MEDIAN = {2: float(2.0 * np.log(2.0)), 3: 2.3659738843753377}
-"""The median of a sum of so many squares of standard normal numbers."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +265,7 @@ def _variance_from_median(rig: Rig, theta: Array, data: Sequence[Sighted]) -> Ar
     for kind in np.unique(rig.kinds):
         own = [r for r, other in zip(residuals, rig.kinds, strict=True) if other == kind]
         sizes = np.concatenate([np.square(r).sum(axis=-1).ravel() for r in own])
-        noise[kind] = float(np.nanmedian(sizes)) / _CHI_SQUARE_MEDIAN[own[0].shape[-1]]
+        noise[kind] = float(np.nanmedian(sizes)) / CHI_SQUARE_MEDIANS[own[0].shape[-1]]
     return np.asarray(np.maximum(noise, _LEAST))
 
 

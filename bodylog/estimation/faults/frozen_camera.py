@@ -52,14 +52,15 @@ def _remove_false_repeats(sighting: Sighting, encoders: Encoders) -> tuple[Array
             values[own[1:]] = np.nan
             since = float(sighting.t[own[1]])
             until = float(sighting.t[shown[end]]) if end < len(shown) else None
-            found.append(Fault("vision", sighting.name, "frozen", since, moved, "px", until=until))
+            unit = getattr(sighting.model, "unit", "px")
+            found.append(Fault("vision", sighting.name, "frozen", since, moved, unit, until=until))
     return values, found
 
 
 def _predict_largest_motion(
     sighting: Sighting, encoders: Encoders, begin: float, end: float
 ) -> float:
-    """Largest motion (px) that the encoders predict from
+    """Largest motion (px or mm) that the encoders predict from
     the first part of a stretch on; 0 if not significant.
     """
     inside = (encoders.t >= begin) & (encoders.t <= end)
