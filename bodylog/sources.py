@@ -105,6 +105,9 @@ class TopicSource:
     path: str | None = declare_key(
         None, "Message path of a point.", noun="message path", unset="by message type"
     )
+    frame: str | None = declare_key(
+        None, "Frame in which points are in space, in m.", noun="frame", unset="in images, px"
+    )
 
 
 @dataclass(frozen=True)
@@ -118,6 +121,9 @@ class TableSource:
         accepts=lambda names: len(names) > 1 and all(names),
         unset="NAME_u, NAME_v",
         form="names of two or more columns",
+    )
+    frame: str | None = declare_key(
+        None, "Frame in which points are in space, in m.", noun="frame", unset="in images, px"
     )
 
 
@@ -230,6 +236,8 @@ def track_names(name: str, source: Source) -> tuple[str, ...]:
         return tuple(f"{name}.{k}" for k in range((columns - 1) * (rows - 1)))
     if isinstance(source, TagSource) and source.corners:
         return tuple(f"{name}.{k}" for k in range(4))
+    if isinstance(source, TopicSource | TableSource) and source.frame is not None:
+        return (f"{source.frame}/{name}",)
     return (name,)
 
 

@@ -21,6 +21,16 @@ from .logs.records import Outgoing as Outgoing
 from .logs.records import Topic as Topic
 from .settings import Settings
 
+TRACK_AXES: Mapping[int, tuple[tuple[str, ...], str]] = {
+    2: (("u", "v"), "px"),
+    3: (("x", "y", "z"), "mm"),
+}
+"""Names and unit of a track's columns, by their number: places in images, points in space."""
+MM_PER_M = 1e3
+"""Points in space are in m in files and in mm here: an arm moves them by as many mm as its images
+by px, and their noise is as large, so that one search serves both.
+"""
+
 Board = tuple[tuple[str, ...], Array]
 """Names of K tracks that lie on one rigid thing, and where on it: (K,3) m."""
 
@@ -160,8 +170,8 @@ class PostureReadings:
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """What perception found: tracks (name -> Series of
-    u, v in px with std), touches, strokes, synchrony.
+    """What perception found: tracks (name -> Series of u, v in px, or
+    of x, y, z in mm, with std), touches, strokes, synchrony.
 
     `touches` is None when there was no skin to look at. `effector` and `hand` are the tracks of
     those names. `picture_size` is (width, height) in px where it is known; `reference` the true

@@ -7,8 +7,19 @@ import numpy as np
 from ..logs.encode import cdr
 from ..logs.encode.cdr import CdrField, Payloads
 from ..logs.encode.schemas import ros2msg_definition
-from ..logs.topic_names import PREFIX, TRACK, TRACK_NAMES, escape_topic_name
-from ..types import Array, Estimate, Fault, Features, Outgoing, Poses, Series, Synchrony, Touch
+from ..logs.topic_names import POINT_NAMES, PREFIX, TRACK, TRACK_NAMES, escape_topic_name
+from ..types import (
+    MM_PER_M,
+    Array,
+    Estimate,
+    Fault,
+    Features,
+    Outgoing,
+    Poses,
+    Series,
+    Synchrony,
+    Touch,
+)
 from . import image_annotations
 
 PREDICTED = PREFIX + "predicted/"
@@ -16,7 +27,11 @@ KINEMATIC = PREFIX + "kinematics/"
 ERROR = PREFIX + "prediction_error/"
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 ANNOTATIONS = PREFIX + "annotations"
-PREDICTED_NAMES = (*TRACK_NAMES, "cov_uv")
+NAMES_OF_TRACK = {2: TRACK_NAMES, 3: POINT_NAMES}
+PREDICTED_NAMES = {2: (*TRACK_NAMES, "cov_uv"), 3: (*POINT_NAMES, "cov_xy", "cov_xz", "cov_yz")}
+"""Names of a track's vectors by its number of columns: px, or m."""
+SIZE_OF_UNIT = {2: 1.0, 3: 1.0 / MM_PER_M}
+"""What a track's unit is in its messages: px stay px, mm become m."""
 
 
 def from_features(features: Features, start_ns: int) -> list[Outgoing]:
@@ -91,11 +106,9 @@ def from_estimate(estimate: Estimate, features: Features, start_ns: int) -> list
             )
         )
     for name, kinematic in estimate.kinematic.items():
-        out.append(
-            _named_vector_message(
-                KINEMATIC + escape_topic_name(name), "Vector", kinematic, kinematic.values, start_ns
-            )
-        )
+        values = kinematic.values * SIZE_OF_UNIT[kinematic.values.shape[1]]
+        topic = KINEMATIC + escape_topic_name(name)
+        out.append(_named_vector_message(topic, "Vector", kinematic, values, start_ns))
     if estimate.effector is not None:
         out.append(_poses_message(PREFIX + "effector_pose", estimate.effector, start_ns))
     if estimate.faults:
@@ -117,12 +130,16 @@ def _overlays_by_camera(
     estimate: Estimate, tracks: Mapping[str, Series], start_ns: int
 ) -> Iterator[Outgoing]:
     for camera in sorted({_camera_of_track(name) for name in (*tracks, *estimate.predicted)}):
-        seen = {name: track for name, track in tracks.items() if _camera_of_track(name) == camera}
-        predicted = {
-            name: series
-            for name, series in estimate.predicted.items()
-            if _camera_of_track(name) == camera
-        }
+        seen, predicted = (
+            {
+                name: series
+                for name, series in found.items()
+                if _camera_of_track(name) == camera and series.unit == "px"
+            }
+            for found in (tracks, estimate.predicted)
+        )
+        if not seen and not predicted:
+            continue  # a tracker of points in space has no images
         times, payloads = image_annotations.draw_image_annotations(
             seen, predicted, estimate.predicted_cov, start_ns
         )
@@ -161,30 +178,37 @@ def stamps_ns(t: Array, start_ns: int) -> Array:
 
 
 def from_track(name: str, track: Series, start_ns: int, frame: str) -> Outgoing:
-    """Positions (N,2) px of a track with their standard deviations as bodylog_msgs/Vector."""
+    """Positions (N,2) px, or (N,3) mm, of a track with their
+    standard deviations as bodylog_msgs/Vector, px or m.
+    """
     std = np.full_like(track.values, np.nan) if track.std is None else track.std
-    data = np.hstack([track.values, std])
+    width = track.values.shape[1]
+    data = np.hstack([track.values, std]) * SIZE_OF_UNIT[width]
     return _vector_message(
-        TRACK + escape_topic_name(name), track, TRACK_NAMES, data, start_ns, frame
+        TRACK + escape_topic_name(name), track, NAMES_OF_TRACK[width], data, start_ns, frame
     )
 
 
 def _predicted_message(
     name: str, series: Series, cov: Array | None, start_ns: int, frame: str
 ) -> Outgoing:
+    width = series.values.shape[1]
+    size = SIZE_OF_UNIT[width]
     if cov is None:
-        variance = np.full((len(series.t), 3), np.nan)
-    else:
-        variance = np.column_stack([np.sqrt(cov[:, 0, 0]), np.sqrt(cov[:, 1, 1]), cov[:, 0, 1]])
-    data = np.hstack([series.values, variance])
+        cov = np.full((len(series.t), width, width), np.nan)
+    std = np.sqrt(np.einsum("ndd->nd", cov))
+    between = cov[:, *np.triu_indices(width, 1)]
+    data = np.hstack([series.values * size, std * size, between * size**2])
     return _vector_message(
-        PREDICTED + escape_topic_name(name), series, PREDICTED_NAMES, data, start_ns, frame
+        PREDICTED + escape_topic_name(name), series, PREDICTED_NAMES[width], data, start_ns, frame
     )
 
 
 def _points_message(topic: str, track: Series, start_ns: int, frame: str) -> Outgoing:
     seen = np.isfinite(track.values).all(1)
-    point = np.column_stack([track.values[seen], np.zeros(seen.sum())])
+    width = track.values.shape[1]
+    point = np.zeros((seen.sum(), 3))
+    point[:, :width] = track.values[seen] * SIZE_OF_UNIT[width]
     fields: list[CdrField] = [
         *cdr.cdr_header_field(stamps_ns(track.t[seen], start_ns), frame),
         ("float64*", point),

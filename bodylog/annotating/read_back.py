@@ -19,8 +19,9 @@ from ..logs.mcap.prefix import NAME
 from ..logs.mcap.record_file import RecordFile
 from ..logs.mcap.records import HEAD, parse_record
 from ..logs.protocol import Log
-from ..logs.topic_names import PREFIX, TRACK, TRACK_NAMES, unescape_topic_name
+from ..logs.topic_names import PREFIX, TRACK, unescape_topic_name
 from ..types import (
+    TRACK_AXES,
     Array,
     Estimate,
     Features,
@@ -33,7 +34,15 @@ from ..types import (
     Touch,
 )
 from .estimate_metadata import read_declared_estimate, type_again
-from .messages import ERROR, KINEMATIC, POSE, PREDICTED, PREDICTED_NAMES
+from .messages import (
+    ERROR,
+    KINEMATIC,
+    NAMES_OF_TRACK,
+    POSE,
+    PREDICTED,
+    PREDICTED_NAMES,
+    SIZE_OF_UNIT,
+)
 from .pose_topics import POSED, poses_from_columns
 
 _VECTOR = ("header.stamp", "names", "data")
@@ -117,7 +126,7 @@ def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
         faults=table.faults(),
         findings=stored.findings,
         effector=table.effector(),
-        kinematic=table.under(KINEMATIC, "px"),
+        kinematic=table.kinematic(),
         can=stored.can,
     )
 
@@ -130,7 +139,10 @@ def read_features(log: Log, start_ns: int) -> Features | None:
     if not any(name.startswith(TRACK) or name == PREFIX + "touch" for name in names):
         return None
     table = _Table(log, start_ns, log.path)
-    tracks = {name: _track_from_vector(series) for name, series in table.tracks().items()}
+    tracks = {
+        name: _track_from_vector(series, len(series.names) // 2)
+        for name, series in table.tracks().items()
+    }
     touches = table.touches() if PREFIX + "touch" in names else None
     strokes, paired = table.strokes()
     pairs = table.synchrony(touches or (), paired)
@@ -185,13 +197,12 @@ class _Table:
         }
 
     def tracks(self) -> dict[str, Series]:
-        """The tracks: u, v and their standard deviations (N,4) px."""
-        found = self.under(TRACK, "px")
+        """The tracks: u, v and their standard deviations (N,4)
+        px, or x, y, z and theirs (N,6) m.
+        """
+        found = self.under(TRACK, "")
         for name, series in found.items():
-            if len(series.names) != len(TRACK_NAMES):
-                raise self._unfit(
-                    TRACK + name, f"{len(series.names)} names, not {len(TRACK_NAMES)}"
-                )
+            self._require_names(TRACK + name, series, NAMES_OF_TRACK)
         return {
             name: replace(series, values=reject_impossible(series.values)[0])
             for name, series in found.items()
@@ -209,21 +220,42 @@ class _Table:
         return data
 
     def predicted(self) -> tuple[dict[str, Series], dict[str, Array]]:
-        """Predictions (K,2) px with their standard deviations, and covariances (K,2,2) px²."""
+        """Predictions (K,2) px or (K,3) mm with their standard
+        deviations, and covariances (K,2,2) px² or (K,3,3) mm².
+        """
         series = {}
         cov = {}
-        for name, found in self.under(PREDICTED, "px").items():
-            if len(found.names) != len(PREDICTED_NAMES):
-                raise self._unfit(
-                    PREDICTED + name, f"{len(found.names)} names, not {len(PREDICTED_NAMES)}"
-                )
-            series[name] = _track_from_vector(found)
-            std = found.values[:, 2:4]
-            between = found.values[:, 4]
+        for name, found in self.under(PREDICTED, "").items():
+            width = self._require_names(PREDICTED + name, found, PREDICTED_NAMES)
+            series[name] = _track_from_vector(found, width)
+            std = found.values[:, width : 2 * width] / SIZE_OF_UNIT[width]
+            above, right = np.triu_indices(width, 1)
+            cov[name] = np.empty((len(found.t), width, width))
             with np.errstate(over="ignore"):  # an absurd error bar of a spoilt log is infinite
-                rows = np.column_stack([std[:, 0] ** 2, between, between, std[:, 1] ** 2])
-            cov[name] = rows.reshape(-1, 2, 2)
+                cov[name][:, range(width), range(width)] = std**2
+                between = found.values[:, 2 * width :] / SIZE_OF_UNIT[width] ** 2
+            cov[name][:, above, right] = between
+            cov[name][:, right, above] = between
         return series, cov
+
+    def kinematic(self) -> dict[str, Series]:
+        """Predictions of kinematics alone (K,2) px or (K,3) mm."""
+        found = self.under(KINEMATIC, "")
+        for name, series in found.items():
+            self._require_names(
+                KINEMATIC + name, series, {width: axes for width, (axes, _) in TRACK_AXES.items()}
+            )
+        return {name: _in_track_unit(series) for name, series in found.items()}
+
+    def _require_names(
+        self, topic: str, found: Series, names: Mapping[int, tuple[str, ...]]
+    ) -> int:
+        """The number of a track's columns, by the number of a vector's names."""
+        for width, wanted in names.items():
+            if len(found.names) == len(wanted):
+                return width
+        possible = " or ".join(str(len(wanted)) for wanted in names.values())
+        raise self._unfit(topic, f"{len(found.names)} names, not {possible}")
 
     def touches(self) -> tuple[Touch, ...]:
         """Touches in order of onset."""
@@ -335,11 +367,22 @@ class _Table:
         return (stamp[order] - self.start_ns) / 1e9, log_ns[order], sorted_values
 
 
-def _track_from_vector(found: Series) -> Series:
-    """u, v (N,2) px and their standard deviations from a vector topic; unknown ones are None."""
-    std = found.values[:, 2:4]
-    known = std if np.isfinite(std).any() else None
-    return Series(found.t, found.values[:, :2], ("u", "v"), "px", found.source_ns, known)
+def _track_from_vector(found: Series, width: int) -> Series:
+    """u, v (N,2) px, or x, y, z (N,3) mm, and their standard
+    deviations from a vector topic; unknown ones are None.
+    """
+    std = found.values[:, width : 2 * width]
+    place = replace(found, values=found.values[:, :width])
+    known = replace(found, values=std) if np.isfinite(std).any() else None
+    own = _in_track_unit(place)
+    return own if known is None else replace(own, std=_in_track_unit(known).values)
+
+
+def _in_track_unit(found: Series) -> Series:
+    """A vector of u, v, or of x, y, z in m, with its names and in px or mm."""
+    width = found.values.shape[1]
+    names, unit = TRACK_AXES[width]
+    return replace(found, names=names, unit=unit, values=found.values / SIZE_OF_UNIT[width])
 
 
 def _no_estimate_error(path: Path) -> LogError:

@@ -217,10 +217,12 @@ def _check_calibration(found: Any) -> None:
         "cameras": (_are_placements, placements),
         "markers": (_are_placements, placements),
         "earlier": (_are_placements, placements),
+        "trackers": (_are_placements, placements),
         "lenses": (_are_lenses, f"a list of {', '.join(_LENS)}, 2 numbers each"),
         "zeros": (_are_offsets, offsets),
         "scales": (_are_offsets, offsets),
     }
+    found = {"trackers": []} | found if isinstance(found, dict) else found
     if not isinstance(found, dict) or set(found) != set(parts):
         raise ValueError(
             f"provenance.calibration: found {str(found)[:200]}, possible: {', '.join(parts)}"

@@ -9,7 +9,7 @@ import numpy as np
 from ..body_model import BodyModel
 from ..errors import EvidenceError, ModelError
 from ..sources import group_of
-from ..types import Array, Features, Finding, Score
+from ..types import TRACK_AXES, Array, Features, Finding, Score
 from .data.pairs import Pairs, drop_impossible_values, pair_sightings, smooth_all_joints
 from .senses import encoder_function
 
@@ -67,7 +67,7 @@ def score_body_on_tests(
 
 
 def _prediction_errors(name: str, part: Pairs, model: BodyModel) -> tuple[Array, Array]:
-    """Errors (N,2) px of one track and their predicted variances (N,2) px²."""
+    """Errors (N,D) of one track and their predicted variances (N,D)."""
     mean, jac, var = model.senses[name].predict(part.x)
     return part.y - mean, var + _sighting_variance(name, part, model) + np.einsum(
         "ndm,nm->nd", jac**2, part.variance
@@ -75,24 +75,25 @@ def _prediction_errors(name: str, part: Pairs, model: BodyModel) -> tuple[Array,
 
 
 def _scores_of_errors(name: str, error: Array, total: Array) -> Iterator[Score]:
-    """Yield scores of errors (N,2) px, per axis and
+    """Yield scores of errors (N,D), px or mm, per axis and
     together, and their agreement with the variances.
     """
     ratio = error**2 / total
     size = np.linalg.norm(error, axis=1)
-    yield Score(f"rmse/test/{name}", float(np.sqrt(np.mean(size**2))), "px")
-    yield Score(f"rmse/test_u/{name}", float(np.sqrt(np.mean(error[:, 0] ** 2))), "px")
-    yield Score(f"rmse/test_v/{name}", float(np.sqrt(np.mean(error[:, 1] ** 2))), "px")
-    yield Score(f"median_error/test/{name}", float(np.median(size)), "px")
+    axes, unit = TRACK_AXES[error.shape[1]]
+    yield Score(f"rmse/test/{name}", float(np.sqrt(np.mean(size**2))), unit)
+    for axis, own in zip(axes, error.T, strict=True):
+        yield Score(f"rmse/test_{axis}/{name}", float(np.sqrt(np.mean(own**2))), unit)
+    yield Score(f"median_error/test/{name}", float(np.median(size)), unit)
     yield Score(f"nis/test/{name}", float(ratio.mean()), "1")
     yield Score(f"coverage_2sigma/test/{name}", float((ratio <= COVERED**2).mean() * 100.0), "%")
     yield Score(f"sightings/test/{name}", float(len(error)), "images")
 
 
 def _sighting_variance(name: str, part: Pairs, model: BodyModel) -> Array:
-    """Variance (N,2) px² of sightings: stated std squared
+    """Variance (N,D) of sightings: stated std squared
     plus the learned excess, or else the learned one.
     """
-    fallback = np.broadcast_to(model.noise.senses.get(name, (1.0, 1.0)), part.floor.shape)
+    fallback = np.broadcast_to(model.noise.senses.get(name, (1.0,)), part.floor.shape)
     beyond = np.asarray(getattr(model.senses[name], "noise", 0.0))
     return np.where(part.floor > 0.0, part.floor + beyond, fallback)

@@ -71,7 +71,8 @@ def _collect_pose_residuals(senses: Sequence[TrackSense], joints: int) -> _PoseR
     """Held-out residuals of all tracks by pose."""
     keys = [np.stack([s.used.log.astype(float), s.used.t], axis=1) for s in senses]
     poses = np.unique(np.concatenate([key[key[:, 0] >= 0] for key in keys]), axis=0)
-    shape = len(poses), 2 * len(senses)
+    ends = np.cumsum([0, *(len(found.gp.outputs) for found in senses)])
+    shape = len(poses), int(ends[-1])
     r = np.zeros(shape)
     jac = np.zeros((*shape, joints))
     var = np.full(shape, np.inf)
@@ -80,7 +81,7 @@ def _collect_pose_residuals(senses: Sequence[TrackSense], joints: int) -> _PoseR
         at = np.array([index.get(tuple(one), -1) for one in key.tolist()])
         noise = found.gp.noise + found.used.floor
         mine = (at >= 0) & (found.variance <= SURE * noise).all(axis=1)
-        columns = slice(2 * k, 2 * k + 2)
+        columns = slice(ends[k], ends[k + 1])
         r[at[mine], columns], var[at[mine], columns] = found.residual[mine], found.variance[mine]
         jac[at[mine], columns] = found.gp.means(found.used.x)[1][mine]
     seen = np.isfinite(var).any(axis=1)

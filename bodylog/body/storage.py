@@ -64,10 +64,7 @@ def save(model: BodyModel, path: Path) -> None:
                 f"possible: {possible}"
             )
         own = storage.kinematic_arrays(sense) if isinstance(sense, KinematicGP) else {}
-        fields = (
-            *_SHAPES[header.KINDS[type(sense)]],
-            *(field for field in own if field in storage.BASE | storage.RESTING),
-        )
+        fields = (*_LEARNED, *own) if own else tuple(_SHAPES[header.KINDS[type(sense)]])
         values = {field: own[field] if field in own else getattr(sense, field) for field in fields}
         arrays |= {
             f"{name}/{field}.npy": np.asarray(value, np.float64) for field, value in values.items()
@@ -169,7 +166,7 @@ def _read_sense(
     sizes = {"d": len(outputs), "m": len(joints), **_SIZES}
     arrays: dict[str, Array] = {}
     for field, letters in (
-        _SHAPES[kind] if links is None else _LEARNED | storage.kinematic_shapes(links)
+        _SHAPES[kind] if links is None else _LEARNED | storage.kinematic_shapes(links, outputs)
     ).items():
         least = (
             header.LEAST

@@ -27,8 +27,12 @@ def withhold_frames(features: Features) -> tuple[Features, Mapping[str, Series]]
         shown &= rows
         tracks[name] = replace(track, values=np.where(rows[:, None], np.nan, track.values))
         std = None if track.std is None else track.std[shown]
-        withheld[name] = Series(
-            track.t[shown], track.values[shown], track.names, "px", track.source_ns[shown], std
+        withheld[name] = replace(
+            track,
+            t=track.t[shown],
+            values=track.values[shown],
+            source_ns=track.source_ns[shown],
+            std=std,
         )
     return replace(features, tracks=tracks), withheld
 

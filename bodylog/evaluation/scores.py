@@ -157,7 +157,7 @@ def _each_named_variance(names: Sequence[str], values: object) -> Iterator[tuple
 
 
 def track_scores(estimate: Estimate) -> list[Score]:
-    """RMSE (px) of each track against its prediction before the measurement."""
+    """RMSE (px or mm) of each track against its prediction before the measurement."""
     found = []
     for name, predicted in sorted(estimate.predicted.items()):
         errors = estimate.errors.get(name)
@@ -167,9 +167,8 @@ def track_scores(estimate: Estimate) -> list[Score]:
             np.searchsorted(predicted.t, errors.t - SAME_TIME_S), len(predicted.t) - 1
         )
         pixels = errors.values * predicted.std[rows]
-        found.append(
-            Score(f"rmse/innovation/{name}", _root_mean_square(pixels[np.isfinite(pixels)]), "px")
-        )
+        error = _root_mean_square(pixels[np.isfinite(pixels)])
+        found.append(Score(f"rmse/innovation/{name}", error, predicted.unit))
     return found
 
 

@@ -51,8 +51,9 @@ def verdict_of_body(
     values = {score.name: score.value for score in scores}
     left = f"; not over {', '.join(others)}; -v says why" if others else ""
     learned = f"learned over {_counted_noun(len(joints), 'joint')}: {', '.join(joints)}{left}"
+    units = {score.name: score.unit for score in scores}
     errors = [
-        _held_out_sentence(track, value, values)
+        _held_out_sentence(track, f"{value:.3g} {units[f'rmse/held_out/{track}']}", values)
         for track, value in _values_by_part(values, "rmse/held_out").items()
     ]
     offsets = [
@@ -61,7 +62,7 @@ def verdict_of_body(
         if split_score_name(score.name)[0] == "offset"
     ]
     tests = [
-        _test_log_sentence(track, value, values)
+        _test_log_sentence(track, f"{value:.3g} {units[f'rmse/test/{track}']}", values)
         for track, value in _values_by_part(values, "rmse/test").items()
     ]
     wrong = [one for one in offsets if one]
@@ -226,9 +227,9 @@ def _joint_unit(found: Estimate) -> str:
     return str(found.settings.get("joint_unit", "rad"))
 
 
-def _held_out_sentence(track: str, value: float, values: Mapping[str, float]) -> str:
+def _held_out_sentence(track: str, error: str, values: Mapping[str, float]) -> str:
     bars = _error_bar_text(values.get(f"nis/held_out/{track}"))
-    return f"{track}: error {value:.3g} px on held-out parts of the log{bars}"
+    return f"{track}: error {error} on held-out parts of the log{bars}"
 
 
 def _error_bar_text(nis: float | None) -> str:
@@ -251,9 +252,9 @@ def _zero_sentence(offset: Score, values: Mapping[str, float]) -> str | None:
     return f"{joint}: zero is off by {size}" if abs(offset.value) > 2.0 * std else None
 
 
-def _test_log_sentence(track: str, value: float, values: Mapping[str, float]) -> str:
+def _test_log_sentence(track: str, error: str, values: Mapping[str, float]) -> str:
     covered = values.get(f"coverage_2sigma/test/{track}", float("nan"))
-    return f"{track}: error {value:.3g} px on the test logs; 2σ covers {covered:.0f} %"
+    return f"{track}: error {error} on the test logs; 2σ covers {covered:.0f} %"
 
 
 def _counted_noun(number: int, what: str) -> str:

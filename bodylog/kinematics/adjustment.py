@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..types import Array
-from .calibration import Sighted, mixture
+from .calibration import Sighted, mixtures, variance_by_kind
 from .rig import Rig, Sight
 
 JOINT_ERROR_STD = 1e-4
@@ -76,12 +76,12 @@ class _Prior:
     precision: Array
 
 
-def adjust(rig: Rig, data: Sequence[Posed], theta: Array, noise: float, known: Known) -> Adjusted:
+def adjust(rig: Rig, data: Sequence[Posed], theta: Array, noise: Array, known: Known) -> Adjusted:
     """Adjust θ from near the solution: the least error by θ alone,
     with zeros and scales within the error bars of what is known.
 
-    noise: first value of the variance (px², per axis) of a point. A process of residuals beside θ
-    takes up part of what θ explains, so θ of such a model alone has not the least error (Tuo &
+    noise (2,): first value of the variance (px² or mm², per axis) of a point. A process of
+    residuals beside θ takes up part of what θ explains, so θ of such a model alone has not the least error (Tuo &
     Wu 2015, "Efficient calibration for imperfect computer models"); but θ of least error takes up
     part of what no θ explains. So zeros and scales are first held within ZERO_SIGMA of the former,
     `known`, and then all within MOST_SIGMA, by weights of the loss about each solution. The
@@ -123,25 +123,28 @@ def _with_known(prior: _Prior, known: Known, weight: float, std: Array) -> _Prio
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """θ (P,), the normal equations there, and the variance (px²) of a point about it."""
+    """θ (P,), the normal equations there, and the variance (2,), px² and mm², of a point."""
 
     theta: Array
     normal: "_Normal"
-    noise: float
+    noise: Array
 
 
 def _adjusted(
-    rig: Rig, data: Sequence[Posed], theta: Array, noise: float, prior: _Prior
+    rig: Rig, data: Sequence[Posed], theta: Array, noise: Array, prior: _Prior
 ) -> _Solution:
     """Generalised least squares from a start, with
     false sightings weighed down and the noise learned.
     """
     for _ in range(_ROUNDS):
-        weights = [_weights(_squares(rig, k, theta, one), noise) for k, one in enumerate(data)]
+        weights = [
+            _weights(_squares(rig, k, theta, one), noise, rig.kinds[k])
+            for k, one in enumerate(data)
+        ]
         theta, found = _descended(rig, data, weights, theta, noise, prior)
         before = noise
-        noise = _noise(rig, data, weights, theta, found, prior)
-        if abs(noise - before) < _SETTLED_NOISE * before:
+        noise = _noise(rig, data, weights, theta, found, noise, prior)
+        if (np.abs(noise - before) < _SETTLED_NOISE * before).all():
             break
     return _Solution(theta, found, noise)
 
@@ -188,7 +191,7 @@ def _descended(
     data: Sequence[Posed],
     weights: Sequence[Array],
     theta: Array,
-    noise: float,
+    noise: Array,
     prior: _Prior,
 ) -> tuple[Array, _Normal]:
     """Gauss-Newton with halved steps, for given weights (N,C) of the points."""
@@ -216,16 +219,18 @@ def _normal(
     data: Sequence[Posed],
     weights: Sequence[Array],
     theta: Array,
-    noise: float,
+    noise: Array,
     prior: _Prior,
 ) -> _Normal:
     std = rig.prior[1]
     names, group = np.unique(np.concatenate([one.group for one in data]), return_inverse=True)
     shares = np.zeros((len(names), len(std) + 1, len(std) + 1))
     begin = 0
-    for sight, one, weight in zip(rig.sights, data, weights, strict=True):
+    for k, (one, weight) in enumerate(zip(data, weights, strict=True)):
+        sight = rig.sights[k]
+        own_noise = float(noise[rig.kinds[k]])
         end = begin + len(one.group)
-        np.add.at(shares, group[begin:end], _products(rig, sight, theta, one, weight, noise))
+        np.add.at(shares, group[begin:end], _products(rig, sight, theta, one, weight, own_noise))
         begin = end
     whole = shares.sum(axis=0)
     away = (prior.mean - theta) / std
@@ -268,17 +273,18 @@ def _products(
 
 
 def _squares(rig: Rig, index: int, theta: Array, one: Posed) -> Array:
-    """Squared distance (N,C) px² of each point from
+    """Squared distance (N,C), px² or mm², of each point from
     where it is predicted; NaN where it was not seen.
     """
     seen = rig.see(rig.sights[index], theta, one.sighted.q, one.log)
     return np.asarray(np.square(one.sighted.image - seen.image).sum(axis=-1))
 
 
-def _weights(square: Array, noise: float) -> Array:
+def _weights(square: Array, noise: Array, kind: int) -> Array:
     """How likely each point (N,C) is no false sighting; 0 where it was not seen."""
     seen = np.isfinite(square)
-    return np.where(seen, mixture(noise)(np.where(seen, square, 0.0) / noise)[1], 0.0)
+    weigh = mixtures(noise)[kind]
+    return np.where(seen, weigh(np.where(seen, square, 0.0) / noise[kind])[1], 0.0)
 
 
 def _noise(
@@ -287,16 +293,24 @@ def _noise(
     weights: Sequence[Array],
     theta: Array,
     found: _Normal,
+    noise: Array,
     prior: _Prior,
-) -> float:
-    """Variance (px², per axis) of a point about θ, over the degrees of freedom that θ leaves."""
-    total = 0.0
-    count = 0.0
+) -> Array:
+    """Variance (2,), px² and mm² per axis, of a point about
+    θ, over the degrees of freedom that θ leaves.
+    """
+    total = np.zeros(2)
+    count = np.zeros(2)
     for k, (one, weight) in enumerate(zip(data, weights, strict=True)):
-        total += float(np.nansum(weight * _squares(rig, k, theta, one)))
-        count += 2.0 * float(weight.sum())
-    known = len(found.pull) - float(np.trace(np.linalg.solve(found.matrix, prior.precision)))
-    return max(total / max(count - known, 0.1 * count, 1.0), _LEAST_NOISE)
+        total[rig.kinds[k]] += float(np.nansum(weight * _squares(rig, k, theta, one)))
+        count[rig.kinds[k]] += one.sighted.image.shape[-1] * float(weight.sum())
+    known = np.zeros(2)
+    for kind, part, rows in rig.split_by_kind():
+        few = [data[k] for k in rows]
+        share = _normal(part, few, [weights[k] for k in rows], theta, noise, prior).matrix
+        own = share - prior.precision
+        known[kind] = float(np.trace(np.linalg.solve(found.matrix, own)))
+    return variance_by_kind(total, count, known, _LEAST_NOISE)
 
 
 def _covariance(found: _Normal, precision: Array, known: Known, std: Array) -> Array:

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..linear_algebra import CHI_SQUARE_MEDIANS
 from ..types import Array
-from .rig import Rig
+from .rig import IMAGES, SPACE, Rig
 
 STEPS = 60
 _SETTLED = 1e-5
@@ -21,13 +22,15 @@ _LEAST = 1e-6
 _FALSE = 1e-3
 """Prior share of false sightings."""
 _ANYWHERE = 600.0
-"""px: false sightings are uniform in a square of this side."""
+"""px or mm: false sightings are uniform in a square or a cube of this side."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sighted:
     """Measurements of one sight: q (N,M) rad or m · image
     (N,C,2) px, NaN where unseen · variance (N,C,2) px².
+
+    Of points in space, 3 and mm in place of 2 and px.
     """
 
     q: Array
@@ -41,12 +44,13 @@ class Sighted:
 
     @property
     def spread(self) -> float:
-        """Root mean square motion of the points over both axes, px."""
+        """Root mean square motion of the points over all axes, px or mm."""
         seen = self.seen[..., None]
         middle = np.where(seen, self.image, 0.0).sum(axis=0) / np.maximum(seen.sum(axis=0), 1)
         return float(
             np.sqrt(
-                np.square(np.where(seen, self.image - middle, 0.0)).sum() / max(2 * seen.sum(), 1)
+                np.square(np.where(seen, self.image - middle, 0.0)).sum()
+                / max(self.image.shape[-1] * seen.sum(), 1)
             )
         )
 
@@ -55,7 +59,7 @@ class Sighted:
 class Calibrated:
     """theta (P,) of greatest posterior, and its covariance (P,P) if all points were independent.
 
-    noise: px² beyond the stated · weights per sight (N,C).
+    noise (2,): beyond the stated, px² in IMAGES and mm² in SPACE · weights per sight (N,C).
 
     evidence: log marginal likelihood of the sightings (nats), by Laplace's approximation at theta.
     """
@@ -63,13 +67,13 @@ class Calibrated:
     rig: Rig
     theta: Array
     covariance: Array
-    noise: float
+    noise: Array
     weights: tuple[Array, ...]
     evidence: float
 
 
 def image_residuals(rig: Rig, theta: Array, data: Sequence[Sighted]) -> list[Array]:
-    """Measured minus predicted (N,C,2) px of each sight; NaN where unseen."""
+    """Measured minus predicted (N,C,2) px, or (N,C,3) mm, of each sight; NaN where unseen."""
     return [
         one.image - rig.see(sight, theta, one.q).image
         for sight, one in zip(rig.sights, data, strict=True)
@@ -79,20 +83,20 @@ def image_residuals(rig: Rig, theta: Array, data: Sequence[Sighted]) -> list[Arr
 def calibrate_rig(rig: Rig, data: Sequence[Sighted], starts: Sequence[Array]) -> Calibrated:
     """Estimate θ from the best of several starts, with ever finer robust losses."""
     sparse, few = thin_sightings(rig, data, _COARSE)
-    loss = _arsinh_loss(50.0)
-    coarse = [descend_robustly(sparse, few, start, loss, 1.0, _SCOUT) for start in starts]
+    loss = [_arsinh_loss(50.0)] * 2
+    coarse = [descend_robustly(sparse, few, start, loss, _UNIT, _SCOUT) for start in starts]
     coarse.sort(key=lambda found: found[1])
-    coarse = [descend_robustly(sparse, few, found[0], loss, 1.0) for found in coarse[:_FINALISTS]]
+    coarse = [descend_robustly(sparse, few, found[0], loss, _UNIT) for found in coarse[:_FINALISTS]]
     best = min(coarse, key=lambda found: found[1])[0]
     for scale in (10.0, 3.0):
-        best = descend_robustly(sparse, few, best, _soft_l1_loss(scale), 1.0)[0]
+        best = descend_robustly(sparse, few, best, [_soft_l1_loss(scale)] * 2, _UNIT)[0]
     return refine_calibration(rig, data, best)
 
 
 def scout_start(rig: Rig, data: Sequence[Sighted], start: Array) -> float:
     """Return the coarse loss after a short descent from one start."""
     sparse, few = thin_sightings(rig, data, _COARSE)
-    return descend_robustly(sparse, few, start, _arsinh_loss(50.0), 1.0, _SCOUT)[1]
+    return descend_robustly(sparse, few, start, [_arsinh_loss(50.0)] * 2, _UNIT, _SCOUT)[1]
 
 
 def thin_sightings(rig: Rig, data: Sequence[Sighted], count: int) -> tuple[Rig, list[Sighted]]:
@@ -120,12 +124,12 @@ def refine_calibration(
     weights of false sightings until the noise settles.
     """
     noise = _variance_from_median(rig, theta, data)
-    before = np.inf
+    before = np.full(2, np.inf)
     for _ in range(rounds):
-        weigh = mixture(noise)
+        weigh = mixtures(noise)
         theta, _ = descend_robustly(rig, data, theta, weigh, noise)
         noise = _variance_of_true_sightings(rig, theta, data, weigh)
-        if abs(noise - before) < 0.01 * noise:
+        if (np.abs(noise - before) < 0.01 * noise).all():
             break
         before = noise
     return _finish_calibration(rig, data, theta, noise)
@@ -135,6 +139,8 @@ Loss = Callable[[Array], tuple[Array, Array]]
 """From squared residuals over their variance (…,): the
 loss of each (2 × nats) and its derivative, the weight.
 """
+_UNIT = np.ones(2)
+"""A noise of 1 px² or mm²."""
 
 
 def _soft_l1_loss(scale: float) -> Loss:
@@ -161,11 +167,16 @@ def _arsinh_loss(scale: float) -> Loss:
     return loss
 
 
-def mixture(noise: float) -> Loss:
+def mixtures(noise: Array) -> list[Loss]:
+    """The mixture of images, in 2 dimensions, and that of space, in 3, with their noise (2,)."""
+    return [_mixture(float(noise[IMAGES]), 2), _mixture(float(noise[SPACE]), 3)]
+
+
+def _mixture(noise: float, size: int) -> Loss:
     """A Gaussian of one px² (times the noise) mixed with
     uniform false sightings: −2 ln((1 − ε) e^{−s/2} + ε').
     """
-    floor = _FALSE * 2.0 * np.pi * noise / _ANYWHERE**2
+    floor = _FALSE * float((2.0 * np.pi * noise) ** (size / 2)) / _ANYWHERE**size
 
     def loss(square: Array) -> tuple[Array, Array]:
         near = np.exp(-0.5 * np.minimum(square, 1400.0))
@@ -175,10 +186,17 @@ def mixture(noise: float) -> Loss:
 
 
 def descend_robustly(
-    rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float, steps: int = STEPS
+    rig: Rig,
+    data: Sequence[Sighted],
+    theta: Array,
+    loss: Sequence[Loss],
+    noise: Array,
+    steps: int = STEPS,
 ) -> tuple[Array, float]:
     """θ (P,) of least loss from a start, and that loss;
     Levenberg-Marquardt with weights renewed at each step.
+
+    loss, noise (2,): of IMAGES and of SPACE.
     """
     damping = 1e-3
     found = _normal_equations(rig, data, theta, loss, noise)
@@ -220,19 +238,19 @@ class _Normal:
 
 
 def _normal_equations(
-    rig: Rig, data: Sequence[Sighted], theta: Array, loss: Loss, noise: float
+    rig: Rig, data: Sequence[Sighted], theta: Array, loss: Sequence[Loss], noise: Array
 ) -> _Normal:
     mean, std = rig.prior
     matrix = np.diag(std**-2.0)
     pull = (mean - theta) / std**2
     value = float(np.square((theta - mean) / std).sum())
-    for sight, one in zip(rig.sights, data, strict=True):
+    for sight, one, kind in zip(rig.sights, data, rig.kinds, strict=True):
         seen = rig.see(sight, theta, one.q)
         valid = np.isfinite(one.image).all(axis=-1)
         residual = (one.image - seen.image)[valid]
         design = seen.design[valid]
-        precision = 1.0 / (noise + one.variance[valid])
-        cost, weight = loss((np.square(residual) * precision).sum(axis=-1))
+        precision = 1.0 / (noise[kind] + one.variance[valid])
+        cost, weight = loss[kind]((np.square(residual) * precision).sum(axis=-1))
         scaled = design * (weight[:, None] * precision)[..., None]
         matrix += np.tensordot(scaled, design, axes=([0, 1], [0, 1]))
         pull += np.tensordot(scaled, residual, axes=([0, 1], [0, 1]))
@@ -240,49 +258,64 @@ def _normal_equations(
     return _Normal(matrix, pull, value)
 
 
-def _variance_from_median(rig: Rig, theta: Array, data: Sequence[Sighted]) -> float:
-    """Variance (px², per axis) from the median residual."""
-    sizes = np.concatenate(
-        [np.square(r).sum(axis=-1).ravel() for r in image_residuals(rig, theta, data)]
-    )
-    return max(float(np.nanmedian(sizes)) / float(2.0 * np.log(2.0)), _LEAST)
+def _variance_from_median(rig: Rig, theta: Array, data: Sequence[Sighted]) -> Array:
+    """Variance (2,), px² and mm² per axis, from the median residual of each kind."""
+    noise = np.ones(2)
+    residuals = image_residuals(rig, theta, data)
+    for kind in np.unique(rig.kinds):
+        own = [r for r, other in zip(residuals, rig.kinds, strict=True) if other == kind]
+        sizes = np.concatenate([np.square(r).sum(axis=-1).ravel() for r in own])
+        noise[kind] = float(np.nanmedian(sizes)) / CHI_SQUARE_MEDIANS[own[0].shape[-1]]
+    return np.asarray(np.maximum(noise, _LEAST))
 
 
 def _variance_of_true_sightings(
-    rig: Rig, theta: Array, data: Sequence[Sighted], loss: Loss
-) -> float:
-    """Variance (px², per axis) of true sightings, over the degrees of freedom that θ leaves."""
-    total = 0.0
-    count = 0.0
+    rig: Rig, theta: Array, data: Sequence[Sighted], loss: Sequence[Loss]
+) -> Array:
+    """Variance (2,), px² and mm² per axis, of true sightings,
+    over the degrees of freedom that θ leaves.
+    """
+    total = np.zeros(2)
+    count = np.zeros(2)
     noise = _variance_from_median(rig, theta, data)
-    for residual in image_residuals(rig, theta, data):
+    for residual, kind in zip(image_residuals(rig, theta, data), rig.kinds, strict=True):
         square = np.square(residual).sum(axis=-1)
         square = square[np.isfinite(square)]
-        weight = loss(square / noise)[1]
-        total = total + float(weight @ square)
-        count = count + 2.0 * float(weight.sum())
+        weight = loss[kind](square / noise[kind])[1]
+        total[kind] += float(weight @ square)
+        count[kind] += residual.shape[-1] * float(weight.sum())
     matrix = _normal_equations(rig, data, theta, loss, noise).matrix
-    known = float(
-        np.trace(np.eye(len(theta)) - np.linalg.solve(matrix, np.diag(rig.prior[1] ** -2.0)))
-    )
-    return max(total / max(count - known, 0.1 * count, 1.0), _LEAST)
+    known = np.zeros(2)
+    for kind, part, rows in rig.split_by_kind():
+        share = _normal_equations(part, [data[k] for k in rows], theta, loss, noise).matrix
+        own = share - np.diag(rig.prior[1] ** -2.0)
+        known[kind] = float(np.trace(np.linalg.solve(matrix, own)))
+    return variance_by_kind(total, count, known, _LEAST)
+
+
+def variance_by_kind(total: Array, count: Array, known: Array, least: float) -> Array:
+    """Variance (2,) from sums of squares (2,) over numbers (2,)
+    of which θ takes up `known` (2,); 1 of a kind that is not there.
+    """
+    left = np.maximum(np.maximum(count - known, 0.1 * count), 1.0)
+    return np.where(count > 0.0, np.maximum(total / left, least), 1.0)
 
 
 def _finish_calibration(
-    rig: Rig, data: Sequence[Sighted], theta: Array, noise: float
+    rig: Rig, data: Sequence[Sighted], theta: Array, noise: Array
 ) -> Calibrated:
-    weigh = mixture(noise)
+    weigh = mixtures(noise)
     found = _normal_equations(rig, data, theta, weigh, noise)
     std = rig.prior[1]
     scaled = found.matrix * std * std[:, None]
     covariance = np.linalg.inv(scaled) * std * std[:, None]
     weights = []
     entropy = 0.0
-    for residual, one in zip(image_residuals(rig, theta, data), data, strict=True):
-        precision = 1.0 / (noise + one.variance)
+    for residual, one, kind in zip(image_residuals(rig, theta, data), data, rig.kinds, strict=True):
+        precision = 1.0 / (noise[kind] + one.variance)
         square = (np.square(residual) * precision).sum(axis=-1)
         seen = np.isfinite(square)
-        weights.append(np.where(seen, weigh(np.where(seen, square, 0.0))[1], 0.0))
+        weights.append(np.where(seen, weigh[kind](np.where(seen, square, 0.0))[1], 0.0))
         entropy += float(np.log(2.0 * np.pi / precision[seen]).sum())
     evidence = float(-0.5 * (found.value + entropy + np.linalg.slogdet(scaled)[1]))
     return Calibrated(rig, theta, covariance, noise, tuple(weights), evidence)

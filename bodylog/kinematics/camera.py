@@ -1,8 +1,10 @@
-"""A pinhole camera with two radial distortion terms, vectorised over points."""
+"""A pinhole camera with two radial distortion terms, and a tracker of
+points in space, both vectorised over points.
+"""
 
 import numpy as np
 
-from ..types import Array
+from ..types import MM_PER_M, Array
 
 NEAREST = 0.02
 """m: lower bound on depth, so that a search can pass a point behind the camera."""
@@ -37,6 +39,14 @@ def project_points(points: Array, numbers: Array) -> tuple[Array, Array, Array]:
     shrink[..., 0, 0] = shrink[..., 1, 1] = 1.0 / depth
     shrink[..., 2] = -plain / depth[..., None] * (points[..., 2] > NEAREST)[..., None]
     return image, focal[:, None] * (inner @ shrink), _by_lens(plain, square, bend, focal)
+
+
+def scale_points(points: Array) -> tuple[Array, Array, Array]:
+    """Points (…,3) m in mm, as a tracker measures them: points (…,3) ·
+    derivative by point (…,3,3) · by a lens that is not there (…,3,0).
+    """
+    by_point = np.broadcast_to(MM_PER_M * np.eye(3), (*points.shape, 3))
+    return MM_PER_M * points, by_point, np.zeros((*points.shape, 0))
 
 
 def _by_lens(plain: Array, square: Array, bend: Array, focal: Array) -> Array:

@@ -110,7 +110,8 @@ def _groups_of_unknowns(rig: Rig) -> Iterator[tuple[int, int, str]]:
         begin = rig.of_camera(k).start
         yield begin, begin + 3, f"{camera.name}'s place"
         yield begin + 3, begin + 6, f"{camera.name}'s turn"
-        yield begin + 6, begin + 12, f"{camera.name}'s lens"
+        if not camera.tracks_space:
+            yield begin + 6, begin + 12, f"{camera.name}'s lens"
     for k, carrier in enumerate(rig.carriers):
         part = rig.of_carrier(k)
         yield part.start, part.start + 3, f"{carrier.name}'s place"

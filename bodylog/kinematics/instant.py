@@ -8,17 +8,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..types import Array
+from ..types import MM_PER_M, Array
 from .camera import NEAREST
 from .rig import Rig
 from .rotations import cross_product_matrix, left_jacobian
 
 Row = tuple[float, float, float]
 Turn = tuple[float, float, float, float]
-Lens = tuple[float, float, float, float, float, float]
+Lens = tuple[float, ...]
+"""Derivatives by the six numbers of a lens; none of a tracker, which has no lens."""
+Projection = tuple[tuple[float, ...], tuple[Row, ...], tuple[Lens, ...]]
+"""A point's image, and the derivatives of each of its numbers by the point and by the lens."""
 Instant = Callable[[Array], tuple[Array, Array, Array]]
-"""From joint angles (M,) rad or m: image (2,) px · slope
-(2,M) by the joints · design (2,P) by θ, as of `Rig.see`.
+"""From joint angles (M,) rad or m: image (2,) px or point (3,) mm ·
+slope (2,M) by the joints · design (2,P) by θ, as of `Rig.see`.
 """
 
 
@@ -49,7 +52,9 @@ def compile_predictor(rig: Rig, theta: Array) -> Instant:
 
     def at(x: Array) -> tuple[Array, Array, Array]:
         (px, py, pz), turned = _forward_kinematics(known, (gain * x if scaled else x).tolist())
-        image, rows, by_lens = _project_point(px, py, pz, known.lens)
+        image, rows, by_lens = (
+            _project_point(px, py, pz, known.lens) if known.lens else _scale_point(px, py, pz)
+        )
         arm = px - known.shift[0], py - known.shift[1], pz - known.shift[2]
         design = np.array(
             [_design_row(known, arm, turned, *both) for both in zip(rows, by_lens, strict=True)]
@@ -159,9 +164,14 @@ def _derivative_before_pose(pose: tuple[float, ...], g: Row) -> Row:
     return a * x + e * y + i * z, b * x + f * y + j * z, c * x + h * y + k * z
 
 
-def _project_point(
-    px: float, py: float, pz: float, lens: list[float]
-) -> tuple[tuple[float, float], tuple[Row, Row], tuple[Lens, Lens]]:
+def _scale_point(px: float, py: float, pz: float) -> Projection:
+    """`camera.scale_points` for one point."""
+    mm = MM_PER_M
+    rows = (mm, 0.0, 0.0), (0.0, mm, 0.0), (0.0, 0.0, mm)
+    return (mm * px, mm * py, mm * pz), rows, ((), (), ())
+
+
+def _project_point(px: float, py: float, pz: float, lens: list[float]) -> Projection:
     """`camera.project_points` for one point."""
     depth = max(pz, NEAREST)
     far = pz > NEAREST

@@ -69,8 +69,8 @@ class MarkerHint:
 
 @dataclass(frozen=True, eq=False)
 class MarkerTrack:
-    """Sightings of one marker in one camera, by name ·
-    points (C,3) m of a rigid board, or one at the origin.
+    """Sightings of one marker in one camera or by one tracker, by
+    name · points (C,3) m of a rigid board, or one at the origin.
     """
 
     camera: str
@@ -197,7 +197,7 @@ def _preselect_links(
 def _explains_motion(found: Calibrated, data: Sighted) -> bool:
     """Whether a calibration explains most of the sightings' motion."""
     return (
-        found.noise < (EXPLAINED * data.spread) ** 2
+        found.noise[found.rig.kinds[0]] < (EXPLAINED * data.spread) ** 2
         and float(np.mean(found.weights[0][data.seen])) > 0.5
     )
 
@@ -279,8 +279,11 @@ class Space:
     ) -> Rig:
         """The rig of some tracks with their cameras and markers on given links."""
         names = list(dict.fromkeys(track.camera for track in tracks))
+        space = {track.camera for track in tracks if track.data.image.shape[-1] == 3}
         cameras = tuple(
-            hinted_camera(name, placed[name], hints.get(name, CameraHint()), self.robot)
+            (_hinted_tracker if name in space else hinted_camera)(
+                name, placed[name], hints.get(name, CameraHint()), self.robot
+            )
             for name in names
         )
         things = {track.marker: track for track in tracks}
@@ -330,21 +333,27 @@ def hinted_camera(name: str, link: str, hint: CameraHint, robot: Robot) -> RigCa
     )
     if hint.lens_std is not None:
         known = hint.lens_std
-    pose = hint.pose if hint.link == link else None
-    if pose is not None:
-        anchor = invert_transform(pose)
-        doubt = TF_POSE if hint.pose_std is None else hint.pose_std
-    elif is_optical(link):
-        anchor = np.eye(4)
-        doubt = FRAME_POSE
-    else:
-        anchor = np.eye(4)
-        doubt = np.full(6, ANYWHERE)
+    anchor, doubt = _hinted_pose(link, hint)
     given = hint.lens is not None and hint.lens_std is None
     scale = 1.0 if given else np.array([1.0, 1.0, width / 640, width / 640, 1.0, 1.0])
     return RigCamera(
         f"camera {name}".strip(), link, anchor, numbers, np.concatenate([doubt, known * scale])
     )
+
+
+def _hinted_tracker(name: str, link: str, hint: CameraHint, robot: Robot) -> RigCamera:
+    """The tracker on a link, by what is known of its pose."""
+    anchor, doubt = _hinted_pose(link, hint)
+    return RigCamera(name, link, anchor, np.zeros(0), doubt)
+
+
+def _hinted_pose(link: str, hint: CameraHint) -> tuple[Array, Array]:
+    """The link in a camera (4,4) and the prior std (6,) of its pose."""
+    if hint.link == link and hint.pose is not None:
+        return invert_transform(hint.pose), TF_POSE if hint.pose_std is None else hint.pose_std
+    if is_optical(link):
+        return np.eye(4), FRAME_POSE
+    return np.eye(4), np.full(6, ANYWHERE)
 
 
 def _make_carrier(name: str, link: str, rigid: bool, hint: MarkerHint | None) -> Carrier:

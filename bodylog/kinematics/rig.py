@@ -1,16 +1,20 @@
-"""A rig: cameras and markers on links, their unknowns
-θ in one vector, and the image points they predict.
+"""A rig: cameras, trackers and markers on links, their unknowns
+θ in one vector, and the image or space points they predict.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from ..types import Array
-from .camera import project_points
+from .camera import project_points, scale_points
 from .chain import Chain
 from .rotations import cross_product_matrix, left_jacobian, make_transform, rotation_from_vector
+
+IMAGES, SPACE = 0, 1
+"""Kinds of measurements, each with one noise: px² in images, mm² of points in space."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +22,7 @@ class RigCamera:
     """A camera on a link: anchor (4,4), the link in the camera, m · lens (6,), prior mean · doubt
     (12,): prior std of both.
 
+    A tracker, which measures points in space, has no lens: lens (0,), doubt (6,).
     The pose's unknowns move the anchor: p ↦ exp(w) p + v, v in m and w in rad, in the camera.
     """
 
@@ -26,6 +31,11 @@ class RigCamera:
     anchor: Array
     lens: Array
     doubt: Array
+
+    @property
+    def tracks_space(self) -> bool:
+        """Whether it measures points in space, in mm, and not in images."""
+        return len(self.lens) == 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +86,7 @@ class Rig:
     """Cameras, markers, sights, and joints (M,) with the prior
     std of their offsets (M,) rad or m; all unknowns are θ (P,).
 
-    θ: each camera's pose (6) and lens (6), each marker's place (3) or place and rotation (6), each
+    θ: each camera's pose (6) and lens (6 or 0), each marker's place (3) or place and rotation (6), each
     joint's offset δ, and each joint's scale s where `scale_doubt` is (M,) and not empty: a joint
     that reads q is at (1 + s) q + δ. lenses: the camera whose lens each camera has, itself if
     empty; a camera that moved between logs keeps its lens.
@@ -100,18 +110,31 @@ class Rig:
         return np.concatenate([*mean, zeros]), np.concatenate([*std, self.doubt, self.scale_doubt])
 
     def of_camera(self, index: int) -> slice:
-        """A camera's 12 unknowns in θ."""
-        return slice(12 * index, 12 * index + 12)
+        """A camera's 12 unknowns in θ; a tracker's 6."""
+        begin = sum(len(one.doubt) for one in self.cameras[:index])
+        return slice(begin, begin + len(self.cameras[index].doubt))
 
     def of_lens(self, index: int) -> slice:
-        """The 6 unknowns of a camera's lens in θ."""
-        begin = self.of_camera(self.lenses[index] if self.lenses else index).start
-        return slice(begin + 6, begin + 12)
+        """The 6 unknowns of a camera's lens in θ; none of a tracker."""
+        whole = self.of_camera(self.lenses[index] if self.lenses else index)
+        return slice(whole.start + 6, whole.stop)
 
     def of_carrier(self, index: int) -> slice:
         """A marker's 3 or 6 unknowns in θ."""
-        begin = 12 * len(self.cameras) + sum(len(one.doubt) for one in self.carriers[:index])
+        begin = sum(len(one.doubt) for one in self.cameras)
+        begin += sum(len(one.doubt) for one in self.carriers[:index])
         return slice(begin, begin + len(self.carriers[index].doubt))
+
+    @cached_property
+    def kinds(self) -> Array:
+        """What each sight is of, (S,): IMAGES, or SPACE."""
+        return np.array([int(self.cameras[one.camera].tracks_space) for one in self.sights])
+
+    def split_by_kind(self) -> Iterator[tuple[int, "Rig", list[int]]]:
+        """Yield each kind, the rig with its sights alone, and their numbers."""
+        for kind in np.unique(self.kinds).tolist():
+            rows = np.flatnonzero(self.kinds == kind).tolist()
+            yield kind, replace(self, sights=tuple(self.sights[k] for k in rows)), rows
 
     @property
     def of_joints(self) -> slice:
@@ -196,6 +219,7 @@ class RigPrediction:
     """image (N,C,2) px · slope (N,C,2,M) by the joints, px per rad or m · design (N,C,2,P) by θ.
 
     stretch (N,C,2,K−1) px: by the lengths between the chain's steps, each in shares of itself.
+    Of a tracker, 3 and mm in place of 2 and px.
     """
 
     image: Array
@@ -222,7 +246,9 @@ def _predict_sight(rig: Rig, sight: Sight, theta: Array, q: Array) -> RigPredict
     linked = marker @ poses.rotation.transpose(0, 2, 1) + poses.place[:, None]
     placed = linked @ camera.anchor[:3, :3].T + camera.anchor[:3, 3]
     inside, by_pose = _shift_points(placed, own)
-    image, by_point, by_lens = project_points(inside, lens)
+    image, by_point, by_lens = (
+        scale_points(inside) if camera.tracks_space else project_points(inside, lens)
+    )
     turn = by_point @ (rotation_from_vector(own[3:]) @ camera.anchor[:3, :3])
     by_angle = turn @ sight.chain.slopes(poses, linked)
     design = np.zeros((*image.shape, len(theta)))

@@ -1,5 +1,5 @@
-"""Starting points of the search for θ: the prior, resection
-from points, or hand-eye calibration from a board.
+"""Starting points of the search for θ: the prior, resection from points
+in images, alignment of points in space, or hand-eye calibration from a board.
 """
 
 from collections.abc import Iterator, Sequence
@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..types import Array
+from ..types import MM_PER_M, Array
 from .calibration import Sighted
 from .rig import Carrier, Rig, RigCamera
 from .rotations import invert_transform, make_transform, nearest_rotation, vector_from_rotation
@@ -55,7 +55,7 @@ def find_starts(rig: Rig, data: Sequence[Sighted]) -> tuple[Rig, list[Array]]:
             and len(seen) == len(_sights_of_camera(rig, index))
             and camera.doubt[3:6].max() >= _KNOWN
         ):
-            first = _resect_camera(rig, data, index, first)
+            first = _place_camera(rig, data, index, first)
     return rig, first
 
 
@@ -76,10 +76,12 @@ def _starts_from_prior(rig: Rig) -> Iterator[Array]:
             yield moved
 
 
-def _resect_camera(
+def _place_camera(
     rig: Rig, data: Sequence[Sighted], index: int, first: Sequence[Array]
 ) -> list[Array]:
-    """Each θ with the camera's pose by resection from its own markers."""
+    """Each θ with the camera's pose by resection from its own
+    markers, or the tracker's by alignment of its own points.
+    """
     camera = rig.cameras[index]
     found = []
     for theta in first:
@@ -93,17 +95,39 @@ def _resect_camera(
             valid = np.isfinite(one.image[:, 0]).all(axis=1)
             points.append((arm.rotation @ place + arm.place)[valid])
             images.append(one.image[valid, 0])
-        pose = resect_pose(
-            np.concatenate(points), normalised_directions(np.concatenate(images), camera.lens)
+        there, seen = np.concatenate(points), np.concatenate(images)
+        pose = (
+            align_points(there, seen / MM_PER_M)
+            if camera.tracks_space
+            else resect_pose(there, normalised_directions(seen, camera.lens))
         )
         if pose is not None and np.linalg.norm(pose[:3, 3]) < _FARTHEST:
             step = pose @ invert_transform(camera.anchor)
-            there = theta.copy()
-            there[rig.of_camera(index)][:6] = np.concatenate(
+            placed = theta.copy()
+            placed[rig.of_camera(index)][:6] = np.concatenate(
                 [step[:3, 3], vector_from_rotation(step[:3, :3])]
             )
-            found.append(there)
+            found.append(placed)
     return found or list(first)
+
+
+def align_points(points: Array, seen: Array) -> Array | None:
+    """The pose (4,4) that takes points (n,3) m to where they were
+    seen (n,3) m, whatever few of them are false; None for too few.
+
+    Least squares by the singular values of the correlation (Kabsch 1976).
+    """
+    if len(points) < _FEWEST:
+        return None
+    weight = np.ones((len(points), 1))
+    for _ in range(5):  # downweight false points
+        share = weight / weight.sum()
+        middle, there = (share * points).sum(axis=0), (share * seen).sum(axis=0)
+        turn = nearest_rotation((share * (seen - there)).T @ (points - middle))
+        size = np.linalg.norm(seen - there - (points - middle) @ turn.T, axis=1)
+        far = size / max(3.0 * float(np.median(size)), 1e-12)
+        weight = 1.0 / (1.0 + np.square(far))[:, None]
+    return make_transform(turn, there - turn @ middle)
 
 
 def normalised_directions(image: Array, lens: Array) -> Array:

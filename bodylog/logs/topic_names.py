@@ -8,6 +8,10 @@ PREFIX = "/bodylog/"
 """The prefix of every topic that bodylog writes."""
 TRACK = PREFIX + "track/"
 TRACK_NAMES = ("u", "v", "std_u", "std_v")
+POINT_NAMES = ("x", "y", "z", "std_x", "std_y", "std_z")
+"""Columns of a track in images, px, and of a point in space, m."""
+TRACKER = "tracker"
+"""What measures points in space, where nothing says in which frame they are."""
 _ILLEGAL = re.compile(
     r"(?:^|(?<=/))[0-9]|[^A-Za-z0-9_/]|(?:^|(?<=/))/|/(?=/|$)|_(?=x[0-9a-f]+[^A-Za-z0-9])"
 )

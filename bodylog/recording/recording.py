@@ -12,8 +12,17 @@ from ..logs.images import video_file
 from ..logs.protocol import Log
 from ..logs.topics import has_independent_poses
 from ..settings import Settings
-from ..sources import TableSource, TopicSource
-from ..types import ConsumedFrames, Features, FrameConsumer, Health, LazyImage, Recording, Series
+from ..sources import TableSource, TopicSource, track_names
+from ..types import (
+    ConsumedFrames,
+    Features,
+    Finding,
+    FrameConsumer,
+    Health,
+    LazyImage,
+    Recording,
+    Series,
+)
 from . import cameras, joint_series, joint_topics, roles
 from . import frames as camera
 from .clocks import largest_gap, seconds_since
@@ -49,8 +58,8 @@ def read_recording(
             streams, silent = read_streams(tap or without_images(log), found, settings, str(path))
         start_ns = _start_ns(streams, log)
         features = _read_own_features(log, start_ns)
-        named = _read_named_tracks(log, path, settings, streams, start_ns, features)
-        findings = (*log.findings, *silent, *log_findings(log, streams, settings))
+        named, units = _read_named_tracks(log, path, settings, streams, start_ns, features)
+        findings = (*log.findings, *silent, *log_findings(log, streams, settings), *units)
     sidecars = _find_video_files(path, settings)
     videos = {
         key: source
@@ -182,20 +191,30 @@ def _read_named_tracks(
     streams: Mapping[str, Stream],
     start_ns: int,
     carried: Features | None,
-) -> dict[str, tuple[Series, Health]]:
-    """Tracks of topics and tables that [features] names,
-    except those stored in the log by an earlier run.
+) -> tuple[dict[str, tuple[Series, Health]], tuple[Finding, ...]]:
+    """Tracks of topics and tables that [features] names, except those
+    stored in the log by an earlier run; remarks on their units.
     """
     known = () if carried is None else carried.tracks
-    rest = {name: source for name, source in settings.features.items() if name not in known}
+    rest = {
+        name: source
+        for name, source in settings.features.items()
+        if not set(track_names(name, source)) & set(known)
+    }
     if not any(isinstance(source, TopicSource | TableSource) for source in rest.values()):
-        return {}
-    from . import table_tracks, topic_tracks
+        return {}, ()
+    from . import space_points, table_tracks, topic_tracks
 
     asked = replace(settings, features=rest)
     timing = next((stream.timing for stream in joint_topics.streams_of(streams)), None)
     late_ns = (timing.offset_ns or 0) if timing is not None and timing.clock == "header" else 0
     found = dict(topic_tracks.read_topic_tracks(log, asked, start_ns, late_ns))
-    return found | dict(
+    found |= dict(
         table_tracks.read_table_tracks(path, asked, start_ns, _duration_of_streams(streams, log))
     )
+    findings = list[Finding]()
+    for name, (track, health) in found.items():
+        track, more = space_points.points_in_mm(name, track)
+        found[name] = track, health
+        findings += more
+    return found, tuple(findings)

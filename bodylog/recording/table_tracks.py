@@ -1,4 +1,6 @@
-"""Tracks from a table beside the log: rows of time, u and v from a keypoint network or a person."""
+"""Tracks from a table beside the log: rows of time, u and v from a keypoint
+network or a person, or x, y and z from motion capture.
+"""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,8 +11,9 @@ from ..errors import ConfigError, LogError
 from ..logs.tables.pose_columns import time_column
 from ..logs.tables.table_file import FileTable, read_table_file, table_format
 from ..settings import Settings
-from ..sources import TableSource
+from ..sources import TableSource, track_names
 from ..types import Array, Health, Series
+from .space_points import series_of_points
 
 EPOCH = 1e8
 """s: later times count from 1970, earlier ones from the log's first joints."""
@@ -27,7 +30,8 @@ def read_table_tracks(
             if path not in read_:
                 with path.open("rb") as stream:
                     read_[path] = read_table_file(path, table_format(path, stream.read(4)) or "csv")
-            yield name, _track_from_table(path, read_[path], name, source, start_ns, end_s)
+            (track,) = track_names(name, source)
+            yield track, _track_from_table(path, read_[path], name, source, start_ns, end_s)
 
 
 def _find_table_path(log: Path, name: str, source: TableSource) -> Path:
@@ -42,7 +46,7 @@ def _find_table_path(log: Path, name: str, source: TableSource) -> Path:
 def _track_from_table(
     path: Path, table: FileTable, name: str, source: TableSource, start_ns: int, end_s: float
 ) -> tuple[Series, Health]:
-    """One feature's positions (N,2) px in time order."""
+    """One feature's positions (N,2) px, or points (N,3), in time order."""
     places, std = _position_columns(path, table, name, source)
     column, t = time_column(table.numbers)
     if column is None:
@@ -72,7 +76,11 @@ def _track_from_table(
     source_ns = start_ns + np.rint(t * 1e9).astype(np.int64)
     values = np.where(seen[:, None], places, np.nan)
     known = None if std is None else std[order]
-    found = Series(t, values, ("u", "v"), "px", source_ns, known)
+    found = (
+        Series(t, values, ("u", "v"), "px", source_ns, known)
+        if source.frame is None
+        else series_of_points(t, values, source_ns, known)
+    )
     gap = float(np.diff(t).max()) if len(t) > 1 else 0.0
     return found, Health(table.rows, int(seen.sum()), rejected, gap)
 
@@ -80,14 +88,16 @@ def _track_from_table(
 def _position_columns(
     path: Path, table: FileTable, name: str, source: TableSource
 ) -> tuple[Array, Array | None]:
-    """Positions (N,2) px and their standard deviations:
-    two columns, and one or two more for the latter.
+    """Positions (N,2) px, or points (N,3), and their standard
+    deviations: as many columns, and one or as many more for the latter.
     """
-    wanted = source.columns or _columns_by_feature_name(table, name)
-    if len(wanted) not in (2, 3, 4):
+    axes = "uv" if source.frame is None else "xyz"
+    size = len(axes)
+    wanted = source.columns or _columns_by_feature_name(table, name, axes)
+    if len(wanted) not in (size, size + 1, 2 * size):
         raise ConfigError(
-            f"{path}: [features] {name}: columns must name u and v, and one or two more for "
-            "their std"
+            f"{path}: [features] {name}: found {len(wanted)} columns; possible: "
+            f"{' and '.join(axes)}, and one or {size} more for their std"
         )
     if missing := [column for column in wanted if column not in table.numbers]:
         have = ", ".join(table.numbers) or "none"
@@ -95,23 +105,29 @@ def _position_columns(
             f"{path}: [features] {name}: no column of numbers {missing[0]!r}; possible: {have}"
         )
     columns = [table.numbers[column] for column in wanted]
-    std = np.column_stack([columns[2], columns[-1]]) if len(columns) > 2 else None
-    return np.column_stack(columns[:2]), None if std is None else np.where(std > 0, std, np.nan)
+    places = np.column_stack(columns[:size])
+    if len(columns) == size:
+        return places, None
+    std = np.broadcast_to(np.column_stack(columns[size:]), places.shape)
+    return places, np.where(std > 0, std, np.nan)
 
 
-def _columns_by_feature_name(table: FileTable, name: str) -> tuple[str, ...]:
-    """NAME_u, NAME_v and their std; u and v if the table has no such columns."""
+def _columns_by_feature_name(table: FileTable, name: str, axes: str) -> tuple[str, ...]:
+    """NAME_u, NAME_v and their std, or NAME_x, NAME_y, NAME_z;
+    the axes alone if the table has no such columns.
+    """
     there = set(table.numbers)
     for before in (f"{name}_", f"{name}.", ""):
-        if {f"{before}u", f"{before}v"} <= there:
+        wanted = tuple(f"{before}{axis}" for axis in axes)
+        if set(wanted) <= there:
             std = [
-                (f"{before}std_u", f"{before}std_v"),
-                (f"{before}u_std", f"{before}v_std"),
-                (f"{before}std",),
+                columns
+                for word in ("std", "sigma")
+                for columns in (
+                    tuple(f"{before}{word}_{axis}" for axis in axes),
+                    tuple(f"{before}{axis}_{word}" for axis in axes),
+                    (f"{before}{word}",),
+                )
             ]
-            return (
-                f"{before}u",
-                f"{before}v",
-                *next((some for some in std if set(some) <= there), ()),
-            )
-    return (f"{name}_u", f"{name}_v")
+            return (*wanted, *next((some for some in std if set(some) <= there), ()))
+    return tuple(f"{name}_{axis}" for axis in axes)

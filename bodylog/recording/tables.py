@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import UsageError
 from ..io.atomic_files import ensure_dir, replace_atomically
-from ..types import Array, Features, Recording, Series
+from ..types import MM_PER_M, Array, Features, Recording, Series
 from .tidy import ALWAYS, Window, cut_to_window, signals_by_role
 
 FORMATS = ("csv", "parquet")
@@ -49,7 +49,7 @@ def export_features(features: Features, folder: Path) -> tuple[Path, ...]:
     """Write tracks_<name>.csv, strokes.csv and, with
     a skin, touches.csv and synchrony.csv to folder.
 
-    Times in s since the log's start, positions in px; unseen ones are empty. Characters not allowed
+    Times in s since the log's start, positions in px, points in space in m; unseen ones are empty. Characters not allowed
     in file names become %XX.
     """
     tables = {
@@ -90,8 +90,10 @@ def export_features(features: Features, folder: Path) -> tuple[Path, ...]:
 
 def _track_columns(track: Series) -> dict[str, Array]:
     std = np.full(track.values.shape, np.nan) if track.std is None else track.std
-    columns = np.column_stack([track.t, track.values, std]).T
-    return dict(zip(("t", "u", "v", "std_u", "std_v"), columns, strict=True))
+    size = 1.0 / MM_PER_M if track.unit == "mm" else 1.0
+    columns = np.column_stack([track.t, size * track.values, size * std]).T
+    names = ("t", *track.names, *(f"std_{axis}" for axis in track.names))
+    return dict(zip(names, columns, strict=True))
 
 
 def _columns_of_rows(names: Sequence[str], rows: Sequence[Sequence[object]]) -> dict[str, Array]:

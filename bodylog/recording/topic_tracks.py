@@ -12,10 +12,11 @@ from ..logs.decode.columns import read_topic_columns
 from ..logs.decode.parts import TopicColumns
 from ..logs.protocol import Log
 from ..settings import Settings
-from ..sources import TopicSource
+from ..sources import TopicSource, track_names
 from ..types import Array, Health, Series, Topic
 from .clock_steps import Times, mend_clocks
 from .clocks import largest_gap, order_by_time, seconds_since
+from .space_points import SPACE_ENDS, series_of_points
 from .stamp_field import stamp_field
 
 ENDS: Sequence[tuple[str, ...]] = (
@@ -51,8 +52,8 @@ Read = tuple[Series, Health]
 def read_topic_track(
     log: Log, name: str, source: TopicSource, settings: Settings, start_ns: int, late_ns: int
 ) -> Read:
-    """A feature's positions (N,2) px and the messages'
-    health; t in s since start_ns, `late_ns` for log times.
+    """A feature's positions (N,2) px, or points in space (N,3), and the
+    messages' health; t in s since start_ns, `late_ns` for log times.
 
     LogError if the topic is missing or has no position
     at all, ConfigError for a path without positions.
@@ -60,7 +61,8 @@ def read_topic_track(
     topic = _require_topic(log, name, source)
     ends, found = _read_positions(log, topic, name, source)
     rows, stamps, places, rejected = _positions_of_messages(found, ends, stamp_field(topic))
-    empty = int((~np.isfinite(places[:, :2]).all(axis=1)).sum())
+    size = 2 if source.frame is None else 3
+    empty = int((~np.isfinite(places[:, :size]).all(axis=1)).sum())
     if empty == len(rows):
         rejected = {**rejected, **({"not in the message": empty} if empty else {})}
         why = (
@@ -76,8 +78,11 @@ def read_topic_track(
     std = values[:, 2:] if values.shape[1] == 4 else None
     known = std is not None and bool(np.isfinite(std).any())
     t = seconds_since(timing.t_ns + shift, start_ns)
-    series = Series(
-        t, values[:, :2], ("u", "v"), "px", found.log_ns[rows][timing.rows], std if known else None
+    source_ns = found.log_ns[rows][timing.rows]
+    series = (
+        Series(t, values[:, :2], ("u", "v"), "px", source_ns, std if known else None)
+        if source.frame is None
+        else series_of_points(t, values, source_ns, None)
     )
     seen = np.isfinite(series.values).all(axis=1)
     hidden = {"not in the message": int((~seen).sum())} if not seen.all() else {}
@@ -109,7 +114,7 @@ def _read_positions(
         raise ConfigError(f'{log.path}: {reason}: {{ topic = "{topic.name}", path = {several!r} }}')
     stamp = stamp_field(topic)
     problems = list[str]()
-    for ends in ENDS:
+    for ends in ENDS if source.frame is None else SPACE_ENDS:
         fields = ((stamp,) if stamp else ()) + tuple((path + end).lstrip(".") for end in ends)
         try:
             found = read_topic_columns(log, topic, fields)
@@ -123,7 +128,11 @@ def _read_positions(
         (text for text in problems if path and path.strip(".").split("[")[0].split(".")[0] in text),
         "",
     )
-    wanted = "it must lead to x and y, to a point, a box, four corners or an array"
+    wanted = (
+        "it must lead to x and y, to a point, a box, four corners or an array"
+        if source.frame is None
+        else "it must lead to x, y and z"
+    )
     raise ConfigError(f"{log.path}: {reason}: {why or wanted}")
 
 
@@ -134,8 +143,8 @@ def _are_numbers(values: tuple[Array | tuple[str, ...], ...]) -> bool:
 def _positions_of_messages(
     found: TopicColumns, ends: tuple[str, ...], stamp: str | None
 ) -> tuple[Array, Array | None, Array, dict[str, int]]:
-    """Rows (n,), stamps (n,) or None, positions (n,2 or
-    4), NaN where a message has none; and rejection counts.
+    """Rows (n,), stamps (n,) or None, positions (n,2, 3
+    or 4), NaN where a message has none; and rejection counts.
     """
     rows = []
     stamps = []
@@ -174,17 +183,18 @@ def _positions_of_messages(
 
 
 def _single_position(matches: Array, ends: tuple[str, ...]) -> Array | None:
-    """The position (n,2 or 4) in messages with that many
+    """The position (n,2, 3 or 4) in messages with that many
     matches (n,K,E): NaN for none, None for several.
     """
     if matches.shape[1] > 1:
         return None
-    width = 4 if len(ends) == 4 else 2
+    width = len(ends) if len(ends) < 8 else 2
     if not matches.shape[1]:
         return np.full((len(matches), width), np.nan)
     place = matches[:, 0]
     place = place.reshape(len(place), 4, 2).mean(axis=1) if len(ends) == 8 else place
-    sound: Array = np.asarray(np.isfinite(place[:, :2]).all(axis=1))
+    known = place if width == 3 else place[:, :2]
+    sound: Array = np.asarray(np.isfinite(known).all(axis=1))
     return np.where(sound[:, None], place, np.nan)
 
 
@@ -194,7 +204,8 @@ def read_topic_tracks(
     """Every feature of [features] from a topic."""
     for name, source in settings.features.items():
         if isinstance(source, TopicSource):
+            (track,) = track_names(name, source)
             try:
-                yield name, read_topic_track(log, name, source, settings, start_ns, late_ns)
+                yield track, read_topic_track(log, name, source, settings, start_ns, late_ns)
             except FormatError as problem:
                 raise FormatError(f"{log.path}: [features] {name}: {problem}") from None

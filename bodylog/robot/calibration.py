@@ -32,7 +32,7 @@ def load_calibration(body: Path) -> "Calibration":
 
 
 def calibration_as_values(found: "Calibration") -> dict[str, Any]:
-    """As plain values, in m, rad and px: {"cameras", "markers",
+    """As plain values, in m, rad and px: {"cameras", "trackers", "markers",
     "zeros", "scales", "earlier"}; None: not identifiable.
 
     earlier: where cameras and markers were before they moved between logs.
@@ -43,6 +43,7 @@ def calibration_as_values(found: "Calibration") -> dict[str, Any]:
             camera_name_in_scores(one.name): _placement_as_values(one) | _lens_as_values(lens)
             for one, lens in cameras
         },
+        "trackers": {one.name: _placement_as_values(one) for one in found.trackers},
         "markers": {one.name: _placement_as_values(one) for one in found.markers},
         "zeros": offsets_as_values(found.zeros),
         "scales": offsets_as_values(found.scales),
@@ -102,7 +103,8 @@ def summarise_placements(model: "BodyModel") -> tuple[str, ...]:
             f"{next(placement_lines(camera))}, focal "
             f"{_values_with_std(lens.focal, lens.focal_std, 1)} px"
         )
-    return (*texts, *(next(placement_lines(one)) for one in found.markers))
+    rest = (*found.trackers, *found.markers)
+    return (*texts, *(next(placement_lines(one)) for one in rest))
 
 
 def calibration_lines(found: "Calibration") -> Iterator[str]:
@@ -111,7 +113,11 @@ def calibration_lines(found: "Calibration") -> Iterator[str]:
         yield from placement_lines(camera)
         yield f"  {lens_line(lens)}"
         if camera.identifiable:
-            yield f"  {transform_command(camera)}"
+            yield f"  {transform_command(camera, optical_frame(camera))}"
+    for tracker in found.trackers:
+        yield from placement_lines(tracker)
+        if tracker.identifiable:
+            yield f"  {transform_command(tracker, tracker.name)}"
     for marker in (*found.markers, *found.earlier):
         yield from placement_lines(marker)
     yield from zero_lines((*found.zeros, *found.scales))
@@ -172,13 +178,13 @@ def zero_lines(found: "Sequence[Offset]") -> Iterator[str]:
         yield f"{one.joint:<{width}}  {'scale ' if one.noun == 'scale' else ''}{shown}"
 
 
-def transform_command(camera: "Placement") -> str:
-    """The command that publishes a camera's pose to tf (ROS 2)."""
+def transform_command(camera: "Placement", frame: str) -> str:
+    """The command that publishes the pose of a camera's or tracker's frame to tf (ROS 2)."""
     values = _placement_as_values(camera)
     place = zip("xyz", values["xyz_m"], strict=True)
     turn = zip(("qx", "qy", "qz", "qw"), values["quaternion_xyzw"], strict=True)
     numbers = " ".join(f"--{name} {value:.6f}" for name, value in (*place, *turn))
-    frames = f"--frame-id {camera.link} --child-frame-id {optical_frame(camera)}"
+    frames = f"--frame-id {camera.link} --child-frame-id {frame}"
     return f"ros2 run tf2_ros static_transform_publisher {numbers} {frames}"
 
 
@@ -232,8 +238,11 @@ def _corrected_urdf(found: "Calibration", urdf: Path) -> str:
     from ..kinematics.corrected import CameraFrame, correct_urdf
 
     cameras = [
-        CameraFrame(one.link, optical_frame(one), one.pose)
-        for one in found.cameras
+        CameraFrame(one.link, frame, one.pose)
+        for one, frame in (
+            *((one, optical_frame(one)) for one in found.cameras),
+            *((one, one.name) for one in found.trackers),
+        )
         if one.identifiable
     ]
     zeros = {one.joint: one.value for one in found.zeros if one.identifiable}
@@ -242,7 +251,7 @@ def _corrected_urdf(found: "Calibration", urdf: Path) -> str:
 
 def without_cameras(found: "Calibration") -> "Calibration":
     """The joints alone."""
-    return replace(found, cameras=(), lenses=(), markers=())
+    return replace(found, cameras=(), lenses=(), markers=(), trackers=())
 
 
 def write_lenses(body: Path, found: "Calibration", folder: Path) -> tuple[Path, ...]:

@@ -128,4 +128,4 @@ def _predict_by_kinematics(sense: "KinematicGP", found: Estimate, name: str) -> 
     joints = found.joints
     x = np.column_stack([np.interp(predicted.t, joints.t, column) for column in joints.values.T])
     process: Array = sense.means(x)[0] - sense.kinematics(x)
-    return Series(predicted.t, predicted.values - process, ("u", "v"), "px", predicted.source_ns)
+    return replace(predicted, values=predicted.values - process, std=None)

@@ -279,7 +279,9 @@ def _build_camera_hints(
     from ..kinematics.links import CameraHint
     from .known_camera import with_known
 
-    names = {name.rpartition("/")[0] for found in features for name in found.tracks}
+    tracks = [(name, one.unit) for found in features for name, one in found.tracks.items()]
+    names = {name.rpartition("/")[0] for name, unit in tracks if unit == "px"}
+    trackers = {name.rpartition("/")[0] for name, unit in tracks if unit == "mm"}
     topics = {name: topic for found in features for name, topic in found.cameras.items()}
     if len(names) == 1 and all(found.poses for found in features):
         # a table's lens is that of its only camera, whether it has images or places in them
@@ -299,7 +301,20 @@ def _build_camera_hints(
         if hint.size is None:
             hint = replace(hint, size=size, extent=_image_extent(name, features))
         hints[name] = hint if name else with_known(hint, settings.camera, robot)
-    return hints
+    return hints | {name: _tracker_hint(name, robot, descriptions) for name in trackers}
+
+
+def _tracker_hint(frame: str, robot: "Robot", descriptions: "Sequence[Described]") -> "CameraHint":
+    """Where a frame of points in space is, if it is a link or fixed transforms lead to one."""
+    import numpy as np
+
+    from ..kinematics.links import CameraHint
+
+    for one in descriptions:
+        link, pose = _find_mounting_link(frame, robot, one.transforms)
+        if link is not None:
+            return CameraHint(link, np.eye(4) if pose is None else pose)
+    return CameraHint()
 
 
 def named_robot(log: Path, settings: Settings) -> "Robot":
@@ -366,7 +381,12 @@ def _image_extent(name: str, features: Sequence[Features]) -> tuple[int, int] | 
     """An image size (px) that contains all positions; None without any."""
     import numpy as np
 
-    seen = [s.values for f in features for n, s in f.tracks.items() if n.rpartition("/")[0] == name]
+    seen = [
+        track.values
+        for found in features
+        for other, track in found.tracks.items()
+        if other.rpartition("/")[0] == name and track.unit == "px"
+    ]
     values = np.concatenate(seen) if seen else np.empty((0, 2))
     with suppress(ValueError):
         width, height = np.nanmax(values, axis=0)

@@ -63,12 +63,13 @@ def posture_lines(found: "Proposal") -> Iterator[str]:
     slides), and the error in the image that it leaves.
     """
     yield (
-        f"now the calibration predicts images to ± {found.std_px[0]:.2f} px; record, in this order:"
+        f"now the calibration predicts {'images' if found.unit == 'px' else 'points'} to ± "
+        f"{found.std_px[0]:.2f} {found.unit}; record, in this order:"
     )
     for number, (posture, left) in enumerate(zip(found.postures, found.std_px[1:], strict=True), 1):
         joints = zip(found.joints, posture, found.sliding, strict=True)
         values = [f"{name} {_joint_value_text(value, slides)}" for name, value, slides in joints]
-        yield f"{number}: {', '.join(values)}; then ± {left:.2f} px"
+        yield f"{number}: {', '.join(values)}; then ± {left:.2f} {found.unit}"
 
 
 def _joint_value_text(value: float, slides: bool) -> str:
@@ -76,11 +77,11 @@ def _joint_value_text(value: float, slides: bool) -> str:
 
 
 def postures_as_values(found: "Proposal") -> dict[str, Any]:
-    """As plain values: postures in rad or m by joint, nats and px."""
+    """As plain values: postures in rad or m by joint, nats, and px or mm."""
     return {
         "postures": [
             dict(zip(found.joints, posture.tolist(), strict=True)) for posture in found.postures
         ],
         "nats": found.nats.tolist(),
-        "std_px": found.std_px.tolist(),
+        f"std_{found.unit}": found.std_px.tolist(),
     }

@@ -35,7 +35,7 @@ def known_at(theta: np.ndarray, times: float) -> Known:
 
 
 def adjusted(seed: int, known: Known) -> Adjusted:
-    return adjust(RIG, [sightings(seed)], TRUTH, NOISE**2, known)
+    return adjust(RIG, [sightings(seed)], TRUTH, np.full(2, NOISE**2), known)
 
 
 def plain_cost(one: Posed, theta: np.ndarray) -> np.ndarray:
@@ -73,7 +73,7 @@ def test_loss_curvature_is_the_scatter_over_drawn_truths():
         truth = TRUTH.copy()
         mean, std = RIG.prior
         truth[rest] = np.random.default_rng(seed).normal(mean, std)[rest]
-        found = adjust(RIG, [sightings(seed, truth=truth)], truth, NOISE**2, vague())
+        found = adjust(RIG, [sightings(seed, truth=truth)], truth, np.full(2, NOISE**2), vague())
         away = (found.theta - truth)[rest]
         ratios.append(away @ np.linalg.solve(found.curvature[np.ix_(rest, rest)], away) / len(away))
     assert 0.8 < np.mean(ratios) < 1.25

@@ -8,7 +8,7 @@ import pytest
 from bodylog.kinematics import identifiability, urdf
 from bodylog.kinematics.calibration import Sighted, calibrate_rig
 from bodylog.kinematics.links import CameraHint, MarkerTrack, find_links
-from bodylog.kinematics.rig import Carrier, Rig, RigCamera, Sight
+from bodylog.kinematics.rig import IMAGES, Carrier, Rig, RigCamera, Sight
 from bodylog.kinematics.rotations import make_transform, rotation_from_vector
 from bodylog.kinematics.starts import find_starts, hand_eye, planar_board_pose, resect_pose
 from tests.kinematics import robots
@@ -32,7 +32,7 @@ def test_forty_poses_predict_the_next_ones(known):
     there = found.rig.see(found.rig.sights[0], found.theta, q).image
     error = there - rig.see(rig.sights[0], theta, q).image
     assert np.sqrt(np.square(error).mean()) < 0.35
-    assert 0.2 < np.sqrt(found.noise) < 0.4
+    assert 0.2 < np.sqrt(found.noise[IMAGES]) < 0.4
 
 
 def test_offsets_have_true_error_bars():
@@ -95,7 +95,7 @@ def test_links_of_camera_and_marker_are_found_by_evidence(swapped):
     best = found.calibrated.rig
     links = best.cameras[0].link, best.carriers[0].link
     assert links == (("hand", "base") if swapped else ("base", "hand"))
-    assert found.margin is not None and found.margin > 20 and np.sqrt(found.calibrated.noise) < 0.5
+    assert found.margin is not None and found.margin > 20 and np.sqrt(found.calibrated.noise[IMAGES]) < 0.5
 
 
 def _eye_in_hand(q):
@@ -134,7 +134,7 @@ def test_calibrate_finds_a_hand_board_from_its_corners():
         carriers=(replace(rig.carriers[0], anchor=np.eye(4)),),
     )
     found = solve(blind, Sighted(q, image, np.zeros(image.shape)))
-    assert 0.15 < np.sqrt(found.noise) < 0.25
+    assert 0.15 < np.sqrt(found.noise[IMAGES]) < 0.25
     offsets = {one.joint: one for one in identifiability.joint_zeros(found.rig, found.theta, found.covariance)}
     assert not offsets["pan"].identifiable and not offsets["wrist"].identifiable
     for name, true in (("lift", 1.0), ("elbow", -1.5)):

@@ -89,8 +89,8 @@ def test_poses_skip_columns_that_are_not_joints(tmp_path):
     header = "id;frame_index;arm_x;arm_y;arm_z;base_qx;base_qy;base_qz;base_qw;left_U;tip_u;pan;void"
     path = _csv(tmp_path, header, "1;2;3;4;5;0;0;0;1;0.7;5;0.2;", "2;2;3;4;5;0;0;0;1;0.8;5;0.3;")
     found = assign_column_roles(read_table_file(path, "csv"), str(path))
-    assert list(found.joints) == ["left_U", "pan"] and not found.tracks
-    assert found.notes[-1].startswith("columns not used: id, frame_index, arm_x")
+    assert list(found.joints) == ["left_U", "pan"] and list(found.tracks) == ["tracker/arm"]
+    assert found.notes[-1].startswith("columns not used: id, frame_index, base_qx")
 
 
 def test_open_reports_and_converts_degrees(tmp_path):

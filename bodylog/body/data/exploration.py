@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...settings import FitSettings
-from ...types import Array, Features, Finding
+from ...types import TRACK_AXES, Array, Features, Finding
 from ..exploration_report import joint_influence
 from ..gp.cross_validation import held_out_residuals
 from ..gp.fit import FittedKernels, Samples, assemble_exact_gp, fit_kernels
@@ -82,7 +82,8 @@ def _joint_effects(part: Pairs, fit: FitSettings) -> Array:
     residual = float(
         np.sqrt(np.mean(held_out_residuals(data, kernels, np.arange(len(data.x)))[0] ** 2))
     )
-    return np.array(joint_influence(assemble_exact_gp(data, kernels, ("u", "v"), "px"))) / residual
+    gp = assemble_exact_gp(data, kernels, *TRACK_AXES[data.y.shape[1]])
+    return np.array(joint_influence(gp)) / residual
 
 
 def _lowers_held_out_error(

@@ -21,14 +21,14 @@ _SEED = 0
 _ABSURD = 1e12
 # share of a joint's range: a sighting with a more uncertain angle is dropped
 _VAGUE = 0.1
-# px: larger than any image
-_FAR_PX = 1e6
+# px or mm: larger than any image, and farther than any tracker measures
+_FAR = 1e6
 _COLUMNS = ("x", "variance", "y", "floor", "block", "log", "t")
 
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """x (n,M) rad, variance (n,M) · y (n,D) px, floor (n,D) variance · block (n,) of time.
+    """x (n,M) rad, variance (n,M) · y (n,D) px or mm, floor (n,D) variance · block (n,) of time.
 
     log (n,) · t (n,) s, ascending within a log · frames searched.
     """
@@ -142,11 +142,11 @@ def _drop_far_positions(found: Features, index: int) -> tuple[Features, list[Fin
     tracks = dict(found.tracks)
     findings = []
     for name, track in found.tracks.items():
-        far: Array = np.asarray((np.abs(track.values) > _FAR_PX).any(axis=1))
+        far: Array = np.asarray((np.abs(track.values) > _FAR).any(axis=1))
         if far.any():
             tracks[name] = replace(track, values=np.where(far[:, None], np.nan, track.values))
             what = f"{name}: {far.sum()} of {len(far)} places in log {index + 1} left out"
-            findings.append(Finding("warning", f"{what}: beyond {_FAR_PX:g} px"))
+            findings.append(Finding("warning", f"{what}: beyond {_FAR:g} {track.unit}"))
     return replace(found, tracks=tracks), findings
 
 

@@ -7,7 +7,7 @@ from math import tau
 
 import numpy as np
 
-from ...types import Array, Features, Finding
+from ...types import TRACK_AXES, Array, Features, Finding
 from ..senses.track import TrackSense
 from .pairs import Pairs, SmoothedJoint
 
@@ -29,7 +29,7 @@ held-out error is larger than what this moves it says nothing that an encoder do
 for processes of 22 to 43 poses of a real Panda, 4.2° for 25, 1.8° for 60 poses of a real NAO, below
 0.4° for arms that explored for 40 s."""
 STILL = 1e-6
-"""px: a track that moves less stands still."""
+"""px or mm: a track that moves less stands still."""
 
 
 def reason_untrainable(
@@ -41,8 +41,9 @@ def reason_untrainable(
         moved = f"{len(chosen)} joint{'s' * (len(chosen) != 1)} moved"
         return f"only {len(part.x)} sightings with joint readings, {least} are needed as {moved}"
     if (np.ptp(part.y, axis=0) < STILL).all():
-        u, v = part.y[0]
-        return f"stands still at ({u:.1f}, {v:.1f}) px in all {len(part.x)} sightings"
+        place = ", ".join(f"{value:.1f}" for value in part.y[0])
+        unit = TRACK_AXES[part.y.shape[1]][1]
+        return f"stands still at ({place}) {unit} in all {len(part.x)} sightings"
     return None
 
 
@@ -54,10 +55,11 @@ def reason_unexplained(found: TrackSense) -> str | None:
     own, constant = (
         float(np.median(np.linalg.norm(r, axis=1))) for r in (found.residual, found.constant)
     )
+    unit = found.gp.unit
     return (
-        f"joints predict its {len(found.residual)} sightings, held out, to {own:.2f} px "
+        f"joints predict its {len(found.residual)} sightings, held out, to {own:.2f} {unit} "
         "(median), a constant to "
-        f"{constant:.2f} px: it does not move with the joints"
+        f"{constant:.2f} {unit}: it does not move with the joints"
     )
 
 
@@ -76,7 +78,8 @@ def reason_vague(found: TrackSense, chosen: Sequence[SmoothedJoint]) -> str | No
         return None
     error = float(np.sqrt(np.mean(found.residual**2)))
     return (
-        f"joints predict its {len(found.residual)} sightings, held out, to {error:.1f} px, "
+        f"joints predict its {len(found.residual)} sightings, held out, to {error:.1f} "
+        f"{found.gp.unit}, "
         "so that one image shows no "
         f"joint's error below {np.degrees(shares[best]):.0f}° (zeros are usually off by less than "
         f"{np.degrees(HOMING_ERROR):.0f}°)"
@@ -111,7 +114,7 @@ def explained_motion_share(found: TrackSense) -> float:
 
 def log_ratio(own: Array, other: Array, block: Array) -> tuple[float, float]:
     """Mean over blocks of time of the log ratio of two
-    models' median errors (n,2) px, and its standard error.
+    models' median errors (n,D), and its standard error.
     """
     blocks = [np.flatnonzero(block == label) for label in np.unique(block)]
     logs = np.array([_log_error_ratio(own[rows], other[rows]) for rows in blocks])
@@ -121,7 +124,7 @@ def log_ratio(own: Array, other: Array, block: Array) -> tuple[float, float]:
 
 
 def _log_error_ratio(own: Array, constant: Array) -> float:
-    """ln of the median error (n,2) over the constant's."""
+    """ln of the median error (n,D) over the constant's."""
     sizes = [float(np.median(np.linalg.norm(r, axis=1))) for r in (own, constant)]
     return float(np.log(max(sizes[0], STILL) / max(sizes[1], STILL)))
 

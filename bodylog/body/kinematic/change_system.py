@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def drop_unexplained_sightings(problem: ChangeProblem) -> ChangeProblem:
         )
         freedom = max(len(white) - free, 0.2 * len(white))
         scale = (float(np.median(np.abs(white))) / 0.6745) ** 2 * len(white) / freedom
-        worst = [np.maximum(left[2 * k], left[2 * k + 1]) for k in range(len(problem.tracks))]
+        worst = [np.max(own, axis=0) for own in _by_track(problem, left)]
         sound = [size < _OUTLYING * max(1.0, scale) ** 0.5 for size in worst]
         kept = tuple(rows[good] for rows, good in zip(problem.kept, sound, strict=True))
         whole = all(good.all() for good in sound)
@@ -157,8 +158,19 @@ def outlier_share(problem: ChangeProblem, parts: Sequence[ChangePart]) -> float:
     off = [
         np.abs(rest - columns @ at) > _OFF_SIGMA * std for rest, columns, std, _, _ in about.rows
     ]
-    either = [off[k] | off[k + 1] for k in range(0, len(off), 2)]
+    either = [np.any(own, axis=0) for own in _by_track(problem, off)]
     return float(np.concatenate(either).mean())
+
+
+def _by_track(problem: ChangeProblem, rows: Sequence[Array]) -> list[Sequence[Array]]:
+    """The rows (n,) of all outputs, by track."""
+    ends = _output_ends(problem)
+    return [rows[begin:end] for begin, end in pairwise(ends)]
+
+
+def _output_ends(problem: ChangeProblem) -> list[int]:
+    """Where each track's outputs begin among those of all tracks, and where the last ones end."""
+    return [0, *accumulate(len(track.model.outputs) for track in problem.tracks)]
 
 
 def linear_evidence(about: System, problem: ChangeProblem, parts: Sequence[ChangePart]) -> float:
@@ -183,7 +195,8 @@ def solve_system(about: System, rows: Array) -> tuple[Array, Array, float]:
 def linearise_sightings(problem: ChangeProblem, unknowns: Array) -> System:
     """Linearise all sightings about some unknowns u (P,)."""
     directions = problem.tracks[0].model.root.shape[1]
-    drifts = 2 * len(problem.tracks)
+    ends = _output_ends(problem)
+    drifts = ends[-1]
     before = directions + drifts
     size = before + len(unknowns)
     information = np.zeros((size, size))
@@ -193,10 +206,10 @@ def linearise_sightings(problem: ChangeProblem, unknowns: Array) -> System:
     for number, (track, kept) in enumerate(zip(problem.tracks, problem.kept, strict=True)):
         left, by_unknowns, unknown, slope, x = _linearise_track(problem, track, unknowns, kept)
         like = GP.covariance(track.model, x)[0]
-        for d in range(2):
+        for d in range(ends[number + 1] - ends[number]):
             columns = np.zeros((len(kept), size))
             columns[:, :directions] = unknown[:, d]
-            columns[:, directions + 2 * number + d] = np.sqrt(track.model.drift[d])
+            columns[:, directions + ends[number] + d] = np.sqrt(track.model.drift[d])
             columns[:, before:] = by_unknowns[:, d] * problem.std
             cov = problem.scale * _output_covariance(track, kept, slope[:, d], d, like)
             try:
@@ -249,8 +262,8 @@ def _output_covariance(
 def _linearise_track(
     problem: ChangeProblem, track: ChangeTrack, unknowns: Array, kept: Array
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """About u (P,): residuals (n,2) px, derivatives by u
-    (n,2,P) and z (n,2,p), slopes (n,2,M), and angles x (n,M).
+    """About u (P,): residuals (n,D), derivatives by u
+    (n,D,P) and z (n,D,p), slopes (n,D,M), and angles x (n,M).
     """
     model = track.model
     part = track.part
@@ -270,7 +283,7 @@ def _linearise_track(
     value, slope = moved.means(x)
     design = moved.design(x)
     unknown = moved.unknowns(x)
-    by = np.zeros((len(kept), 2, len(unknowns)))
+    by = np.zeros((*value.shape, len(unknowns)))
     for one in problem.parts:
         if one.kind == "joint":
             active = (t >= one.onset)[:, None]

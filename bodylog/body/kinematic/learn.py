@@ -205,13 +205,16 @@ def find_unexplained_tracks(
     for (name, one), sight, weight in zip(
         parts.items(), calibrated.rig.sights, calibrated.weights, strict=True
     ):
-        left = calibrated.noise**0.5
+        camera = calibrated.rig.cameras[sight.camera]
+        unit = "mm" if camera.tracks_space else "px"
+        left = float(calibrated.noise[int(camera.tracks_space)]) ** 0.5
         spread = one.sighted.spread
         if left > UNFIT * spread or weight[one.seen].mean() < 0.5:
             ends = f"from {sight.chain.start} to {sight.chain.end}"
             yield (
                 name,
-                f"{ends} its residual for {name} is {left:.1f} px, the motion {spread:.0f} px",
+                f"{ends} its residual for {name} is {left:.1f} {unit}, the motion "
+                f"{spread:.0f} {unit}",
             )
 
 

@@ -210,7 +210,10 @@ def _calibrate_with_moves(
     whole = with_moves(rig, moves, logs)
     apart, data, rows = _split_by_placement(whole, seen)
     open_hypotheses = [(apart, [_transfer_unknowns(apart, near)])]
-    if near.noise**0.5 > _FAR_OFF * max(one.sighted.spread for one in seen):
+    if any(
+        near.noise[kind] ** 0.5 > _FAR_OFF * max(seen[k].sighted.spread for k in rows)
+        for kind, _, rows in rig.split_by_kind()
+    ):
         open_hypotheses.append(find_starts(apart, data))
     found = []
     for anchored, first in open_hypotheses:

@@ -19,7 +19,6 @@ CANDIDATES = 2000
 """Random postures that are weighed."""
 _MOST_VISIBLE = 300
 """Visible ones that are weighed; the cost is quadratic in them."""
-_AXES = (0, 1)
 _NEAREST = 0.5
 _FARTHEST = 2.0
 """Depths of postures, over the least and the greatest depth of the sightings learned from."""
@@ -36,7 +35,8 @@ class Proposal:
     of their worth · nats (N,) each adds to the ones before.
 
     std_px (N+1,): root mean square std of where visible postures will be seen, by what the
-    calibration does not know: now, and after each posture.
+    calibration does not know: now, and after each posture; px in images, and mm in space
+    where there are no images.
     """
 
     joints: tuple[str, ...]
@@ -44,6 +44,7 @@ class Proposal:
     postures: Array
     nats: Array
     std_px: Array
+    unit: str = "px"
 
 
 def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal:
@@ -67,7 +68,11 @@ def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal
     ]
     there = np.array(shown)[:, seen]
     covariance, noise = _predict_all_tracks(body, senses, candidates[seen], there)
-    known = np.repeat(there.T, len(_AXES), axis=1).reshape(-1)
+    units = [sense.unit for sense in senses.values()]
+    unit = "px" if "px" in units else units[0]
+    counts = there & (np.array(units) == unit)[:, None]
+    sizes = [len(sense.outputs) for sense in senses.values()]
+    known = np.repeat(counts.T, sizes, axis=1).reshape(-1)
     nats = list[float]()
     left = [_rms_std_of_visible(covariance, known)]
     chosen = list[int]()
@@ -81,16 +86,18 @@ def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal
         left.append(_rms_std_of_visible(covariance, known))
     rig = next(iter(senses.values())).rig
     sliding = tuple(rig.slides(m) for m in range(len(body.joints)))
-    return Proposal(body.joints, sliding, candidates[seen[chosen]], np.array(nats), np.array(left))
+    return Proposal(
+        body.joints, sliding, candidates[seen[chosen]], np.array(nats), np.array(left), unit
+    )
 
 
 def _predict_all_tracks(
     body: BodyModel, senses: Mapping[str, KinematicGP], x: Array, there: Array
 ) -> tuple[Array, Array]:
-    """Covariance (KR,KR) px² of the predictions of all tracks
-    at x (K,M) by the calibration, posture by posture, and noise (K,R) px².
+    """Covariance (KR,KR) of the predictions of all tracks
+    at x (K,M) by the calibration, posture by posture, and noise (K,R).
 
-    R: u and v of each track, without covariance where it is not there (S,K). The residual process
+    R: u and v, or x, y and z, of each track, without covariance where it is not there (S,K). The residual process
     counts as noise: six sightings teach it little beyond their own surroundings.
     """
     each = zip(senses.values(), there, strict=True)
@@ -102,8 +109,9 @@ def _predict_all_tracks(
     flat = rows.reshape(count * width, -1)
     covariance = flat @ flat.T
     noise = np.empty((count, width))
-    for k, (name, sense) in enumerate(senses.items()):
-        columns = slice(len(_AXES) * k, len(_AXES) * (k + 1))
+    end = 0
+    for name, sense in senses.items():
+        columns = slice(end, end := end + len(sense.outputs))
         noise[:, columns] = GP.predict(sense, x)[2] + np.array(body.noise.senses[name])
     return covariance, noise
 
@@ -126,7 +134,7 @@ def _posture_rows(posture: int, width: int) -> Array:
 
 
 def _rms_std_of_visible(covariance: Array, known: Array) -> float:
-    """Root mean square std, px, of the predictions that are of visible tracks."""
+    """Root mean square std of the predictions that are of visible tracks."""
     return float(np.sqrt(max(float(np.diag(covariance)[known].mean()), 0.0)))
 
 
@@ -153,8 +161,11 @@ def is_surely_visible(body: BodyModel, sense: KinematicGP, postures: Array) -> A
 
     Its predicted place is a share _EDGE of the width from
     the edges, which is two standard deviations at least.
+    What hides a point from a tracker is not known: it counts as visible.
     """
     camera = sense.rig.cameras[0]
+    if camera.tracks_space:
+        return np.ones(len(postures), bool)
     width, height = body.provenance.get(IMAGE_SIZES, {}).get(camera.name, 2.0 * camera.lens[2:4])
     image, _, variance = sense.predict(postures)
     edge = _EDGE * width

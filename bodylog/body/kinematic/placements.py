@@ -98,7 +98,7 @@ class Calibration:
     """All unknowns of a body learned with a URDF; the findings say what is not identifiable.
 
     image_sizes: (width, height) px by camera, where they are known · earlier: where cameras and
-    markers were before they moved between logs.
+    markers were before they moved between logs · trackers: the frames of points in space.
 
     Poses hold together with the zeros as given, those that are not identifiable at 0.
     """
@@ -111,6 +111,7 @@ class Calibration:
     findings: tuple[Finding, ...]
     image_sizes: Mapping[str, tuple[int, int]]
     earlier: tuple[Placement, ...] = ()
+    trackers: tuple[Placement, ...] = ()
 
 
 CALIBRATION = "a calibration"
@@ -129,19 +130,21 @@ def calibration_of_body(model: BodyModel) -> Calibration:
         todo = "learn it again; type: bodylog fit LOG --urdf ROBOT.urdf"
         raise ModelError(f"learned by an earlier version, which kept no calibration: {todo}")
     zeros, scales = (tuple(_offset_from(one) for one in kept[part]) for part in ("zeros", "scales"))
-    cameras, markers, earlier = (
-        tuple(placement_from(one) for one in kept[part])
-        for part in ("cameras", "markers", "earlier")
+    cameras, markers, earlier, trackers = (
+        tuple(placement_from(one) for one in kept.get(part, ()))
+        for part in ("cameras", "markers", "earlier", "trackers")
     )
     lenses = tuple(_lens_from(one) for one in kept["lenses"])
     findings = [
         *map(_without_row_time, cameras),
-        *_unidentified_findings(cameras, markers, (*zeros, *scales)),
+        *_unidentified_findings((*cameras, *trackers), markers, (*zeros, *scales)),
     ]
     if not zeros:
         findings.append(_without_zeros(model.joints))
     sizes = {f"camera {name}".strip(): size for name, size in image_sizes(model).items()}
-    return Calibration(cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier)
+    return Calibration(
+        cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier, trackers
+    )
 
 
 def image_sizes(model: BodyModel) -> dict[str, tuple[int, int]]:
@@ -173,14 +176,18 @@ def calibration_of(found: Adjusted) -> Calibration:
     cameras = dict[str, Placement]()
     lenses = dict[str, Lens]()
     markers = dict[str, Placement]()
+    trackers = dict[str, Placement]()
     for k in range(len(given.rig.sights)):
         rig, used = given.rig.alone(k)
         camera = rig.cameras[0].name
         marker = rig.carriers[0].name
         theta = given.theta[used]
         covariance = given.covariance[np.ix_(used, used)]
-        cameras.setdefault(camera, _camera_placement(rig, theta, covariance))
-        lenses.setdefault(camera, _lens_with_std(rig, theta, covariance))
+        if rig.cameras[0].tracks_space:
+            trackers.setdefault(camera, _camera_placement(rig, theta, covariance))
+        else:
+            cameras.setdefault(camera, _camera_placement(rig, theta, covariance))
+            lenses.setdefault(camera, _lens_with_std(rig, theta, covariance))
         markers.setdefault(marker, _marker_placement(rig, theta, covariance))
     estimated = [one for one in known if one.beforehand > identifiability.GIVEN]
     return Calibration(
@@ -192,6 +199,7 @@ def calibration_of(found: Adjusted) -> Calibration:
         (),
         {},
         tuple(_earlier_placements(given)),
+        tuple(trackers.values()),
     )
 
 
@@ -206,6 +214,7 @@ def kept_calibration(found: Calibration) -> dict[str, Any]:
         "zeros": [asdict(one) | {"confused": list(one.confused)} for one in found.zeros],
         "scales": [asdict(one) | {"confused": list(one.confused)} for one in found.scales],
         "earlier": [one.plain for one in found.earlier],
+        "trackers": [one.plain for one in found.trackers],
     }
 
 
@@ -322,7 +331,9 @@ def _given_zeros(
 
 
 def _camera_placement(rig: Rig, theta: Array, covariance: Array) -> Placement:
-    """The camera's optical frame in its link: x to the right of the image, y down, z forward."""
+    """The camera's optical frame in its link: x to the right of
+    the image, y down, z forward; or a tracker's own frame.
+    """
     part = rig.of_camera(0)
     return _placement_on_link(
         rig, theta, covariance, slice(part.start, part.start + _POSE), camera=True

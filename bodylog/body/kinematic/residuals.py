@@ -10,7 +10,7 @@ import numpy as np
 from ...kinematics.adjustment import Adjusted
 from ...kinematics.identifiability import GIVEN
 from ...kinematics.rig import Rig, RigPrediction
-from ...types import Array
+from ...types import TRACK_AXES, Array
 from ..data.pairs import Pairs, SmoothedJoint, correlate_angle_errors
 from ..gp.fit import Coupling, Samples, propagate_input_noise
 from ..gp.inducing import build_basis, choose_inducing_points
@@ -287,8 +287,7 @@ def _residual_process_at_point(
         spread = seen.floor
         beyond = max(part.own - float(seen.floor.mean()), 0.0)
     return GP(
-        ("u", "v"),
-        "px",
+        *TRACK_AXES[targets.shape[1]],
         centres=centres[:, :joints],
         scales=part.kernel.scales[None, :joints],
         amplitude=np.array([part.kernel.amplitude]),

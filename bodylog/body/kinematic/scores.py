@@ -84,10 +84,10 @@ def kinematic_scores(
         [one.y - models[track].kinematics(one.x) for track, one in part.tracks.items()]
     )
     any_ = next(iter(models.values()))
-    yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(residual**2))), "px")
+    yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(residual**2))), any_.unit)
     yield Score(f"nis/held_out/{name}", float(np.mean(residual**2 / variance)), "1")
-    yield Score(f"rmse/kinematics/{name}", float(np.sqrt(np.mean(left**2))), "px")
-    yield Score(f"std/lasting/{name}", float(np.sqrt(part.drift)), "px")
+    yield Score(f"rmse/kinematics/{name}", float(np.sqrt(np.mean(left**2))), any_.unit)
+    yield Score(f"std/lasting/{name}", float(np.sqrt(part.drift)), any_.unit)
     used = len(np.unique(part.view.picture))
     yield Score(f"used_share/{name}", used / max(part.pairs.frames, 1), "1")
     for output, value in zip(any_.outputs, any_.noise, strict=True):
@@ -114,10 +114,11 @@ def kinematic_findings(
     rig = links.calibrated.rig
     sure = "" if links.margin is None else f" ({links.margin:.0f} nats likelier than other links)"
     for sight in rig.sights:
-        camera = rig.cameras[sight.camera].link
+        camera = rig.cameras[sight.camera]
         marker = rig.carriers[sight.carrier].link
+        word = "tracker" if camera.tracks_space else "camera"
         yield Finding(
-            "info", f"{sight.name.strip('/')}: camera on {camera}, marker on {marker}{sure}"
+            "info", f"{sight.name.strip('/')}: {word} on {camera.link}, marker on {marker}{sure}"
         )
     for name in links.lacking:
         text = f"{name}: between camera and marker, but without readings; assumed at zero"

@@ -1,5 +1,5 @@
-"""Sightings of one rigid thing by one camera, by
-image: a point, or the points of a board together.
+"""Sightings of one rigid thing by one camera, by image: a point,
+or the points of a board together; or of a point by a tracker.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +29,8 @@ _POINT = np.zeros((1, 3))
 @dataclass(frozen=True, eq=False)
 class ThingSightings:
     """N images: angles and times, `whole`, with y the
-    points' mean, px · image (N,C,2) px, floor (N,C,2) px².
+    points' mean, px · image (N,C,2) px, floor (N,C,2) px²;
+    of a point in space (N,1,3), mm and mm².
 
     NaN where a point was not seen · points (C,3) m on
     the thing · tracks: the points' tracks, in order.

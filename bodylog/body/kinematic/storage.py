@@ -1,6 +1,6 @@
 """A KinematicGP as plain arrays and names, and back; inconsistent fields are refused by name."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -61,15 +61,16 @@ def kinematic_arrays(model: KinematicGP) -> dict[str, Array]:
         }
     )
     rested = {} if model.resting is None else {_RESTED: model.resting}
+    lens = {} if rig.cameras[0].tracks_space else {"lens": rig.cameras[0].lens}
     return (
         carried
         | rested
+        | lens
         | {
             "chain": chain.fixed,
             "steps": _chain_step_array(chain),
             "camera": rig.cameras[0].anchor,
             "marker": rig.carriers[0].anchor,
-            "lens": rig.cameras[0].lens,
             "doubt": rig.prior[1],
             "theta": model.theta,
             "root": model.root,
@@ -111,10 +112,13 @@ def _chain_step_array(chain: Chain) -> Array:
     return np.column_stack([chain.column, chain.scale, chain.zero, chain.slides])
 
 
-def kinematic_shapes(header: Mapping[str, Any]) -> dict[str, str]:
-    """The arrays of a model with these names, and their shapes."""
+def kinematic_shapes(header: Mapping[str, Any], outputs: Sequence[str]) -> dict[str, str]:
+    """The arrays of a model with these names and outputs,
+    and their shapes; a tracker of points in space has no lens.
+    """
     rested = RESTING if _RESTED in header else {}
-    return SHAPES | (BASE if _BASE_NAMES[0] in header else {}) | rested
+    shapes = SHAPES | (BASE if _BASE_NAMES[0] in header else {}) | rested
+    return {field: shape for field, shape in shapes.items() if field != "lens" or len(outputs) == 2}
 
 
 def build_kinematic_gp(
@@ -129,32 +133,34 @@ def build_kinematic_gp(
     own = 2 * count if _SCALED in header else count
     for field in ("chain", "camera", "marker", *(RESTING if _RESTED in header else ())):
         insist_rigid(found[field], field)
+    lens = found.get("lens", np.zeros(0))
     for field, most in (
         ("theta", _LARGEST),
         ("printed", _LARGEST),
         ("lens", _LARGEST),
         ("points", _FARTHEST),
     ):
+        if field not in found:
+            continue
         insist_sound(
             (np.abs(found[field]) <= most).all(),
             field,
             float(np.abs(found[field]).max()),
             f"at most {most:g}",
         )
-    turns = len(doubt) == 18 + own
+    pose = 6 + len(lens)
+    least = pose + 3 + own
+    turns = len(doubt) == least + 3
     insist_sound(
-        turns or len(doubt) == 15 + own, "doubt", len(doubt), f"{15 + own} or {18 + own} numbers"
+        turns or len(doubt) == least, "doubt", len(doubt), f"{least} or {least + 3} numbers"
     )
     insist_sound((doubt > 0).all(), "doubt", float(doubt.min()), "positive numbers")
     chain = _build_chain(header["start"], header["end"], joints, found["chain"], steps, "steps")
-    end = 18 if turns else 15
+    end = pose + (6 if turns else 3)
+    seer = RigCamera(header["camera"], header["camera_link"], found["camera"], lens, doubt[:pose])
     rig = Rig(
-        (
-            RigCamera(
-                header["camera"], header["camera_link"], found["camera"], found["lens"], doubt[:12]
-            ),
-        ),
-        (Carrier(header["marker"], header["marker_link"], found["marker"], doubt[12:end]),),
+        (seer,),
+        (Carrier(header["marker"], header["marker_link"], found["marker"], doubt[pose:end]),),
         (Sight(header["sight"], 0, 0, chain, found["points"]),),
         joints,
         doubt[end : end + count],

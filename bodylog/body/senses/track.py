@@ -7,7 +7,7 @@ import numpy as np
 
 from ...body_model import Noise
 from ...settings import FitSettings
-from ...types import Array, Finding, Score
+from ...types import TRACK_AXES, Array, Finding, Score
 from ..data.pairs import Pairs, SmoothedJoint, correlate_angle_errors
 from ..data.subsampling import choose_farthest_rows, choose_spaced_rows
 from ..gp.cross_validation import held_out_residuals, leave_one_out_deviations
@@ -16,17 +16,16 @@ from ..gp.marginal_likelihood import ROTATION
 from ..gp.model import GP, drop_negligible_rows
 from ..paper_preset import SAMPLES, paper_kernels
 
-_OUTPUTS = ("u", "v")
 _FALSE = 8.0
 _ROUNDS = 3
 
 
 @dataclass(frozen=True, eq=False)
 class TrackSense:
-    """The model of one track · floor (k,2) px² of new samples
-    · residual (n,2) px held out, expected variance (n,2).
+    """The model of one track · floor (k,D) of new samples, px² or
+    mm² · residual (n,D) held out, expected variance (n,D).
 
-    constant (n,2) px: held-out residual of the median as
+    constant (n,D): held-out residual of the median as
     predictor, over the same blocks · used: its n sightings.
     """
 
@@ -70,7 +69,8 @@ def scores_of_track(
     name: str, found: TrackSense, joints: Sequence[str], noise: Noise
 ) -> Iterator[Score]:
     """Yield held-out error, share of frames used, noise and length scales of one track."""
-    yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(found.residual**2))), "px")
+    error = float(np.sqrt(np.mean(found.residual**2)))
+    yield Score(f"rmse/held_out/{name}", error, found.gp.unit)
     yield Score(f"nis/held_out/{name}", float(np.mean(found.residual**2 / found.variance)), "1")
     yield Score(f"used_share/{name}", len(found.gp.samples) / max(found.whole.frames, 1), "1")
     for output, value in zip(found.gp.outputs, noise.senses[name], strict=True):
@@ -101,13 +101,13 @@ def _sense_with_kernels(
     # samples of a body to update have negative blocks,
     # and their floor includes more than pixel noise
     floor = data.floor[block >= 0] if (block >= 0).any() else data.floor
-    gp = drop_negligible_rows(build_gp(data, found, _OUTPUTS, "px"))
+    gp = drop_negligible_rows(build_gp(data, found, *TRACK_AXES[data.y.shape[1]]))
     constant = _residuals_from_constant(data.y, block)
     return TrackSense(gp, floor, residual, variance, constant, used, whole, rejected, rule)
 
 
 def _residuals_from_constant(y: Array, block: Array) -> Array:
-    """Residuals (n,2) of positions y (n,2) from the median of all other blocks."""
+    """Residuals (n,D) of positions y (n,D) from the median of all other blocks."""
     residual = np.empty(y.shape)
     for label in np.unique(block):
         rows = block == label

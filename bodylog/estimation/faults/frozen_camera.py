@@ -52,8 +52,9 @@ def _remove_false_repeats(sighting: Sighting, encoders: Encoders) -> tuple[Array
             values[own[1:]] = np.nan
             since = float(sighting.t[own[1]])
             until = float(sighting.t[shown[end]]) if end < len(shown) else None
+            unit = getattr(sighting.model, "unit", "px")
             found.append(
-                Fault("vision", sighting.name, FaultKind.FROZEN, since, moved, "px", until=until)
+                Fault("vision", sighting.name, FaultKind.FROZEN, since, moved, unit, until=until)
             )
     return values, found
 
@@ -61,7 +62,7 @@ def _remove_false_repeats(sighting: Sighting, encoders: Encoders) -> tuple[Array
 def _predict_largest_motion(
     sighting: Sighting, encoders: Encoders, begin: float, end: float
 ) -> float:
-    """Largest motion (px) that the encoders predict from
+    """Largest motion (px or mm) that the encoders predict from
     the first part of a stretch on; 0 if not significant.
     """
     inside = (encoders.t >= begin) & (encoders.t <= end)

@@ -31,8 +31,8 @@ MAX_FRAME_GAP_S itself, 198 of 200 of slow sines at 12 Hz."""
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """Positions (N,2) px at t (N,) s with a median step
-    (s), and the predictions of B means of encoder readings.
+    """Positions (N,2) px, or points (N,3) mm, at t (N,) s with a median
+    step (s), and the predictions of B means of encoder readings.
 
     images: how many are averaged to a position · noise (2,) px²: stated variance of one · blur (2,)
     px²: variance of its own noise · at (B,) s · angles x (B,M) · predicted positions (B,2) · jac
@@ -66,7 +66,7 @@ class Curve:
         """Slopes (B,2,KM) of whitened predictions in encoder offsets at the knots."""
         return np.asarray(
             np.einsum("bde,bem,bk->bdmk", self.root, self.jac, self.bends).reshape(
-                len(self.at), 2, -1
+                len(self.at), self.predicted.shape[1], -1
             )
         )
 
@@ -186,7 +186,7 @@ def _clean_track(seen: Sighting) -> tuple[Array, Array, Array]:
     t = seen.t[shown]
     places = seen.values[shown]
     if len(t) < MIN_READINGS:
-        return t, places, np.ones(2)
+        return t, places, np.ones(places.shape[1])
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     off = np.abs(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:]).max(axis=1)
     # at either end nothing tells a false frame from a false neighbour

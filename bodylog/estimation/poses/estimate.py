@@ -7,7 +7,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...errors import EvidenceError, ModelError, UsageError
 from ...settings import EstimationSettings
-from ...types import Array, Capabilities, Estimate, Features, Finding, Series
+from ...types import TRACK_AXES, Array, Capabilities, Estimate, Features, Finding, Series
 from ..faults.screening import screen_measurements
 from ..measurements.long_arrays import find_finite_rows as seen_rows
 from ..measurements.records import Evidence
@@ -74,7 +74,8 @@ def _build_pose_estimate(
         seen = seen_rows(left)
         errors[one.name] = Series(t[seen], (left / std)[seen], outputs, "std", source[seen])
         mean = np.where(seen[:, None], poses.y[:, rows] - left, poses.predict(at.x)[0][:, rows])
-        predicted[one.name], covs[one.name] = Series(t, mean, outputs, "px", source, std), cov
+        unit = TRACK_AXES[len(outputs)][1]
+        predicted[one.name], covs[one.name] = Series(t, mean, outputs, unit, source, std), cov
     if np.isfinite(poses.y[:, : len(names)]).any():
         each = [_leave_out_rows(poses, at, slice(j, j + 1)) for j in range(len(names))]
         encoders = np.column_stack([left / np.sqrt(cov[:, 0]) for left, cov in each])

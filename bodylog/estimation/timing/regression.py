@@ -13,6 +13,7 @@ from math import isqrt
 
 import numpy as np
 
+from ...linear_algebra import CHI_SQUARE_MEDIANS
 from ...types import Array
 from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS
@@ -114,7 +115,8 @@ def _fit_delay_step(rows: RegressionRows) -> tuple[float, Array, float]:
     for _ in range(MAX_SWEEPS):
         beta = np.linalg.solve(*_normal_sums(rows, weight))
         squares = np.square(rows.misfit - rows.slopes @ beta).sum(axis=1)
-        spread = float(np.median(squares)) / (2.0 * np.log(2.0)) + np.finfo(float).tiny
+        usual = CHI_SQUARE_MEDIANS[rows.misfit.shape[1]]
+        spread = float(np.median(squares)) / usual + np.finfo(float).tiny
         before = weight
         weight = 1.0 / (1.0 + squares / (HALF_WEIGHT_SQUARE * spread))
         if np.abs(weight - before).max() < ROUGHLY_CONVERGED_MOVE:
@@ -123,7 +125,7 @@ def _fit_delay_step(rows: RegressionRows) -> tuple[float, Array, float]:
 
 
 def _pull_variance(rows: RegressionRows, pull: Array) -> float:
-    """Variance of the sum of misfits (R,2) times `pull` (R,2), for a residual variance of 1.
+    """Variance of the sum of misfits (R,2) times `pull` (R,D), for a residual variance of 1.
 
     Neighbouring misfits are interpolated from the same images, so their noise is correlated, and
     less than an image's. Residuals are less than misfits by the unknowns fitted.
@@ -136,13 +138,14 @@ def _pull_variance(rows: RegressionRows, pull: Array) -> float:
     )
     beside = np.square(pull).sum() - np.square(by_image.sum(axis=1)).sum()
     total = beside + sum(np.square(column).sum() for column in each)
+    size = rows.misfit.shape[1]
     residual = (
-        2.0
+        size
         - np.square(rows.image.sum(axis=1)).sum(axis=(1, 2))
         + np.square(rows.image).sum(axis=(1, 2, 3))
     )
     free = 1.0 - rows.slopes.shape[-1] / rows.misfit.size
-    return float(total * 2.0 / (residual.mean() * free))
+    return float(total * size / (residual.mean() * free))
 
 
 def _normal_sums(rows: RegressionRows, weight: Array) -> tuple[Array, Array]:

@@ -1,16 +1,17 @@
-"""The role of each column of a pose table, by its name:
-joint, image position, image file, time, or unused.
+"""The role of each column of a pose table, by its name: joint,
+image position, point in space, image file, time, or unused.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...errors import LogError
 from ..records import Array
-from .frame_columns import frame_poses
+from ..topic_names import TRACKER
+from .frame_columns import PLACE, frame_poses
 from .table_file import FileTable
 
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
@@ -24,7 +25,12 @@ _LABEL = re.compile(
     re.IGNORECASE,
 )
 _PLACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[uv])")
-_STD = re.compile(r"(?P<name>.+)[_.](?:std[_.](?P<axis>[uv])|(?P<before>[uv])[_.]std|std)")
+_STD = re.compile(
+    r"(?P<name>.+)[_.](?:(?:std|sigma)[_.](?P<axis>[uvxyz])|(?P<before>[uvxyz])[_.](?:std|sigma)"
+    r"|(?:std|sigma))"
+)
+_SPAN_M = 20.0
+"""No arm moves a point as far, m; in mm, an arm moves it farther."""
 LENS = ("fx", "fy", "cx", "cy")
 """Columns with the camera's focal lengths and centre, px."""
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
@@ -34,8 +40,8 @@ _SPACE = re.compile(r"(?P<name>.+)[_.](?P<axis>[xyz]|q[xyzw])", re.IGNORECASE)
 
 @dataclass(frozen=True, eq=False)
 class PoseColumns:
-    """joints (names) · tracks {name: positions (N,2) px} ·
-    std {name: (N,2) px} · images {column: files} · t (N,) s.
+    """joints (names) · tracks {name: positions (N,2) px, or points (N,3)
+    m} · std {name: the same} · images {column: files} · t (N,) s.
 
     `time`: the column of times, None if rows are numbered · notes on the roles of the columns.
     lens {LENS and others: number}: of the camera; empty without its columns.
@@ -57,10 +63,17 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     notes = list[str]()
     images = {name: files for name, files in table.texts.items() if _name_image_files(files)}
     time, t = _take_time_column(left, table.rows, notes)
-    tracks, std = _take_track_columns(left)
+    frames = frame_poses(left, path)
+    points, halves = _take_point_columns(left, {one.name for one in frames})
+    tracks, std = _take_track_columns(left, points)
+    scales = {name: metres_per_unit(places) for name, places in points.items()}
+    for name, scale in scales.items():
+        tracks[name] = tracks[name] * scale
+        std |= {name: std[name] * scale} if name in std else {}
+    notes += [millimetres_note(name, points[name]) for name in points if scales[name] != 1.0]
+    notes += halves
     lens = _take_lens_columns(left, path)
     labels = [name for name in left if is_label_column(name)]
-    frames = frame_poses(left, path)
     spaces = list(
         dict.fromkeys(
             [*_find_space_columns(left), *(column for one in frames for column in one.columns)]
@@ -84,8 +97,8 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     if not joints and not tracks and not images:
         have = ", ".join(table.names[:12])
         raise LogError(
-            f"{path}: no column is a joint, NAME_u and NAME_v, or image files; the columns "
-            f"are {have}"
+            f"{path}: no column is a joint, NAME_u and NAME_v, NAME_x, NAME_y and NAME_z, or "
+            f"image files; the columns are {have}"
         )
     notes += _describe_used_columns(joints, tracks, images, time)
     notes += [f"the camera's lens: {', '.join(lens)}"] if lens else []
@@ -146,9 +159,45 @@ def _time_column_scale(name: str) -> float:
     return _UNITS.get(unit, 1.0)
 
 
-def _take_track_columns(left: dict[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-    """Positions (N,2) px of NAME_u and NAME_v, and
-    their standard deviations, removed from `left`.
+def _take_point_columns(
+    left: dict[str, Array], frames: Collection[str]
+) -> tuple[dict[str, Array], list[str]]:
+    """Points (N,3) of NAME_x, NAME_y and NAME_z, removed from `left`, by track,
+    and notes on names with two of the three; names of poses have other columns.
+    """
+    points = dict[str, Array]()
+    halves = list[str]()
+    for name, found in _axes_by_name(left).items():
+        known = {axis: found[axis] for axis in PLACE if axis in found}
+        if name in frames or len(known) < len(found) or len(known) < 2:
+            continue
+        if len(known) == 2:
+            missing = next(axis for axis in PLACE if axis not in known)
+            have = " and ".join(known.values())
+            halves.append(f"{have} without {name}_{missing} are no point in space")
+            continue
+        track = name if "/" in name else f"{TRACKER}/{name}"
+        points[track] = np.column_stack([left.pop(known[axis]) for axis in PLACE])
+    return points, halves
+
+
+def metres_per_unit(points: Array) -> float:
+    """What the unit of points (N,3) is: 1 m, or 0.001 where no arm spans as many m."""
+    seen = points[np.isfinite(points).all(axis=1)]
+    return 1e-3 if len(seen) and np.ptp(seen, axis=0).max() > _SPAN_M else 1.0
+
+
+def millimetres_note(name: str, points: Array) -> str:
+    """The note on points that are in mm."""
+    span = np.ptp(points[np.isfinite(points).all(axis=1)], axis=0).max()
+    return f"{name}: points that span {span:.0f} cannot be in m; they are taken in mm"
+
+
+def _take_track_columns(
+    left: dict[str, Array], points: Mapping[str, Array]
+) -> tuple[dict[str, Array], dict[str, Array]]:
+    """Positions (N,2) px of NAME_u and NAME_v, beside them points (N,3), and
+    the standard deviations of both, removed from `left`.
     """
     axes: dict[str, dict[str, str]] = {}
     for column in left:
@@ -156,27 +205,33 @@ def _take_track_columns(left: dict[str, Array]) -> tuple[dict[str, Array], dict[
             axes.setdefault(match["name"], {})[match["axis"].lower()] = column
     pairs = {name: (found["u"], found["v"]) for name, found in axes.items() if len(found) == 2}
     tracks = {name: np.column_stack([left.pop(u), left.pop(v)]) for name, (u, v) in pairs.items()}
+    tracks |= {name: places.copy() for name, places in points.items()}
     unseen = {name: ~np.isfinite(places).all(axis=1) for name, places in tracks.items()}
     for name, places in tracks.items():
         places[unseen[name]] = np.nan
     stds: dict[str, dict[str, str]] = {}
     for column in left:
         match = _STD.fullmatch(column)
-        if match and match["name"] in tracks:
-            stds.setdefault(match["name"], {})[
-                (match["axis"] or match["before"] or "both").lower()
-            ] = column
-    return tracks, {name: _track_std(found, left) for name, found in stds.items()}
+        for name in (match["name"], f"{TRACKER}/{match['name']}") if match else ():
+            if match and name in tracks:
+                stds.setdefault(name, {})[(match["axis"] or match["before"] or "all").lower()] = (
+                    column
+                )
+                break
+    return tracks, {
+        name: _track_std(found, left, "xyz" if name in points else "uv")
+        for name, found in stds.items()
+    }
 
 
-def _track_std(found: Mapping[str, str], left: dict[str, Array]) -> Array:
-    """Standard deviations (N,2) px from one column
-    per axis or one for both; NaN where not positive.
+def _track_std(found: Mapping[str, str], left: dict[str, Array], axes: str) -> Array:
+    """Standard deviations (N,D) from one column per
+    axis or one for all; NaN where not positive.
     """
     columns = {axis: left.pop(column) for axis, column in found.items()}
-    both = columns.get("both")
-    unknown = np.full(len(next(iter(columns.values()))), np.nan) if both is None else both
-    std = np.column_stack([columns.get("u", unknown), columns.get("v", unknown)])
+    common = columns.get("all")
+    unknown = np.full(len(next(iter(columns.values()))), np.nan) if common is None else common
+    std = np.column_stack([columns.get(axis, unknown) for axis in axes])
     return np.where(std > 0, std, np.nan)
 
 
@@ -209,13 +264,22 @@ def _find_space_columns(left: Mapping[str, Array]) -> list[str]:
     """Columns of poses in space: NAME_x, NAME_y and
     NAME_z together, and quaternions beside them.
     """
+    wholes = ({"x", "y", "z"}, {"qx", "qy", "qz", "qw"})
+    spaces = [
+        found
+        for found in _axes_by_name(left).values()
+        if any(whole <= set(found) for whole in wholes)
+    ]
+    return [column for found in spaces for column in found.values()]
+
+
+def _axes_by_name(left: Mapping[str, Array]) -> dict[str, dict[str, str]]:
+    """The columns of places and quaternions by axis, by the name before it."""
     axes: dict[str, dict[str, str]] = {}
     for column in left:
         if match := _SPACE.fullmatch(column):
             axes.setdefault(match["name"], {})[match["axis"].lower()] = column
-    wholes = ({"x", "y", "z"}, {"qx", "qy", "qz", "qw"})
-    spaces = [found for found in axes.values() if any(whole <= set(found) for whole in wholes)]
-    return [column for found in spaces for column in found.values()]
+    return axes
 
 
 def _describe_used_columns(

@@ -16,7 +16,7 @@ from ..images.header_sizes import stated_size
 from ..joint_units import UNIT
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Outgoing, Topic
-from ..topic_names import TRACK, TRACK_NAMES, escape_topic_name
+from ..topic_names import POINT_NAMES, TRACK, TRACK_NAMES, escape_topic_name
 from ..topics import INDEPENDENT
 from .frame_columns import frame_of
 from .pose_columns import DISTORTION, LENS, SIZE, PoseColumns, assign_column_roles, in_degrees
@@ -143,7 +143,7 @@ class PoseLog:
             data = np.hstack([places, std.get(name, np.full(places.shape, np.nan))])
             fields: list[CdrField] = [
                 *cdr.cdr_header_field(self._ns),
-                ("string[]", TRACK_NAMES),
+                ("string[]", TRACK_NAMES if places.shape[1] == 2 else POINT_NAMES),
                 ("float64[]", data),
             ]
             yield self._outgoing_of(TRACK + escape_topic_name(name), VECTOR, fields)

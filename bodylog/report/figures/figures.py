@@ -51,7 +51,7 @@ def recording_figure(recording: Recording, features: Features, out: Path) -> Non
     panels = _recording_panels(recording, features)
     if recording.poses:
         panels = [partial(_draw_separate_rows, draw) for draw in panels]
-    tracks = seen_tracks(features)
+    tracks = {name: one for name, one in seen_tracks(features).items() if one.unit == "px"}
     if not panels:
         raise LogError("no joints, tracks, skin or events to draw; type: bodylog info LOG")
     with open_figure(out, 11.0 if tracks else 8.0, 0.6 + 1.75 * len(panels)) as drawing:

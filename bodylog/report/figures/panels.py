@@ -12,6 +12,7 @@ from .canvas import FELT, INK, LINES, SEEN, line_colour, printable_label
 _POINTS = 3000
 _COLUMNS = 1200
 _CROWD = 24
+_STYLES = ("-", "--", ":")
 
 
 def seen_tracks(features: Features) -> dict[str, Series]:
@@ -36,16 +37,21 @@ def draw_signals(series: Series, unit: str, ax: Any) -> None:
 
 
 def draw_pixels(features: Features, ax: Any) -> None:
-    """u (solid) and v (dashed) of every track, on the spans of the strokes."""
-    for i, (name, track) in enumerate(seen_tracks(features).items()):
-        for d, style in enumerate(("-", "--")):
-            line = thin_curve(track.t, track.values[:, d], _POINTS)
-            ax.plot(
-                *line, style, color=line_colour(name, i), label=f"{printable_label(name)} {'uv'[d]}"
-            )
+    """u (solid) and v (dashed), or x, y and z (dotted), of
+    every track, on the spans of the strokes.
+    """
+    tracks = seen_tracks(features)
+    for i, (name, track) in enumerate(tracks.items()):
+        for axis, column, style in zip(track.names, track.values.T, _STYLES, strict=False):
+            line = thin_curve(track.t, column, _POINTS)
+            label = f"{printable_label(name)} {axis}"
+            ax.plot(*line, style, color=line_colour(name, i), label=label)
     spans = [(x.start, x.end - x.start) for x in features.strokes]
     ax.broken_barh(spans, (0, 1), transform=ax.get_xaxis_transform(), color=SEEN, alpha=0.10, lw=0)
-    ax.set_ylabel("pixels")
+    units = dict.fromkeys(
+        "pixels" if track.unit == "px" else track.unit for track in tracks.values()
+    )
+    ax.set_ylabel(", ".join(units))
     _draw_axes_legend(ax)
 
 

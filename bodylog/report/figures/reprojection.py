@@ -12,7 +12,7 @@ import numpy as np
 
 from ...overlay_style import PREDICTED, measurement_ink
 from ...sources import group_of
-from ...types import Array, Estimate, Features, Series
+from ...types import TRACK_AXES, Array, Estimate, Features, Series
 from ..page.tables import escape_text, html_table
 from .canvas import LINES, printable_label
 
@@ -34,8 +34,8 @@ _LONG = 0.06
 @dataclass(frozen=True, eq=False)
 class ReprojectionSheet:
     """One board or marker: measured, expected by kinematics alone and with the process, each (N,2)
-    px; `both` is NaN for points of a board that are no sense. plane (2,2): the image's first and
-    last corner, px; None where its size is unknown.
+    in `unit` along two axes; `both` is NaN for points of a board that are no sense. plane (2,2):
+    the image's first and last corner, px; None where its size is unknown.
     """
 
     name: str
@@ -43,6 +43,8 @@ class ReprojectionSheet:
     kinematics: Array
     both: Array
     plane: Array | None = None
+    axes: tuple[str, str] = ("u", "v")
+    unit: str = "px"
 
     def some(self) -> "ReprojectionSheet":
         """At most POINTS of it, evenly spaced."""
@@ -65,19 +67,19 @@ class ReprojectionSheet:
             return self.plane[0], self.plane[1]
         low = self.measured.min(axis=0)
         high = self.measured.max(axis=0)
-        margin = np.maximum(0.08 * (high - low), 1.0)
+        margin = np.maximum(0.08 * (high - low), 1.0 if self.unit == "px" else 1e-3)
         return low - margin, high + margin
 
     @property
     def errors(self) -> tuple[float, float]:
-        """RMS residual (px) of kinematics alone, and with the process."""
+        """RMS residual of kinematics alone, and with the process."""
         return _rms_length(self.measured - self.kinematics), _rms_length(self.measured - self.both)
 
     @property
     def magnified(self) -> float:
         """Magnification of drawn residuals: 1, 2, 5, 10, …"""
         low, high = self.limits
-        extent = float((high - low).max(initial=1.0))
+        extent = float((high - low).max())
         size = max(
             float(np.quantile(np.linalg.norm(self.measured - self.kinematics, axis=1), 0.9)), 1e-6
         )
@@ -120,14 +122,15 @@ def build_sheets(
     parts = dict[str, list[Array]]()
     for name, alone in estimate.kinematic.items():
         track = features.tracks.get(name)
-        if track is None or not len(track.t) or alone.values.shape[1] != 2:
+        if track is None or not len(track.t):
             continue
         measured = values_at_times(track, alone.t)
+        axes = alone.values.shape[1]
         both = np.full(alone.values.shape, np.nan)
         if name in estimate.predicted:
             both = values_at_times(estimate.predicted[name], alone.t)
-        rows = np.concatenate([measured, alone.values, both[:, :2]], axis=1)
-        rows = rows[np.isfinite(rows[:, :4]).all(axis=1)]
+        rows = np.concatenate([measured, alone.values, both[:, :axes]], axis=1)
+        rows = rows[np.isfinite(rows[:, : 2 * axes]).all(axis=1)]
         if len(rows):
             parts.setdefault(group_of(name), []).append(rows)
     return merge_rows(parts, sizes)
@@ -136,15 +139,24 @@ def build_sheets(
 def merge_rows(
     parts: Mapping[str, Sequence[Array]], sizes: Mapping[str, tuple[int, int]]
 ) -> tuple[ReprojectionSheet, ...]:
-    """A sheet for each board or marker from its tracks' rows (N,6) px: measured, by kinematics
-    alone and with the process. sizes: (width, height) px of images by camera, "" the first.
+    """A sheet for each board or marker from its tracks' rows (N,3D): measured, by kinematics alone
+    and with the process; of a point in space along the two axes that it moves most. sizes: (width,
+    height) px of images by camera, "" the first.
     """
     found = []
     for name, each in parts.items():
-        rows = np.concatenate(each)
+        measured, alone, both = np.split(np.concatenate(each), 3, axis=1)
+        names, unit = TRACK_AXES[measured.shape[1]]
+        first, second = sorted(np.argsort(-np.ptp(measured, axis=0), kind="stable")[:2].tolist())
         size = sizes.get(name.rpartition("/")[0])
         plane = None if size is None else np.array([[0.0, 0.0], size]) - 0.5
-        found.append(ReprojectionSheet(name, rows[:, :2], rows[:, 2:4], rows[:, 4:], plane))
+        drawn = [first, second]
+        axes = (names[first], names[second])
+        found.append(
+            ReprojectionSheet(
+                name, measured[:, drawn], alone[:, drawn], both[:, drawn], plane, axes, unit
+            )
+        )
     return tuple(found)
 
 
@@ -206,7 +218,7 @@ def _render_sheet_figure(sheet: ReprojectionSheet) -> str:
     text = f"{sheet.name}: {_errors_text(sheet)} (RMS distance); arrows {times:g} ×"
     width = _WIDTH + _SIDE + 10
     low, high = sheet.limits
-    wide, tall = np.maximum(high - low, 1.0)
+    wide, tall = high - low
     # below and above a wide image nothing is drawn
     left_out = max(0.0, _HEIGHT - max(_WIDTH * tall / wide, 0.75 * _SIDE))
     box = f"0 {0.5 * left_out:.0f} {width:g} {_HEIGHT - left_out:.0f}"
@@ -220,7 +232,7 @@ def _render_sheet_figure(sheet: ReprojectionSheet) -> str:
 def _render_image_plane(sheet: ReprojectionSheet, times: float) -> Iterator[str]:
     """The image plane with magnified residuals."""
     low, high = sheet.limits
-    span = np.maximum(high - low, 1.0)
+    span = high - low
     scale = float(min((_WIDTH - 2) / span[0], (_HEIGHT - 2) / span[1]))
     corner = 0.5 * (np.array([_WIDTH, _HEIGHT]) - scale * span)
     places = (sheet.measured - low) * scale + corner
@@ -240,7 +252,7 @@ def _render_image_plane(sheet: ReprojectionSheet, times: float) -> Iterator[str]
 
 
 def _render_residuals(sheet: ReprojectionSheet) -> Iterator[str]:
-    """Residuals around zero, px, with a ring at a round distance."""
+    """Residuals around zero with a ring at a round distance."""
     left = [sheet.kinematics - sheet.measured, sheet.both - sheet.measured]
     reach = _residual_reach_px(sheet)
     scale = 0.45 * _SIDE / reach
@@ -253,7 +265,7 @@ def _render_residuals(sheet: ReprojectionSheet) -> Iterator[str]:
     )
     yield (
         f'<text x="{x + ring * scale:.1f}" y="{y - 4:g}" font-size="11" fill="{_RULE}">{ring:g} '
-        "px</text>"
+        f"{sheet.unit}</text>"
     )
     for part, ink in zip(left, (_ALONE, _BOTH), strict=True):
         near = part[np.linalg.norm(part, axis=1) <= reach]  # false for NaN
@@ -277,8 +289,8 @@ def _svg_arrow(start: Array, end: Array) -> str:
 
 def _errors_text(sheet: ReprojectionSheet) -> str:
     alone, both = sheet.errors
-    process = f", {both:.2f} px with the process" if isfinite(both) else ""
-    return f"{alone:.2f} px by kinematics alone{process}"
+    process = f", {both:.2f} {sheet.unit} with the process" if isfinite(both) else ""
+    return f"{alone:.2f} {sheet.unit} by kinematics alone{process}"
 
 
 def draw_image_plane(sheet: ReprojectionSheet, ax: Any) -> None:
@@ -299,27 +311,33 @@ def draw_image_plane(sheet: ReprojectionSheet, ax: Any) -> None:
     ax.set(
         aspect="equal",
         title=f"{printable_label(sheet.name)}: arrows {times:g} ×",
-        xlabel="u, pixels",
-        ylabel="v, pixels",
+        **_axis_labels(sheet),
     )
     low, high = sheet.limits
-    ax.set(xlim=(low[0], high[0]), ylim=(high[1], low[1]))
+    upright = (high[1], low[1]) if sheet.unit == "px" else (low[1], high[1])
+    ax.set(xlim=(low[0], high[0]), ylim=upright)
     ax.legend(loc="best")
 
 
+def _axis_labels(sheet: ReprojectionSheet) -> dict[str, str]:
+    unit = {"px": "pixels"}.get(sheet.unit, sheet.unit)
+    labels = (f"{axis}, {unit}" for axis in sheet.axes)
+    return dict(zip(("xlabel", "ylabel"), labels, strict=True))
+
+
 def draw_residuals(sheet: ReprojectionSheet, ax: Any) -> None:
-    """The residuals of one track, px, in a figure."""
+    """The residuals of one track in a figure."""
     alone, both = sheet.errors
     for expected, ink, what in (
-        (sheet.kinematics, _ALONE, f"kinematics: {alone:.2f} px RMS"),
+        (sheet.kinematics, _ALONE, f"kinematics: {alone:.2f} {sheet.unit} RMS"),
         (sheet.both, _BOTH, f"with process: {both:.2f}"),
     ):
         if not np.isfinite(expected).any():
             continue
         ax.plot(*(expected - sheet.measured).T, ".", color=ink, ms=3, alpha=0.6, label=what)
     reach = _residual_reach_px(sheet)
-    ax.set(aspect="equal", title="expected minus measured", xlabel="u, pixels", ylabel="v, pixels")
-    ax.set(xlim=(-reach, reach), ylim=(reach, -reach))
+    ax.set(aspect="equal", title="expected minus measured", **_axis_labels(sheet))
+    ax.set(xlim=(-reach, reach), ylim=(reach, -reach) if sheet.unit == "px" else (-reach, reach))
     ax.legend(loc="best")
 
 
