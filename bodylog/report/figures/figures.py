@@ -52,7 +52,9 @@ def recording_figure(recording: Recording, features: Features, out: Path) -> Non
         grid = drawing.add_gridspec(
             len(panels), 2 if tracks else 1, width_ratios=(5, 3) if tracks else (1,)
         )
-        drawing.suptitle(printable_label(recording.name, 80), x=0.01, ha="left", weight="bold")
+        drawing.suptitle(
+            printable_label(recording.facts.name, 80), x=0.01, ha="left", weight="bold"
+        )
         _stack_panels(drawing, grid, panels, recording.duration_s)
         if tracks:
             draw_trajectories(tracks, features.strokes, drawing.add_subplot(grid[:, 1]))
@@ -155,12 +157,12 @@ def estimate_figure(
 
 def _recording_panels(recording: Recording, features: Features) -> list[Panel]:
     panels: list[Panel] = []
-    if recording.joints is not None and len(recording.joints.t):
-        panels.append(partial(draw_signals, recording.joints, "joints, rad"))
+    if recording.signals.joints is not None and len(recording.signals.joints.t):
+        panels.append(partial(draw_signals, recording.signals.joints, "joints, rad"))
     if seen_tracks(features):
         panels.append(partial(draw_pixels, features))
-    if recording.skin is not None and len(recording.skin.t):
-        panels.append(partial(draw_skin, recording.skin))
+    if recording.signals.skin is not None and len(recording.signals.skin.t):
+        panels.append(partial(draw_skin, recording.signals.skin))
     if features.touches or features.strokes:
         panels.append(partial(draw_events, features))
     return panels

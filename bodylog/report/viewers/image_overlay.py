@@ -77,10 +77,10 @@ def draw_pictures(
     """`count` frames of each camera, evenly over the log,
     with measurements and predictions; () without a camera.
     """
-    films = {} if recording.frames is None else {"": recording.frames}
+    films = {} if recording.cameras.frames is None else {"": recording.cameras.frames}
     wanted = [recording.duration_s * (k + 0.5) / count for k in range(count)]
     drawn: list[OverlayPicture] = []
-    for camera, frames in (films | dict(recording.views)).items():
+    for camera, frames in (films | dict(recording.cameras.views)).items():
         due = iter(wanted)
         after = next(due)
         for frame in frames():
