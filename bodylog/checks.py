@@ -78,10 +78,10 @@ def require_trainable(log: Path, found: Features, settings: Settings) -> None:
 
 def require_sights(logs: Sequence[Path], observed: Sequence[tuple[Recording, Features]]) -> None:
     """EvidenceError where no log has images or tracks: what the first one has, and what to add."""
-    if any(found.tracks or read.frames is not None for read, found in observed):
+    if any(found.tracks or read.cameras.frames is not None for read, found in observed):
         return
     read, found = observed[0]
-    with log_context(logs[0], read.findings, len(logs) - 1):
+    with log_context(logs[0], read.facts.findings, len(logs) - 1):
         what = f"no images and no tracks in it, only {_describe_joints(found)}"
         learned_from = "a body is learned from joints and what a camera sees of the arm"
         raise EvidenceError(f"{what}; {learned_from}{_sights_to_add(logs[0], read)}")
@@ -99,14 +99,14 @@ def _sights_to_add(log: Path, read: Recording) -> str:
     """What to add to a log without images; "" where what it lost says so."""
     from .logs.images.messages import PACKETS, is_packets
 
-    if loss_note(log, read.findings):
+    if loss_note(log, read.facts.findings):
         return ""
-    if read.poses:
+    if read.signals.poses:
         return (
             ": add columns NAME_u and NAME_v (px) of a marker, or of names of image files beside "
             "the table"
         )
-    if packed := next((topic.name for topic in read.topics if is_packets(topic)), None):
+    if packed := next((topic.name for topic in read.facts.topics if is_packets(topic)), None):
         return f"; {packed} holds {PACKETS}"
     film = '[topics] camera = "file.mp4"'
     alone = f"for the joints alone, type: bodylog estimate {log} -o out.mcap"
@@ -187,7 +187,8 @@ def require_same_camera(
         return ()
     text = f"camera: {here[0]} comes first here, {known[0]} where the body was learned"
     there = {
-        camera_name_of_source(name) for name in (*here, *(topic.name for topic in read.topics))
+        camera_name_of_source(name)
+        for name in (*here, *(topic.name for topic in read.facts.topics))
     }
     if camera_name_of_source(known[0]) in there or camera_name_of_source(here[0]) in map(
         camera_name_of_source, known

@@ -57,11 +57,11 @@ def compare_methods(
     read, features = observe(log, settings, progress)
     cameras = require_same_camera(log, learned.provenance.get("cameras", ()), read, features)
     require_same_size(log, learned, features, settings)
-    with log_context(log, read.findings):
+    with log_context(log, read.facts.findings):
         combined, silent = list_sense_subsets(features, learned, settings.estimate)
     if not combined:
         why = f"no sense of {body} has readings in it; type: bodylog info {log}"
-        raise EvidenceError(f"{log}: {why}{loss_note(log, read.findings)}")
+        raise EvidenceError(f"{log}: {why}{loss_note(log, read.facts.findings)}")
     rows: list[ComparisonRow] = []
     refused: dict[str, InputError | UsageError] = {}
     kept = combined if full else select_usual_subsets(combined)
@@ -74,10 +74,10 @@ def compare_methods(
         if done is not None:
             done(rows[-1])
     if refused and not rows:
-        with log_context(log, read.findings):
+        with log_context(log, read.facts.findings):
             raise next(iter(refused.values()))
     return rows, (
-        *read.findings,
+        *read.facts.findings,
         *features.findings,
         *cameras,
         *_label_findings(rows, refused),

@@ -74,7 +74,7 @@ def observe(
         return perception.frame_searcher(settings, progress)
 
     read = recording.read_recording(log, settings, settings.input.strict, searcher)
-    look = still_pose_features if read.poses else moving_features
+    look = still_pose_features if read.signals.poses else moving_features
     found = look(read, settings, progress)
     if guess:
         read, found = default_features.search_again_without_default(
@@ -102,16 +102,18 @@ def extract(
         read, features = observe(log, settings, progress, guess=True)
         require_features(log, features)
         roles = [
-            role for role in read.roles if role.partition("/")[0] in ("joints", "truth", "skin")
+            role
+            for role in read.facts.roles
+            if role.partition("/")[0] in ("joints", "truth", "skin")
         ]
         kept = [topic for role in roles if (topic := topic_of_role(read, role)) is not None]
         lost = written.add(feature_messages(read, features), only=kept)
-        written.about(provenance_of_logs([(log, written.digest())], read.settings))
+        written.about(provenance_of_logs([(log, written.digest())], read.facts.settings))
     if tables is not None:
         export.export_features(features, tables)
-    health = {**read.health, **features.health}
-    found = (*read.findings, *features.findings, *sighting_findings(features), *lost)
-    return Result(out, NO_SCORES, health, found, settings_as_values(read.settings))
+    health = {**read.facts.health, **features.health}
+    found = (*read.facts.findings, *features.findings, *sighting_findings(features), *lost)
+    return Result(out, NO_SCORES, health, found, settings_as_values(read.facts.settings))
 
 
 @with_text_paths
@@ -190,7 +192,7 @@ def fit(
     findings = [
         f
         for read, found in observed
-        for f in (*read.findings, *found.findings, *sighting_findings(found))
+        for f in (*read.facts.findings, *found.findings, *sighting_findings(found))
     ]
     robot, unfit = robot_model.find_robot(logs, features, settings)
     features, not_joints = robot_model.joints_of_urdf(features, robot)
@@ -276,7 +278,7 @@ def _fit_surface(
     findings = (
         *urdf_warnings,
         *spared.findings,
-        *(finding for _, one in read for finding in one.findings),
+        *(finding for _, one in read for finding in one.facts.findings),
         *learned.findings,
     )
     placed = calibration.summarise_placements(learned.model)
@@ -340,21 +342,21 @@ def estimate(
         lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
         scores = score_estimate(found, read)
-        origin = provenance_of_logs([(log, written.digest())], read.settings)
+        origin = provenance_of_logs([(log, written.digest())], read.facts.settings)
         written.about(
             origin
             | ({} if body is None else {"body_sha256": hash_files(body)})
             | estimate_metadata.describe_estimate(found)
         )
     findings = (
-        *read.findings,
+        *read.facts.findings,
         *features.findings,
         *cameras,
         *found.findings,
         *fault_warnings(found.faults),
         *lost,
     )
-    health = {**read.health, **features.health, **found.used}
+    health = {**read.facts.health, **features.health, **found.used}
     return estimate_result(out, found, scores, health, findings)
 
 
@@ -371,7 +373,11 @@ def evaluate(log: Path, settings: Settings = DEFAULTS, truth: Path | None = None
     read = with_true_poses(log, found, read)
     if truth is not None:
         read = with_truth_beside_log(truth, found, read, settings)
-    findings = (*read.findings, *fault_warnings(found.faults), *truth_findings(found, read.truth))
+    findings = (
+        *read.facts.findings,
+        *fault_warnings(found.faults),
+        *truth_findings(found, read.signals.truth),
+    )
     scores = score_estimate(found, read)
     return estimate_result(log, found, scores, found.used, findings)
 

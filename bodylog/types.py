@@ -209,42 +209,70 @@ class Features:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
-    """One log: signals, and frames() as a lazy iterator in
-    time order; `features` if the log already carries them.
+class RecordedSignals:
+    """Signals of one log; a missing one is None.
 
-    `views` {name: frames} are the cameras beside the first; what they show is named
-    name/feature. `reference` is what robot.toml names as the true angles to learn from;
-    `truth` is for scores alone. `settings` are those it was read with. `consumed` are
-    the first camera's frames, if a consumer got them during reading. `poses`: the
-    joints are still poses, one independent of the other. `beside`: joints of further
-    topics that nobody named. `truth_pose`: the effector's true poses, for scores alone.
-    `tracks` and `track_health` {feature: …} are those of [features] that topics or
-    tables have.
+    `features`: those that the log already carries. `reference` is what robot.toml names
+    as the true angles to learn from; `truth` and the effector's true poses `truth_pose`
+    are for scores alone. `poses`: the joints are still poses, one independent of the
+    other. `tracks` {feature: …} are those of [features] that topics or tables have.
+    """
+
+    joints: Series | None = None
+    skin: Series | None = None
+    truth: Series | None = None
+    features: Features | None = None
+    reference: Series | None = None
+    poses: bool = False
+    truth_pose: Poses | None = None
+    tracks: Mapping[str, Series] = field(default_factory=dict)
+
+
+Film = Callable[[], Iterator[LazyImage]]
+"""Images in time order, from the first one at each call."""
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedCameras:
+    """Images of one log: `frames` of the first camera, and `views` {name: frames} of
+    those beside it; what they show is named name/feature. `consumed` are the first
+    camera's frames, if a consumer got them during reading.
+    """
+
+    frames: Film | None = None
+    views: Mapping[str, Film] = field(default_factory=dict)
+    consumed: ConsumedFrames | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class LogFacts:
+    """What is known about one log beside its content: `settings` are those it was
+    read with, `beside` joints of further topics that nobody named, `track_health`
+    {feature: …} of the tracks that topics or tables have.
     """
 
     name: str
     format: str
+    topics: tuple[Topic, ...] = ()
+    roles: Mapping[str, str] = field(default_factory=dict)
+    health: Mapping[str, Health] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
+    settings: Settings = field(default_factory=Settings)
+    beside: tuple[str, ...] = ()
+    track_health: Mapping[str, Health] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One log: when it begins (ns since the epoch), how long
+    it lasts (s), its signals, its cameras, and facts about it.
+    """
+
     start_ns: int
     duration_s: float
-    topics: tuple[Topic, ...]
-    roles: Mapping[str, str]
-    joints: Series | None
-    skin: Series | None
-    truth: Series | None
-    frames: Callable[[], Iterator[LazyImage]] | None
-    features: Features | None
-    health: Mapping[str, Health]
-    findings: tuple[Finding, ...] = ()
-    reference: Series | None = None
-    views: Mapping[str, Callable[[], Iterator[LazyImage]]] = field(default_factory=dict)
-    settings: Settings = field(default_factory=Settings)
-    consumed: ConsumedFrames | None = None
-    poses: bool = False
-    beside: tuple[str, ...] = ()
-    truth_pose: Poses | None = None
-    tracks: Mapping[str, Series] = field(default_factory=dict)
-    track_health: Mapping[str, Health] = field(default_factory=dict)
+    facts: LogFacts
+    signals: RecordedSignals
+    cameras: RecordedCameras
 
 
 @dataclass(frozen=True)

@@ -56,9 +56,13 @@ def draw_log_or_body(
     read, features = observe(source, settings, progress, guess=True)
     with log_context(source):
         figures.recording_figure(read, features, out)
-    health = {**read.health, **features.health}
+    health = {**read.facts.health, **features.health}
     return Result(
-        out, NO_SCORES, health, (*read.findings, *features.findings), settings_as_values(settings)
+        out,
+        NO_SCORES,
+        health,
+        (*read.facts.findings, *features.findings),
+        settings_as_values(settings),
     )
 
 
@@ -114,16 +118,16 @@ def write_report(
     # a log without a marker has nothing else to show in its images
     plain = found.predicted or not surface
     sheets = reprojection.build_sheets(features, found, image_overlay.measure_images(read))
-    if read.poses and sheets:
+    if read.signals.poses and sheets:
         times = min(sheet.magnified for sheet in sheets)
         shown = image_overlay.draw_pose_pictures(read, features, found, times)
     else:
         shown = image_overlay.draw_pictures(read, features, found) if plain else ()
     done(1)
-    findings = (*read.findings, *fault_warnings(found.faults))
+    findings = (*read.facts.findings, *fault_warnings(found.faults))
     result = estimate_result(out, found, score_estimate(found, read), found.used, findings)
     metadata = read_back.read_metadata(log)
-    if read.poses:
+    if read.signals.poses:
         read, features, found = pose_numbers.number_poses(read, features, found)
     page.write_report_page(
         out,
@@ -161,7 +165,7 @@ def write_viewer_layout(log: Path, out: Path, settings: Settings) -> Result:
         out,
         topic_of_role(read, "camera"),
         found,
-        {name: _camera_topic(read, name) for name in read.views},
+        {name: _camera_topic(read, name) for name in read.cameras.views},
     )
     return Result(out)
 
@@ -211,15 +215,15 @@ def _write_rerun_recording(
     drawn = partial(
         rerun_recording.write_companion,
         cameras=cameras,
-        features=read.features,
+        features=read.signals.features,
         estimate=found,
-        truth=read.truth,
+        truth=read.signals.truth,
     )
     with errors_about(source, str(log)):
         unshown = rerun_process.merge_recording(
             source, out, f"{log.name} {read.start_ns}", drawn, done
         )
-    findings = (*read.findings, *findings, *_unshown_findings(log, unshown, cameras))
+    findings = (*read.facts.findings, *findings, *_unshown_findings(log, unshown, cameras))
     scores = NO_SCORES if found is None else Scores(score_estimate(found, read))
     return Result(out, scores, findings=findings)
 
@@ -280,7 +284,7 @@ def _read_estimate(
     """The estimate in a log, or None and a finding that says how to get one."""
     from .annotating import read_back
 
-    if any(topic.name == f"{PREFIX}joint_covariance" for topic in read.topics):
+    if any(topic.name == f"{PREFIX}joint_covariance" for topic in read.facts.topics):
         return read_back.read_estimate(source, read.start_ns), ()
     return None, (
         Finding(
@@ -293,7 +297,7 @@ def _rerun_cameras(log: Path, read: Recording) -> "dict[str, RerunCamera]":
     """Cameras by name, "" the first; videos beside the log are left out."""
     from .report.viewers.rerun_recording import RerunCamera
 
-    frames = {"": read.frames, **read.views}
+    frames = {"": read.cameras.frames, **read.cameras.views}
     topics = {name: _camera_topic(read, name) for name in frames}
     return {
         name: RerunCamera(topic, _frame_id(log, topic), frames[name])
@@ -358,7 +362,9 @@ def find_feature_candidates(
     if body is not None or surface_body.is_asked(settings):
         return _find_surface(log, read, out, settings, body)
     with log_context(log):
-        found = survey_features(read, hand_colour(settings, read.skin is not None), effector)
+        found = survey_features(
+            read, hand_colour(settings, read.signals.skin is not None), effector
+        )
         if not found.candidates:
             raise EvidenceError(
                 f"no tag and no colour in {found.count} images; mount a printed tag: "
@@ -372,7 +378,7 @@ def find_feature_candidates(
             contact_sheet.Mark(_candidate_caption(row), row["arm"], track) for row, track in offered
         ]
         image_overlay.write_png(contact_sheet.draw_contact_sheet(found.images, marks), out)
-    return FeatureCandidates(rows, found.count, read.findings)
+    return FeatureCandidates(rows, found.count, read.facts.findings)
 
 
 def _find_surface(
@@ -405,7 +411,7 @@ def _find_surface(
     if out is not None:
         legend = "tracks of corners: a colour for each link | grey: foreign, left out"
         image_overlay.overlay_sheet(pictures, out, legend=legend)
-    return FeatureCandidates(rows, count, (*read.findings, *findings))
+    return FeatureCandidates(rows, count, (*read.facts.findings, *findings))
 
 
 def _with_boards(
@@ -475,14 +481,16 @@ def _write_report_figures(
     ensure_dir(folder)
     for suffix in (".png", ".svg"):
         figures.recording_figure(read, features, folder / f"recording{suffix}")
-        figures.estimate_figure(found, read.truth, read.joints, folder / f"estimate{suffix}")
+        figures.estimate_figure(
+            found, read.signals.truth, read.signals.joints, folder / f"estimate{suffix}"
+        )
     zeros = reprojection.parse_zeros(found.settings.get("offsets"))
     if sheets:
         for suffix in (".png", ".svg"):
             figures.reprojection_figure(sheets, zeros, folder / f"reprojection{suffix}")
     if shown:
         legend = None
-        if read.poses and sheets:
+        if read.signals.poses and sheets:
             times = min(sheet.magnified for sheet in sheets)
             legend = f"green dot: measured | yellow arrow: to the calibration's, {times:g} x"
         hand = features.hand is not None

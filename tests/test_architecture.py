@@ -1,6 +1,7 @@
 """Who may import whom (docs/architecture.md), read from the source."""
 
 import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -142,6 +143,16 @@ def test_importing_bodylog_and_asking_for_help_imports_nothing_heavy():
     code = "import sys, bodylog, bodylog_cli\nbodylog_cli.run_command(['--help'])\nprint(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert not {"numpy", "scipy", "cv2", "rosbags", "mcap", "pybullet", "matplotlib", "rich"} & set(loaded)
+
+
+def test_simulation_and_experiments_are_imported_by_nothing_else():
+    """But where they are offered: what is installed without them reads, learns and estimates."""
+    offered = {"sim": {"bodylog/pipeline.py"}, "experiments": {"cli/reproduce.py"}}
+    for room, places in offered.items():
+        wanted = re.compile(rf"^\s*(from|import) .*\b{room}\b", re.MULTILINE)
+        files = [*(ROOT / "bodylog").rglob("*.py"), *(ROOT / "cli").glob("*.py")]
+        outside = (path.relative_to(ROOT) for path in files if not {"sim", "experiments"} & set(path.parts))
+        assert {path.as_posix() for path in outside if wanted.search((ROOT / path).read_text())} == places
 
 
 BEHAVIOURS = {

@@ -52,7 +52,7 @@ def _imported(*folders):
                 modules |= {alias.name.split(".")[0] for alias in node.names}
             elif isinstance(node, ast.ImportFrom) and not node.level:
                 modules.add(node.module.split(".")[0])
-            elif isinstance(node, ast.Call) and _called(node) in ("import_module", "importorskip"):
+            elif isinstance(node, ast.Call) and _called(node) in ("import_module", "importorskip", "require_module"):
                 modules |= {arg.value.split(".")[0] for arg in node.args[:1] if isinstance(arg, ast.Constant)}
     third = modules - set(sys.stdlib_module_names) - OURS
     return {DISTRIBUTIONS.get(module, module) for module in third}

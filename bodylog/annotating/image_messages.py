@@ -63,18 +63,20 @@ def image_messages(
     reader gives without bytes are passed on, and counted under EMPTY. The first camera's topic
     is /camera/image, another's /NAME/image, or as compressed. LogError if two are the same.
     """
-    films = {"": recording.frames} if recording.frames is not None else {}
-    for name, frames in (films | dict(recording.views)).items():
+    films = {"": recording.cameras.frames} if recording.cameras.frames is not None else {}
+    for name, frames in (films | dict(recording.cameras.views)).items():
         under = f"/{escape_topic_name(name)}" if name else "/camera"
         if name and under == "/camera":
-            source = recording.roles["camera/camera"]
+            source = recording.facts.roles["camera/camera"]
             raise LogError(
                 f"{path}: two cameras would be written as {RAW}; name {source} first in "
                 "[topics] camera"
             )
-        source = recording.roles.get(f"camera/{name}".strip("/"), "")
+        source = recording.facts.roles.get(f"camera/{name}".strip("/"), "")
         topics = {
-            t.id: t for t in recording.topics if source == t.name or source.startswith(f"{t.name}.")
+            t.id: t
+            for t in recording.facts.topics
+            if source == t.name or source.startswith(f"{t.name}.")
         }
         if topics:
             found = _pass_through_images(path, recording, frames, topics, unread)
@@ -94,7 +96,7 @@ def _pass_through_images(
     for frame in frames():
         accepted.setdefault(frame.source_ns, deque()).append(frame.t)
     carriers = {number: _conversion_of_topic(topic) for number, topic in topics.items()}
-    with open_log(path, limits=recording.settings.input) as log:
+    with open_log(path, limits=recording.facts.settings.input) as log:
         for batch in log.batches(list(topics)):
             kind, convert = carriers[batch.topic_id]
             for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
@@ -107,7 +109,7 @@ def _pass_through_images(
                         continue
                     yield ImageMessage(kind, t, converted)
         for finding in log.findings:  # of images that a dataset's reader could not decode
-            if finding.severity == "lost" and finding not in recording.findings:
+            if finding.severity == "lost" and finding not in recording.facts.findings:
                 unread.setdefault(EMPTY, []).append(finding.text)
 
 
@@ -154,7 +156,7 @@ def _encode_video_frames(
         done, jpeg = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
         if not done:
             raise FormatError(
-                f"{recording.name}: the image at {frame.t:.3f} s cannot be written as JPEG"
+                f"{recording.facts.name}: the image at {frame.t:.3f} s cannot be written as JPEG"
             )
         message = {"format": "jpeg", "data": jpeg.tobytes()}
         yield ImageMessage(

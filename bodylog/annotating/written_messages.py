@@ -31,9 +31,9 @@ def topic_of_role(read: Recording, role: str) -> str | None:
     """The topic of a role's message path: the longest
     of the log's topics that the path begins with.
     """
-    path = read.roles.get(role, "")
+    path = read.facts.roles.get(role, "")
     return max(
-        (t.name for t in read.topics if path == t.name or path.startswith(t.name + ".")),
+        (t.name for t in read.facts.topics if path == t.name or path.startswith(t.name + ".")),
         key=len,
         default=None,
     )

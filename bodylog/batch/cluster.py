@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from ..errors import UsageError
+from ..io.extras import require_module
 from ..runtime import malloc
 from . import work
 from .jobs import Job, Row
@@ -28,26 +29,20 @@ def run_on_cluster(jobs: Sequence[Job], scheduler: str, workers: int) -> Iterato
 
 
 def _open_client(scheduler: str, workers: int) -> "Client":
-    try:
-        import dask
-
-        # must be set before distributed is imported: forked
-        # workers start several times faster than spawned ones
-        dask.config.set(
-            {
-                "distributed.worker.multiprocessing-method": "forkserver",
-                "logging.distributed": "error",
-            }
-        )
-        from distributed import Client, LocalCluster
-    except ImportError as err:
-        raise UsageError("--scheduler needs Dask; type: pip install 'bodylog[dask]'") from err
+    # must be set before distributed is imported: forked
+    # workers start several times faster than spawned ones
+    require_module("dask").config.set(
+        {"distributed.worker.multiprocessing-method": "forkserver", "logging.distributed": "error"}
+    )
+    distributed = require_module("distributed")
     if scheduler == "local":
-        return Client(
-            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0")
+        return distributed.Client(
+            distributed.LocalCluster(
+                n_workers=workers, threads_per_worker=1, dashboard_address="127.0.0.1:0"
+            )
         )
     try:
-        return Client(scheduler, timeout="5s")
+        return distributed.Client(scheduler, timeout="5s")
     except (OSError, ValueError, TimeoutError) as err:
         raise UsageError(
             f"--scheduler {scheduler}: no scheduler answers; type: tcp://HOST:PORT or local"

@@ -16,9 +16,9 @@ from ..errors import FormatError, InputError, LogError
 from ..io import episodes
 from ..io.atomic_files import sync_to_disk
 from ..io.contained import is_inside
+from ..io.extras import require_module
 from ..io.temporary import create_scratch_folder
 from ..logs.datasets import parquet, shifted_video
-from ..logs.datasets.extra import require_module
 from ..logs.datasets.lerobot_layout import (
     EPISODE_STATISTICS,
     EPISODE_TABLES,

@@ -52,7 +52,9 @@ def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, d
         by_surface = _add_surface(log, settings, reading.read, scores, findings, figures)
     findings = [replace(one, text=one.text.replace(str(log), name)) for one in findings]
     about = episode_evidence(reading, figures) | {"by_surface": by_surface}
-    return Result(None, Scores(scores), reading.read.health, tuple(dict.fromkeys(findings))), about
+    return Result(
+        None, Scores(scores), reading.read.facts.health, tuple(dict.fromkeys(findings))
+    ), about
 
 
 def _add_surface(
@@ -69,7 +71,11 @@ def _add_surface(
     from ..surface.findings import examine_by_surface
 
     found = examine_by_surface(log, settings)
-    first = camera_name_of_source(read.roles["camera"]) if "camera" in read.roles else "camera"
+    first = (
+        camera_name_of_source(read.facts.roles["camera"])
+        if "camera" in read.facts.roles
+        else "camera"
+    )
     known = [replace(one, name=_name_first_camera(one.name, first)) for one in found.scores]
     values = {one.name: one.value for one in known}
     figures_of_surface = [

@@ -170,7 +170,7 @@ def measure_jumps(reading: EpisodeReading) -> Iterator[Measurement]:
     rad."""
     from ..estimation.faults.jumping import find_jumps
 
-    joints = reading.read.joints
+    joints = reading.read.signals.joints
     if joints is None or joints.unit != "rad":
         return
     for name, y in zip(joints.names, joints.values.T, strict=True):

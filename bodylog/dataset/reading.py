@@ -95,29 +95,33 @@ def read_episode(log: Path, settings: Settings) -> EpisodeReading:
     films = _films_of_log(read) if episode is None else _films_of_episode(episode, read)
     if settings.time.delay != "off" and has_motion(read):
         films = {name: _with_delay(film, read) for name, film in films.items()}
-    found = whole.joints
+    found = whole.signals.joints
     joints = (
         None if found is None else StoredNumbers(found.t, found.values, found.names, found.unit)
     )
     reading = EpisodeReading(joints, None, films, whole, 0 if joints is None else len(joints.t))
     if episode is not None:
         reading = _with_stored_rows(reading, episode)
-    return replace(reading, findings=tuple(dict.fromkeys((*whole.findings, *reading.findings))))
+    return replace(
+        reading, findings=tuple(dict.fromkeys((*whole.facts.findings, *reading.findings)))
+    )
 
 
 def _with_delay(film: CameraFilm, read: Recording) -> CameraFilm:
     """The film with its delay against the joints, and the arm that moves its picture."""
     found = delay_by_flow(read, film.seen)
-    if found is None or read.joints is None:
+    if found is None or read.signals.joints is None:
         return film
-    return replace(film, delay=found, arm=name_moving_arm(read.joints.names, found))
+    return replace(film, delay=found, arm=name_moving_arm(read.signals.joints.names, found))
 
 
 def _films_of_log(read: Recording) -> dict[str, CameraFilm]:
     """What is seen of each camera of a log, by its topic's name."""
-    first = camera_name_of_source(read.roles["camera"]) if "camera" in read.roles else ""
+    first = (
+        camera_name_of_source(read.facts.roles["camera"]) if "camera" in read.facts.roles else ""
+    )
     found = {}
-    for name, film in {"": read.frames, **read.views}.items():
+    for name, film in {"": read.cameras.frames, **read.cameras.views}.items():
         if film is not None:
             frames = _CountedFrames(film())
             seen = measure_grid_flow(frames)

@@ -107,7 +107,11 @@ def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> E
 
     settings = settings if body is None else features_of_body(body, settings)
     read, features = _middle_observed(log, settings, body is None)
-    if features.joints is None or features.poses or (read.frames is None and not features.tracks):
+    if (
+        features.joints is None
+        or features.poses
+        or (read.cameras.frames is None and not features.tracks)
+    ):
         text = f"{log}: camera delays are not measured: it has no moving joints with images"
         return ExaminedDelays((), () if body is None else (Finding("info", text),))
     names = correction.list_track_cameras(
@@ -119,7 +123,7 @@ def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> E
     }
     timely = correction.shift_features(features, expected)
     if body is None:
-        found, unclear = camera_delay.measure_log_delays(timely, read.settings)
+        found, unclear = camera_delay.measure_log_delays(timely, read.facts.settings)
     else:
         require_same_camera(log, body.provenance.get("cameras", ()), read, features)
         require_same_size(log, body, features, settings)
@@ -210,7 +214,7 @@ def middle_of_recording(read: Recording, longest_s: float, most_images: int) -> 
 
     spare = max(0.0, 0.5 * (read.duration_s - longest_s))
     begin, end = spare, read.duration_s - spare
-    films = {"": read.frames, **read.views}
+    films = {"": read.cameras.frames, **read.cameras.views}
     counts = {
         name: _count_images(read, name) * min(1.0, longest_s / max(read.duration_s, longest_s))
         for name in films
@@ -220,23 +224,23 @@ def middle_of_recording(read: Recording, longest_s: float, most_images: int) -> 
         for name, film in films.items()
         if film is not None
     }
-    return replace(
-        read,
-        frames=few.pop("", None),
-        views=few,
+    cameras = replace(read.cameras, frames=few.pop("", None), views=few)
+    signals = replace(
+        read.signals,
         joints=None
-        if read.joints is None
-        else cut_to_window(read.joints, read.start_ns, (begin, end)),
+        if read.signals.joints is None
+        else cut_to_window(read.signals.joints, read.start_ns, (begin, end)),
         reference=None
-        if read.reference is None
-        else cut_to_window(read.reference, read.start_ns, (begin, end)),
+        if read.signals.reference is None
+        else cut_to_window(read.signals.reference, read.start_ns, (begin, end)),
     )
+    return replace(read, signals=signals, cameras=cameras)
 
 
 def _count_images(read: Recording, camera: str) -> int:
     """Images of a camera by its name, "" the first."""
-    source = read.roles.get(f"camera/{camera}".strip("/"), "")
-    health = read.health.get(source)
+    source = read.facts.roles.get(f"camera/{camera}".strip("/"), "")
+    health = read.facts.health.get(source)
     return 0 if health is None else health.used
 
 

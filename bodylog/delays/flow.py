@@ -55,7 +55,11 @@ def measure_flow_delays(read: Recording) -> Iterator[CameraFlow]:
 
 def has_motion(read: Recording) -> bool:
     """Whether a recording has joints that a delay can be measured against."""
-    return read.joints is not None and not read.poses and len(read.joints.t) >= LEAST_READINGS
+    return (
+        read.signals.joints is not None
+        and not read.signals.poses
+        and len(read.signals.joints.t) >= LEAST_READINGS
+    )
 
 
 def see_cameras(read: Recording) -> "Iterator[tuple[str, GridFlow | None]]":
@@ -63,7 +67,7 @@ def see_cameras(read: Recording) -> "Iterator[tuple[str, GridFlow | None]]":
     is decoded once."""
     from ..perception.surface.flow import measure_grid_flow
 
-    for name, film in {"": read.frames, **read.views}.items():
+    for name, film in {"": read.cameras.frames, **read.cameras.views}.items():
         if film is not None:
             yield name or "camera", measure_grid_flow(film())
 
@@ -73,11 +77,13 @@ def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None
     suffice."""
     from ..estimation.timing.flow_delay import estimate_flow_delay
 
-    if read.joints is None or seen is None or len(seen.times) < 2:
+    if read.signals.joints is None or seen is None or len(seen.times) < 2:
         return None
     seen = merge_slow_repeats(seen)
     interval_s = float(np.median(np.diff(seen.times, axis=1)))
-    joints = smooth_joints(read.joints, min(interval_s / KNOTS_PER_INTERVAL, LONGEST_KNOT_S))
+    joints = smooth_joints(
+        read.signals.joints, min(interval_s / KNOTS_PER_INTERVAL, LONGEST_KNOT_S)
+    )
     arms = group_joints(joints.names)
     row_time_s = _longest_row_time(seen)
     return estimate_flow_delay(joints, seen.times, seen.flow, list(arms.values()), row_time_s)

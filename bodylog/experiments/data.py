@@ -90,10 +90,10 @@ def _learned_map_panels(known: ExplorationSamples) -> list[dict[str, Any]]:
 
 def _skin_panels(read: Recording) -> list[dict[str, Any]]:
     """All cells, the most active first."""
-    assert read.skin is not None
-    order = np.argsort(-read.skin.values.max(axis=0), kind="stable")
-    cells = {f"cell {k}": read.skin.values[:, k] for k in order.tolist()}
-    return [build_panel("skin proximity", "1", read.skin.t, cells, "3c")]
+    assert read.signals.skin is not None
+    order = np.argsort(-read.signals.skin.values.max(axis=0), kind="stable")
+    cells = {f"cell {k}": read.signals.skin.values[:, k] for k in order.tolist()}
+    return [build_panel("skin proximity", "1", read.signals.skin.t, cells, "3c")]
 
 
 def _touch_pattern_panels(features: Features) -> list[dict[str, Any]]:

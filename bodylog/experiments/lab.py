@@ -57,8 +57,8 @@ class Lab:
         """
         settings = self._settings()
         read, features = pipeline.observe(self.log(scenario, seed, **options), settings)
-        assert read.truth is not None  # every simulated log carries it
-        return ObservedLog(features, read.truth)
+        assert read.signals.truth is not None  # every simulated log carries it
+        return ObservedLog(features, read.signals.truth)
 
     def log(self, scenario: str, seed: int, **options: Any) -> Path:
         """The recording's signals and tracks, without its images."""

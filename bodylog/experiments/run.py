@@ -14,9 +14,9 @@ from typing import Any
 
 from ..errors import PartError, UsageError
 from ..io.atomic_files import ensure_dir
+from ..io.extras import describe_missing
 from ..io.temporary import remove_killed
 from ..runtime.workers import become_worker, block_interrupts, end_children_on_failure
-from ..sim import how_to_install
 from . import page, readings, real, rubber_hand
 from .claims import Claim
 from .drawn import SIZE
@@ -136,10 +136,10 @@ def _check_requirements(names: Sequence[str], data: Path | None) -> None:
                 "type: --data DIR"
             )
         real.digest_tables(data)
-    needed = [("pybullet", how_to_install())] if set(names) - {"Real"} else []
-    for module, command in (*needed, ("matplotlib", "pip install 'bodylog[report]'")):
+    needed = ["pybullet"] if set(names) - {"Real"} else []
+    for module in (*needed, "matplotlib"):
         if find_spec(module) is None:
-            raise UsageError(f"reproduce: {module} is not installed; type: {command}")
+            raise UsageError(f"reproduce: {describe_missing(module)}")
 
 
 def load_or_run_trial(wish: Reproduction, name: str, seed: int) -> Trial:

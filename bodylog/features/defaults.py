@@ -55,7 +55,7 @@ def features_of_body(learned: BodyModel, settings: Settings) -> Settings:
 def features_of_log(read: Recording, settings: Settings) -> Settings:
     """The settings; without configured features, with those tracked in a log."""
     return (
-        replace(settings, features=read.settings.features)
+        replace(settings, features=read.facts.settings.features)
         if has_no_features(settings)
         else settings
     )
@@ -74,19 +74,19 @@ def search_again_without_default(
     """
     from ..perception import find_alternative
 
-    carried = read.tracks or (read.features and read.features.tracks)
+    carried = read.signals.tracks or (read.signals.features and read.signals.features.tracks)
     other = (
         find_alternative(read, found, settings)
-        if has_no_features(read.settings) and not carried
+        if has_no_features(read.facts.settings) and not carried
         else None
     )
     if other is None:
         return read, found
     chosen, findings = _choose_effector(str(log), other.why, other.survey, settings)
     if chosen.features:
-        read = replace(
-            read, settings=replace(read.settings, features=chosen.features), consumed=None
-        )
+        asked = replace(read.facts.settings, features=chosen.features)
+        facts = replace(read.facts, settings=asked)
+        read = replace(read, facts=facts, cameras=replace(read.cameras, consumed=None))
         found = look(read, chosen)
     return read, replace(found, findings=(*findings, *found.findings))
 

@@ -13,32 +13,37 @@ def moving_features(read: Recording, settings: Settings, progress: Progress | No
     """The features of a recording, or those stored in it by an earlier run."""
     from .. import perception
 
-    if read.features is None:
+    if read.signals.features is None:
         return replace(
             perception.observe_recording(read, settings, progress), cameras=_topics_by_camera(read)
         )
     carried = Finding(
         "info", "the log holds tracks of an earlier run, which are used; its images are not read"
     )
-    findings = (*read.features.findings, carried)
-    boards = perception.rigid_groups(list_configured_sources(read.settings), read.features.tracks)
-    tracks = {**read.tracks, **read.features.tracks}
-    health = {**read.features.health, **read.track_health}
-    return replace(read.features, tracks=tracks, health=health, findings=findings, boards=boards)
+    findings = (*read.signals.features.findings, carried)
+    boards = perception.rigid_groups(
+        list_configured_sources(read.facts.settings), read.signals.features.tracks
+    )
+    tracks = {**read.signals.tracks, **read.signals.features.tracks}
+    health = {**read.signals.features.health, **read.facts.track_health}
+    return replace(
+        read.signals.features, tracks=tracks, health=health, findings=findings, boards=boards
+    )
 
 
 def still_pose_features(read: Recording, settings: Settings, progress: Progress | None) -> Features:
     """Features of still poses: places from their table,
     and features found in its images; strokes need motion.
     """
-    carried = read.features or Features(read.joints, {}, None, (), (), {})
-    tracks = {**read.tracks, **carried.tracks}
-    health = {**carried.health, **read.track_health}
+    carried = read.signals.features or Features(read.signals.joints, {}, None, (), (), {})
+    tracks = {**read.signals.tracks, **carried.tracks}
+    health = {**carried.health, **read.facts.track_health}
     carried = replace(carried, tracks=tracks, health=health)
-    if read.frames is not None:
+    if read.cameras.frames is not None:
         from .. import perception
 
-        seen = perception.observe_recording(replace(read, features=None), settings, progress)
+        signals = replace(read.signals, features=None)
+        seen = perception.observe_recording(replace(read, signals=signals), settings, progress)
         carried = replace(
             seen, tracks={**seen.tracks, **carried.tracks}, health={**seen.health, **carried.health}
         )
@@ -48,11 +53,15 @@ def still_pose_features(read: Recording, settings: Settings, progress: Progress 
 def add_recorded_joints(read: Recording, found: Features) -> Features:
     """Features with the recording's joints."""
     return replace(
-        found, joints=read.joints, reference=read.reference, poses=read.poses, beside=read.beside
+        found,
+        joints=read.signals.joints,
+        reference=read.signals.reference,
+        poses=read.signals.poses,
+        beside=read.facts.beside,
     )
 
 
 def _topics_by_camera(read: Recording) -> dict[str, str]:
     """The topics of the cameras by name, "" for the first."""
-    roles = {role.partition("/"): path for role, path in read.roles.items()}
+    roles = {role.partition("/"): path for role, path in read.facts.roles.items()}
     return {name: path for (role, _, name), path in roles.items() if role == "camera"}

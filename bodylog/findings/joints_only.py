@@ -25,18 +25,20 @@ def read_joints_alone(
     from ..recording import recording
 
     read = recording.read_recording(log, settings, settings.input.strict)
-    if read.joints is None or not len(read.joints.t):
+    if read.signals.joints is None or not len(read.signals.joints.t):
         without = ", and no --body to find them by images" if body is None else ""
         raise LogError(f"{log}: no joint readings{without}; type: bodylog info {log}")
-    odd = () if read.poses else _reading_findings(read.joints)
+    odd = () if read.signals.poses else _reading_findings(read.signals.joints)
     unused = (_no_body(read),) if body is None else ()
-    findings = (*unused, *odd, *_outside_limit_findings(log, read.joints, settings))
-    return read, Features(read.joints, {}, None, (), (), {}, findings, poses=read.poses)
+    findings = (*unused, *odd, *_outside_limit_findings(log, read.signals.joints, settings))
+    return read, Features(
+        read.signals.joints, {}, None, (), (), {}, findings, poses=read.signals.poses
+    )
 
 
 def _no_body(read: Recording) -> Finding:
     """The remark that no body is used, and which cameras are ignored."""
-    unseen = [path for role, path in read.roles.items() if role.partition("/")[0] == "camera"]
+    unseen = [path for role, path in read.facts.roles.items() if role.partition("/")[0] == "camera"]
     unused = (
         f"; images of {', '.join(unseen)} are not used: type --body body.npz, which fit writes"
         if unseen
@@ -102,10 +104,10 @@ def without_body(read: Recording, settings: Settings) -> BodyModel:
     """
     from .. import estimation
 
-    assert read.joints is not None
-    mute = _list_mute_joints(read.joints)
+    assert read.signals.joints is not None
+    mute = _list_mute_joints(read.signals.joints)
     wanted = settings.body.joints
-    known = [name for name in read.joints.names if name not in mute]
+    known = [name for name in read.signals.joints.names if name not in mute]
     if unknown := [name for name in wanted or () if name not in known]:
         raise UsageError(
             f"[body] joints: found {unknown[0]!r}, possible: {', '.join(known)}; type: "

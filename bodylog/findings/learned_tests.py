@@ -23,7 +23,7 @@ def score_learned_body(
     findings = [
         f
         for _, read, found in observed
-        for f in (*read.findings, *found.findings, *sighting_findings(found))
+        for f in (*read.facts.findings, *found.findings, *sighting_findings(found))
     ]
     for log, read, found in observed:
         findings += require_same_camera(log, learned.provenance.get("cameras", ()), read, found)
@@ -38,7 +38,7 @@ def score_learned_body(
 
 def merged_health(observed: Sequence[tuple[Recording, Features]]) -> dict[str, Health]:
     """Health by topic or track; of several logs each key begins with its log's name."""
-    of = {read.name: {**read.health, **found.health} for read, found in observed}
+    of = {read.facts.name: {**read.facts.health, **found.health} for read, found in observed}
     if len(of) == 1:
         return next(iter(of.values()))
     return {f"{name}:{key}": health for name, found in of.items() for key, health in found.items()}

@@ -30,7 +30,7 @@ def estimate_log(
     from .misfit import find_misfit, from_many_faults, with_doubt
 
     chosen = settings.estimate, settings.time.delay
-    with log_context(log, read.findings):
+    with log_context(log, read.facts.findings):
         misfit = find_misfit(features, learned, *chosen)
         if misfit is None:
             found = change_findings.compare_changes_with_faults(

@@ -13,12 +13,15 @@ def score_estimate(found: Estimate, read: Recording) -> tuple[Score, ...]:
     from ..evaluation.figures import list_delays
     from ..evaluation.scores import score_angles
 
-    found_scores = (*score_angles(found, read.truth, read.joints), *list_delays(found))
-    if found.effector is None or read.truth_pose is None:
+    found_scores = (
+        *score_angles(found, read.signals.truth, read.signals.joints),
+        *list_delays(found),
+    )
+    if found.effector is None or read.signals.truth_pose is None:
         return found_scores
     from ..evaluation import poses
 
-    return (*found_scores, *poses.score_poses(found.effector, read.truth_pose))
+    return (*found_scores, *poses.score_poses(found.effector, read.signals.truth_pose))
 
 
 def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
@@ -29,7 +32,8 @@ def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
         return read
     from ..annotating import pose_topics
 
-    return replace(read, truth_pose=pose_topics.true_poses(log, read.start_ns))
+    poses = pose_topics.true_poses(log, read.start_ns)
+    return replace(read, signals=replace(read.signals, truth_pose=poses))
 
 
 def with_truth_beside_log(
@@ -39,8 +43,10 @@ def with_truth_beside_log(
     InputError where that says nothing about the estimate.
     """
     if (poses := _poses_beside(path, read)) is not None:
-        return _comparable_poses(path, found, replace(read, truth_pose=poses))
-    read = replace(read, truth=_read_truth_beside_log(path, read, settings))
+        signals = replace(read.signals, truth_pose=poses)
+        return _comparable_poses(path, found, replace(read, signals=signals))
+    truth = _read_truth_beside_log(path, read, settings)
+    read = replace(read, signals=replace(read.signals, truth=truth))
     _require_comparable_truth(path, found, read)
     return read
 
@@ -54,7 +60,7 @@ def _poses_beside(path: Path, read: Recording) -> Poses | None:
 
 def _comparable_poses(path: Path, found: Estimate, read: Recording) -> Recording:
     """The recording; InputError where true poses have no estimate beside them."""
-    truth = read.truth_pose
+    truth = read.signals.truth_pose
     assert truth is not None
     if found.effector is None:
         advice = "type: bodylog fit LOG --urdf ROBOT.urdf, and estimate again"
@@ -69,12 +75,12 @@ def _read_truth_beside_log(path: Path, read: Recording, settings: Settings) -> S
     from ..recording import recording
 
     if path.suffix in (".csv", ".npz"):
-        return truth.load_truth(path, read.start_ns, read.joints)
+        return truth.load_truth(path, read.start_ns, read.signals.joints)
     # the names of topics are those of the log that was estimated
     other = recording.read_recording(
         path, Settings(topics=TopicSettings(truth=settings.topics.truth)), settings.input.strict
     )
-    angles = other.truth if other.truth is not None else other.joints
+    angles = other.signals.truth if other.signals.truth is not None else other.signals.joints
     if angles is None:
         raise LogError(f"{path}: neither truth nor joints in it; type: bodylog info {path}")
     return replace(angles, t=angles.t + (other.start_ns - read.start_ns) / 1e9)
@@ -91,7 +97,7 @@ def _require_comparable_truth(path: Path, found: Estimate, read: Recording) -> N
     """InputError where truth from a file beside the log is
     of other joints, or of another time, than the estimate.
     """
-    truth = read.truth
+    truth = read.signals.truth
     assert truth is not None
     if not set(truth.names) & set(found.joints.names):
         names = (

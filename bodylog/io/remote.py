@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 
 from ..errors import BodylogError, LogError, UsageError
 from . import atomic_files, temporary
+from .extras import require_module
 from .outputs import METADATA, RECORDED
 
 T = TypeVar("T")
@@ -330,10 +331,7 @@ def _wait_for_answer(call: Callable[[], T], wait_s: float) -> T:
 
 
 def _open_remote_store(url: str, wait_s: float) -> tuple[Any, str]:
-    try:
-        import fsspec
-    except ImportError as err:
-        raise UsageError("a URL as a log needs fsspec; type: pip install 'bodylog[cloud]'") from err
+    fsspec = require_module("fsspec")
     options: dict[str, Any] = {}
     if _is_web(url):
         import aiohttp

@@ -56,16 +56,18 @@ def observe_recording(
     # the search begins before it is known whether the log has a skin
     for name in (
         list_configured_sources(settings).keys()
-        - list_sought_sources(settings, recording.skin is not None).keys()
+        - list_sought_sources(settings, recording.signals.skin is not None).keys()
     ):
         tracks = {track: series for track, series in tracks.items() if track != name}
         health = {track: counts for track, counts in health.items() if track != name}
         findings = tuple(one for one in findings if not one.text.startswith(f"{name}: "))
-    tracks = {**tracks, **recording.tracks}
-    health = {**health, **recording.track_health}
+    tracks = {**tracks, **recording.signals.tracks}
+    health = {**health, **recording.facts.track_health}
     touches = None
-    if recording.skin is not None:
-        touches, health["touch"], felt = detection.detect_touches(recording.skin, settings.skin)
+    if recording.signals.skin is not None:
+        touches, health["touch"], felt = detection.detect_touches(
+            recording.signals.skin, settings.skin
+        )
         findings += felt
     seen: tuple[Stroke, ...] = strokes.find_strokes(tracks["hand"]) if "hand" in tracks else ()
     pairs, more = matching.match_touches(
@@ -73,7 +75,15 @@ def observe_recording(
     )
     boards = rigid_groups(list_configured_sources(settings), tracks)
     return Features(
-        recording.joints, tracks, touches, seen, pairs, health, findings + more, size, boards=boards
+        recording.signals.joints,
+        tracks,
+        touches,
+        seen,
+        pairs,
+        health,
+        findings + more,
+        size,
+        boards=boards,
     )
 
 
@@ -102,30 +112,35 @@ def _track_all_cameras(
     """Tracks, health and findings of all cameras, and
     the first one's image width and height (px) if known.
     """
-    if recording.frames is None:
+    if recording.cameras.frames is None:
         text = (
             "camera: none in this log; no tracks but those that topics and tables have"
-            if recording.tracks
+            if recording.signals.tracks
             else "camera: none in this log; no tracks, no strokes"
         )
         return {}, {}, (Finding("info", text),), None
     features = list_configured_sources(settings)
-    consumed = recording.consumed
+    consumed = recording.cameras.consumed
     if consumed is not None and isinstance(consumed.by, FrameSearcher):
         seen = consumed.by.seen(consumed)
     else:
-        seen = _search_camera(recording.frames, features, settings, progress)
-    tracks, health, findings = _tracks_of_camera(seen, recording.frames, features, recording.joints)
+        seen = _search_camera(recording.cameras.frames, features, settings, progress)
+    tracks, health, findings = _tracks_of_camera(
+        seen, recording.cameras.frames, features, recording.signals.joints
+    )
     given = {name: source for name, source in features.items() if isinstance(source, PointSource)}
-    followed = points.track_points(recording.frames, given, recording.name)
+    followed = points.track_points(recording.cameras.frames, given, recording.facts.name)
     more = tracking.series_of_tracked(followed, seen.t, seen.source_ns, np.arange(seen.t.size))
     tracks = tracks | more[0]
     health = health | more[1]
-    for camera, frames in recording.views.items():
+    for camera, frames in recording.cameras.views.items():
         # touches are compared with the first camera's hand
         beside = {f"{camera}/{name}": source for name, source in features.items() if name != "hand"}
         more = _tracks_of_camera(
-            _search_camera(frames, beside, settings, progress), frames, beside, recording.joints
+            _search_camera(frames, beside, settings, progress),
+            frames,
+            beside,
+            recording.signals.joints,
         )
         tracks = tracks | more[0]
         health = health | more[1]

@@ -59,8 +59,10 @@ def kept_metadata(recording: Recording) -> dict[str, dict[str, str]]:
     """Metadata of the topics that a recording is written
     as, by /joint_states, and /camera or /NAME of cameras.
     """
-    found = {JOINTS: {**joints_metadata(recording), **(INDEPENDENT if recording.poses else {})}}
-    for role in recording.roles:
+    found = {
+        JOINTS: {**joints_metadata(recording), **(INDEPENDENT if recording.signals.poses else {})}
+    }
+    for role in recording.facts.roles:
         if role.partition("/")[0] == "camera":
             under = f"/{escape_topic_name(role.partition('/')[2])}" if "/" in role else "/camera"
             found[under] = role_metadata(recording, role)
@@ -70,14 +72,23 @@ def kept_metadata(recording: Recording) -> dict[str, dict[str, str]]:
 def joints_metadata(recording: Recording) -> dict[str, str]:
     """The metadata of the joints' topic, with the unit after conversion."""
     about = role_metadata(recording, "joints")
-    if recording.joints is None or UNIT not in about:
+    if recording.signals.joints is None or UNIT not in about:
         return about
-    return {**about, UNIT: recording.joints.unit, SOURCE_UNIT: about.get(SOURCE_UNIT, about[UNIT])}
+    return {
+        **about,
+        UNIT: recording.signals.joints.unit,
+        SOURCE_UNIT: about.get(SOURCE_UNIT, about[UNIT]),
+    }
 
 
 def role_metadata(recording: Recording, role: str) -> dict[str, str]:
     """Metadata from the dataset on the topic of a role."""
     topic = next(
-        (topic for topic in recording.topics if topic.name == recording.roles.get(role)), None
+        (
+            topic
+            for topic in recording.facts.topics
+            if topic.name == recording.facts.roles.get(role)
+        ),
+        None,
     )
     return {} if topic is None else {k: v for k, v in topic.metadata.items() if k.startswith(_OURS)}

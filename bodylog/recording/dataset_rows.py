@@ -82,10 +82,10 @@ def read_dataset_rows(
     """
     recording = read_recording(path, _every_camera(path, settings), settings.input.strict)
     joints = dataset_metadata.joints_metadata(recording)
-    findings = list(recording.findings)
+    findings = list(recording.facts.findings)
     features, text = _signal_features(path, recording, joints, findings)
-    films = {} if recording.frames is None else {"": recording.frames}
-    films |= dict(recording.views)
+    films = {} if recording.cameras.frames is None else {"": recording.cameras.frames}
+    films |= dict(recording.cameras.views)
     taken = {
         name: np.array([_frame_time_ns(recording, one) for one in film()], np.int64)
         for name, film in films.items()
@@ -159,24 +159,24 @@ def _signal_features(
 ) -> tuple[dict[str, Feature], str]:
     """Signals of a log by the names of their features, and its first task."""
     found: dict[str, Feature] = {}
-    if recording.skin is not None:
-        skin = recording.skin
+    if recording.signals.skin is not None:
+        skin = recording.signals.skin
         found["observation.skin"] = Feature(
             skin.values, skin.names, stamps_ns(skin.t, recording.start_ns)
         )
-    paths = list(recording.roles.values())
+    paths = list(recording.facts.roles.values())
     left = list[str]()
     task = ""
     used = {
         t.name
-        for t in recording.topics
+        for t in recording.facts.topics
         for path in paths
         if path == t.name or path.startswith(f"{t.name}.")
     }
     with OpenLog(path) as log:
-        if recording.joints is not None and len(recording.joints.t):
+        if recording.signals.joints is not None and len(recording.signals.joints.t):
             found = {about.get(FEATURE, STATE): _joint_feature(log, recording, about)} | found
-        for topic in recording.topics:
+        for topic in recording.facts.topics:
             if (
                 topic.name in used
                 or topic.name.startswith(PREFIX)
@@ -201,12 +201,13 @@ def _signal_features(
 
 def _joint_feature(log: OpenLog, recording: Recording, about: Mapping[str, str]) -> Feature:
     """The joints as in their topic if it is the only one and is read whole; else as converted."""
-    joints = recording.joints
+    joints = recording.signals.joints
     assert joints is not None
     ns = stamps_ns(joints.t, recording.start_ns)
     names = joints.names
     topic = next(
-        (one for one in recording.topics if one.name == recording.roles.get("joints")), None
+        (one for one in recording.facts.topics if one.name == recording.facts.roles.get("joints")),
+        None,
     )
     own = None if topic is None else _number_feature(log, topic)
     values = joints.values
@@ -292,7 +293,7 @@ def _camera_feature_name(name: str, recording: Recording) -> str:
     )
     return (
         known
-        or f"{IMAGES}{(name or camera_name_of_source(recording.roles['camera'])).replace('/', '.')}"
+        or f"{IMAGES}{(name or camera_name_of_source(recording.facts.roles['camera'])).replace('/', '.')}"
     )
 
 

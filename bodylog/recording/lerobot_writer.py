@@ -13,9 +13,9 @@ import numpy as np
 
 from ..errors import FormatError, UsageError
 from ..io.atomic_files import require_writable, sync_to_disk
+from ..io.extras import require_module
 from ..io.temporary import create_scratch_folder
 from ..logs.datasets.encode import Codec, encode_video, find_codec
-from ..logs.datasets.extra import require_module
 from ..logs.datasets.statistics import Sampled, combine_statistics, of_numbers
 from ..logs.protocol import Progress
 from ..settings import Settings

@@ -2,7 +2,7 @@
 one clock, lazy frames, and a count of every message.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -16,10 +16,13 @@ from ..sources import TableSource, TopicSource, track_names
 from ..types import (
     ConsumedFrames,
     Features,
+    Film,
     Finding,
     FrameConsumer,
     Health,
-    LazyImage,
+    LogFacts,
+    RecordedCameras,
+    RecordedSignals,
     Recording,
     Series,
 )
@@ -67,34 +70,37 @@ def read_recording(
         if key in sidecars
     }
     films = _frames_of_cameras(path, strict, streams, sidecars, settings, start_ns)
-    return Recording(
+    facts = LogFacts(
         name=path.name,
         format=log.format,
-        start_ns=start_ns,
-        duration_s=_duration_of_streams(streams, log),
         topics=log.topics,
         roles={role: stream.role.path for role, stream in streams.items()} | videos,
-        joints=joint_series.merge_joint_series(streams, settings, start_ns, str(path)),
-        skin=_series_of_stream(streams.get("skin"), start_ns, "0..1"),
-        truth=_series_of_stream(streams.get("truth"), start_ns, "rad"),
-        reference=_series_of_stream(streams.get("reference"), start_ns, "rad"),
-        frames=films.get("camera"),
-        features=features,
         health={stream.role.topic: _health_of_stream(stream) for stream in streams.values()}
         | _health_of_videos(sidecars),
         findings=findings,
-        views={
-            key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)
-        },
         settings=settings,
-        consumed=_frames_consumed(tap, streams.get("camera"), start_ns),
+        beside=joint_topics.unconfigured_joints(streams, settings),
+        track_health={name: health for name, (_, health) in named.items()},
+    )
+    signals = RecordedSignals(
+        joints=joint_series.merge_joint_series(streams, settings, start_ns, str(path)),
+        skin=_series_of_stream(streams.get("skin"), start_ns, "0..1"),
+        truth=_series_of_stream(streams.get("truth"), start_ns, "rad"),
+        features=features,
+        reference=_series_of_stream(streams.get("reference"), start_ns, "rad"),
         poses=any(
             has_independent_poses(stream.role.topics) for stream in joint_topics.streams_of(streams)
         ),
-        beside=joint_topics.unconfigured_joints(streams, settings),
         tracks={name: track for name, (track, _) in named.items()},
-        track_health={name: health for name, (_, health) in named.items()},
     )
+    pictures = RecordedCameras(
+        frames=films.get("camera"),
+        views={
+            key.removeprefix(_VIEW): film for key, film in films.items() if key.startswith(_VIEW)
+        },
+        consumed=_frames_consumed(tap, streams.get("camera"), start_ns),
+    )
+    return Recording(start_ns, _duration_of_streams(streams, log), facts, signals, pictures)
 
 
 def _start_ns(streams: Mapping[str, Stream], log: Log) -> int:
@@ -150,7 +156,7 @@ def _frames_of_cameras(
     sidecars: Mapping[str, video_file.Sidecar],
     settings: Settings,
     start_ns: int,
-) -> dict[str, Callable[[], Iterator[LazyImage]]]:
+) -> dict[str, Film]:
     """The images of every camera, by its role."""
     start = settings.topics.start
     first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9

@@ -3,7 +3,6 @@ Parquet file per role; and its features as CSV files.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from urllib.parse import quote
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from ..errors import UsageError
 from ..io.atomic_files import ensure_dir, replace_atomically
+from ..io.extras import require_module
 from ..types import MM_PER_M, Array, Features, Recording, Series
 from .tidy import ALWAYS, Window, cut_to_window, signals_by_role
 
@@ -128,12 +128,8 @@ def _quote_csv_name(name: str) -> str:
 
 
 def _make_parquet_writer() -> Callable[[Mapping[str, Array], Path], None]:
-    try:
-        pyarrow, parquet = import_module("pyarrow"), import_module("pyarrow.parquet")
-    except ImportError:
-        raise UsageError(
-            'Parquet needs pyarrow; type: pip install "bodylog[parquet]", or use --csv'
-        ) from None
+    pyarrow = require_module("pyarrow")
+    parquet = require_module("pyarrow.parquet")
 
     def save(table: Mapping[str, Array], path: Path) -> None:
         with path.open("wb") as stream:

@@ -80,7 +80,7 @@ def write_tidy_log(
         verify_message_count(beside, count, out)
     early += sum(int((series.t < earliest).sum()) for series in signals_by_role(recording).values())
     return (
-        *recording.findings,
+        *recording.facts.findings,
         *_findings_on_unread(path, unread),
         *_finding_on_early_messages(path, early if start is None else 0),
     )
@@ -135,7 +135,11 @@ def tidy_messages(recording: Recording, window: Window = ALWAYS) -> list[Outgoin
     ]
     out += [from_skin(SKIN, named["skin"], start_ns)] if "skin" in named else []
     # tracks in a table of poses are measured, not bodylog's
-    places = recording.features.tracks if recording.poses and recording.features is not None else {}
+    places = (
+        recording.signals.features.tracks
+        if recording.signals.poses and recording.signals.features is not None
+        else {}
+    )
     cuts = {name: cut_to_window(track, start_ns, window) for name, track in places.items()}
     return out + [from_track(name, track, start_ns, "") for name, track in cuts.items()]
 
@@ -145,7 +149,11 @@ _JOINTS = {"joints": JOINTS, "truth": TRUTH}
 
 def signals_by_role(recording: Recording) -> dict[str, Series]:
     """The recording's signals by role."""
-    found = {"joints": recording.joints, "truth": recording.truth, "skin": recording.skin}
+    found = {
+        "joints": recording.signals.joints,
+        "truth": recording.signals.truth,
+        "skin": recording.signals.skin,
+    }
     return {role: series for role, series in found.items() if series is not None}
 
 

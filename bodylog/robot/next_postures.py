@@ -48,7 +48,7 @@ def _postures_of_table(learned: BodyModel, table: Path) -> Array:
     """The postures (K,M) of a log of still poses, in the order of the body's joints."""
     from ..recording import recording
 
-    joints = recording.read_recording(table, Settings(), False).joints
+    joints = recording.read_recording(table, Settings(), False).signals.joints
     names = () if joints is None else joints.names
     missing = [name for name in learned.joints if name not in names]
     if joints is None or missing:

@@ -2,6 +2,5 @@
 
 from .record import record_scenario
 from .scenarios import SCENARIOS
-from .world import how_to_install
 
-__all__ = ["SCENARIOS", "how_to_install", "record_scenario"]
+__all__ = ["SCENARIOS", "record_scenario"]

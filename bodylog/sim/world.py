@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import UsageError
+from ..io.extras import require_module
 from ..types import Array
 from .arms import Arm
 from .camera import FAR, NEAR, PinholeCamera
@@ -105,28 +105,11 @@ class World:
         )
 
 
-def how_to_install() -> str:
-    """The command that installs PyBullet on this Python,
-    and its requirements where there is no wheel.
-    """
-    built = (
-        " (it is compiled here: a C++ compiler and about 5 minutes)"
-        if sys.version_info >= (3, 12)
-        else ""
-    )
-    return f"pip install 'bodylog[sim]'{built}"
-
-
 @contextmanager
 def open_world(arm: Arm) -> Iterator[World]:
     """The arm, loaded in its own PyBullet client; UsageError when PyBullet is not installed."""
     with _silence_stderr():
-        try:
-            import pybullet
-        except ImportError as error:
-            raise UsageError(
-                f"record: PyBullet is not installed; type: {how_to_install()}"
-            ) from error
+        pybullet = require_module("pybullet")
         client = pybullet.connect(pybullet.DIRECT)
         body = pybullet.loadURDF(str(arm.urdf), useFixedBase=True, physicsClientId=client)
     try:

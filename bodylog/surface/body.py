@@ -51,7 +51,7 @@ def learn_surface_body(
     from ..body.surface import joint_noise
 
     found = _calibrate_all_cameras(logs, settings, leave_out=leave_out)
-    features = [Features(read.joints, {}, None, (), (), {}) for _, read in logs]
+    features = [Features(read.signals.joints, {}, None, (), (), {}) for _, read in logs]
     names = tuple(found[0].joint_of)
     first, read = logs[0]
     about = {
@@ -170,7 +170,7 @@ def _build_surface_camera(one: SurfaceCalibration, topic: str) -> SurfaceCamera:
 
 def _find_image_topic(read: Recording, camera: str) -> str:
     """The topic of a camera's images, "" the first's."""
-    for role, path in read.roles.items():
+    for role, path in read.facts.roles.items():
         kind, _, name = role.partition("/")
         if kind == "camera" and name == camera:
             return path

@@ -167,7 +167,7 @@ def calibrate_cameras(
 
 def _frames_by_camera(read: Recording) -> dict[str, Callable[[], Iterator[LazyImage]]]:
     """The frames of each camera of a log, "" the first."""
-    films = {"": read.frames, **read.views}
+    films = {"": read.cameras.frames, **read.cameras.views}
     return {name: film for name, film in films.items() if film is not None}
 
 
@@ -185,7 +185,7 @@ def camera_hints(
     description = read_robot_description(log, settings.input)
     topics = {
         role.partition("/")[2]: path
-        for role, path in read.roles.items()
+        for role, path in read.facts.roles.items()
         if role.partition("/")[0] == "camera"
     }
     camera_hints = {
@@ -216,9 +216,9 @@ def find_moving_urdf_joints(
                 f"{log}: {logs[0][0]} has other joints: {differing!r} is in one of them alone"
             )
         joint_of = matched
-        assert read.joints is not None
+        assert read.signals.joints is not None
         for name in joint_of:
-            values = read.joints.values[:, list(read.joints.names).index(name)]
+            values = read.signals.joints.values[:, list(read.signals.joints.names).index(name)]
             columns[name] = np.concatenate([columns.get(name, np.zeros(0)), values])
     ranges = {name: _robust_range(column) for name, column in columns.items()}
     still = {
@@ -237,7 +237,9 @@ def find_moving_urdf_joints(
             f"{logs[0][0]}: none of its joints moves; the surface of a robot tells nothing then"
         )
     motions = [
-        smoothed_motion(read.joints, tuple(moving)) for _, read in logs if read.joints is not None
+        smoothed_motion(read.signals.joints, tuple(moving))
+        for _, read in logs
+        if read.signals.joints is not None
     ]
     return moving, motions, still
 
@@ -247,12 +249,12 @@ def _match_urdf_joints(log: Path, read: Recording, robot: "Robot") -> dict[str, 
     from ..kinematics.joint_names import match_joints
     from ..kinematics.robot import MOVING
 
-    if read.joints is None:
+    if read.signals.joints is None:
         raise EvidenceError(f"{log}: no joint states in it; the surface of a robot needs them")
     known = [joint.name for joint in robot.joints if joint.kind in MOVING and joint.mimic is None]
-    joint_of = match_joints(read.joints.names, known)
+    joint_of = match_joints(read.signals.joints.names, known)
     if not joint_of:
-        names = ", ".join(read.joints.names[:12])
+        names = ", ".join(read.signals.joints.names[:12])
         have = ", ".join(known[:12])
         raise ModelError(
             f"{robot.source}: none of the joints of {log} ({names}) is in it; it has {have}"

@@ -114,7 +114,7 @@ def estimate_by_surface(
     """
     assert learned.surface is not None
     part = middle_of_recording(read, LONGEST_S, MOST_IMAGES)
-    joints = part.joints
+    joints = part.signals.joints
     assert joints is not None
     missing = [name for name in learned.joints if name not in joints.names]
     if missing:

@@ -91,9 +91,9 @@ def linked_cameras(
             yield found.camera or "camera", linked
         return
     learned = storage.load_body(body)
-    if learned.surface is None or read.joints is None:
+    if learned.surface is None or read.signals.joints is None:
         raise ModelError(f"{body}: it has no surface of a robot; leave --body out")
-    motion = smoothed_motion(read.joints, learned.joints)
+    motion = smoothed_motion(read.signals.joints, learned.joints)
     for camera in learned.surface.cameras:
         yield camera.name, judge_by_camera(log, read, learned.surface, camera, motion).linked
 

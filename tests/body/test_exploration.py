@@ -59,7 +59,7 @@ def test_learn_omits_a_gripper_beside_a_nearly_noiseless_track():
     t = truth["t_frame"] + (float(truth["start"]) if truth["t_frame"][0] < 1e8 else 0.0) / 1e9 - read.start_ns / 1e9
     places = np.where(truth["seen"][:, None] > 0.5, truth["uv"], np.nan)
     track = Series(t, places, ("u", "v"), "px", np.rint(t * 1e9).astype(np.int64), np.full(places.shape, 0.01))
-    found = Features(read.joints, {"effector": track}, None, (), (), {}, beside=read.beside)
+    found = Features(read.signals.joints, {"effector": track}, None, (), (), {}, beside=read.facts.beside)
     kept, text = select_joints([found], [j for j in smooth_all_joints([found], None) if has_moved(j)], Settings().fit)
     assert len(kept) == 6 and {f.text.split(":")[0] for f in text} == {"left_finger_joint", "right_finger_joint"}
 

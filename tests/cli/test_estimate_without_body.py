@@ -34,7 +34,7 @@ def test_estimate_without_a_body_uses_joints_alone(robot, alone, capsys, run_cli
 
 
 def test_undetectable_fault_breaks_its_bound_without_a_body(robot, alone, run_cli):
-    name = recording.read_recording(robot / "reach.mcap", Settings()).joints.names[0]
+    name = recording.read_recording(robot / "reach.mcap", Settings()).signals.joints.names[0]
     assert run_cli("evaluate", alone, "--fail-if", "faults>0", "--fail-if", f"fault/frozen/{name}>0") == 0
     assert run_cli("evaluate", alone, "--fail-if", f"fault/encoder_offset/{name}>0.05") == 4
     assert run_cli("evaluate", alone, "--fail-if", "fault/encoder_offset/nobody>0.05") == 2
@@ -50,7 +50,7 @@ def test_estimate_checks_bounds_after_writing_the_log(tmp_path, robot, run_cli):
 @pytest.mark.parametrize("form", ["csv", "npz", "log"])
 def test_truth_kept_elsewhere_scores_as_truth_in_the_log(tmp_path, robot, alone, run_cli, capsys, form):
     read = recording.read_recording(robot / "reach.mcap", Settings())
-    truth, path = read.truth, tmp_path / f"truth.{form}"
+    truth, path = read.signals.truth, tmp_path / f"truth.{form}"
     ns = read.start_ns + np.round(truth.t * 1e9).astype(np.int64)
     if form == "csv":
         rows = [",".join(map(str, [at, *row])) for at, row in zip(ns.tolist(), truth.values.tolist(), strict=True)]
@@ -69,7 +69,7 @@ def test_truth_kept_elsewhere_scores_as_truth_in_the_log(tmp_path, robot, alone,
 
 
 def test_truth_of_other_joints_or_another_time_is_refused_with_what_is_possible(tmp_path, alone, run_cli, capsys):
-    name = recording.read_recording(alone, Settings()).joints.names[0]
+    name = recording.read_recording(alone, Settings()).signals.joints.names[0]
     others = (("t,nobody\n0,1\n1,1\n", "its columns are nobody"), (f"t,{name}\n900,1\n901,1\n", "it is from 900"))
     for text, why in others:
         (tmp_path / "a.csv").write_text(text)

@@ -39,7 +39,7 @@ def test_tags_give_tracks_and_a_body_that_keeps_their_settings(tagged, run_cli, 
     from bodylog.settings import Settings
 
     read, found = pipeline.observe(tagged / "features.mcap", Settings())
-    assert set(read.settings.features) == {"wrist", "rim"}
+    assert set(read.facts.settings.features) == {"wrist", "rim"}
     ((name, (tracks, places)),) = found.boards.items()
     assert name == "rim" and tracks == names[1:] and places[2].tolist() == [0.04, 0.04, 0.0]
 

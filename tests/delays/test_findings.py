@@ -1,7 +1,6 @@
 """`doctor` measures the delay of a log's images, with and without a body, and accuses no sound log."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +10,7 @@ import bodylog.logs as logs
 from bodylog import pipeline
 from bodylog.delays import findings as delay_findings
 from bodylog.settings import Settings, TimeSettings
+from tests.changed_recordings import change_recording
 
 ARM = Path(__file__).parents[2] / "fixtures" / "arm"
 IMAGES = "/camera/color/image_raw/compressed"
@@ -98,11 +98,12 @@ def test_doctor_looks_at_part_of_a_long_log():
     from bodylog.recording import recording
 
     read = recording.read_recording(ARM / "explore.mcap", Settings())
-    part = delay_findings.middle_of_recording(replace(read, views={"side": read.frames}), 10.0, 50)
-    t = [frame.t for frame in part.frames()]
+    part = delay_findings.middle_of_recording(change_recording(read, views={"side": read.cameras.frames}), 10.0, 50)
+    t = [frame.t for frame in part.cameras.frames()]
     assert 30 <= len(t) <= 40 and 14.9 < t[0] < 15.3 and 24.5 < t[-1] < 25.1
-    assert np.ptp(part.joints.t) <= 10.0 and len(part.joints.t) == len(part.joints.values) == len(part.joints.source_ns)
-    assert list(part.views) == ["side"]
+    joints = part.signals.joints
+    assert np.ptp(joints.t) <= 10.0 and len(joints.t) == len(joints.values) == len(joints.source_ns)
+    assert list(part.cameras.views) == ["side"]
 
 
 def test_doctor_prints_the_delay(run_cli, body, tmp_path, capsys):

@@ -92,9 +92,9 @@ def test_the_arm_that_carries_each_camera_is_named() -> None:
     by 0.2 and 0.3 with the other's."""
     topics = TopicSettings(camera=("/cam0/image", "/cam1/image"))
     read = recording.read_recording(Path(f"{SO101}#1"), replace(Settings(), topics=topics))
-    assert read.joints is not None
+    assert read.signals.joints is not None
     found = [one.found for one in measure_flow_delays(read)]
-    assert [one and name_moving_arm(read.joints.names, one) for one in found] == ["arm2", "arm1"]
+    assert [one and name_moving_arm(read.signals.joints.names, one) for one in found] == ["arm2", "arm1"]
 
 
 @pytest.mark.skipif(not G1.is_dir(), reason="the recorded humanoid is not in ../shared/real/g1")
@@ -104,4 +104,4 @@ def test_the_delay_of_a_recorded_humanoid_is_found_without_marker_or_urdf() -> N
     assert camera.found is not None and camera.found.certain
     # an adjustment with the URDF gives 85.2 ms
     assert abs(camera.found.delay.seconds - 0.0852) < min(0.02, 2.0 * camera.found.delay.std_error + 0.005)
-    assert {read.joints.names[k][:6] for k in camera.found.joints} == {"kRight"}  # type: ignore[union-attr]
+    assert {read.signals.joints.names[k][:6] for k in camera.found.joints} == {"kRight"}  # type: ignore[union-attr]

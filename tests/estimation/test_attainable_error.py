@@ -108,7 +108,7 @@ def test_simulated_reaches(tmp_path, cameras):
         explored = seen(tmp_path, "babble", seed, cameras)[1]
         learned = body.learn_body([explored], Settings(body=BodySettings(joints=UR5)), {}).model
         read, features = seen(tmp_path, "reach", seed, cameras)
-        rows.append(row(features, learned, read.truth, lines))
+        rows.append(row(features, learned, read.signals.truth, lines))
     judge(rows)
 
 
@@ -128,7 +128,7 @@ def test_still_arms_in_drawn_postures(tmp_path, monkeypatch):
         read, features = seen(tmp_path, "still", seed, 1)
         for method, found in ratios.items():
             belief = estimate_from_features(features, learned[seed % len(SEEDS)], EstimationSettings(method=method))
-            score = {s.name: s.value for s in score_angles(belief, read.truth, None)}
+            score = {s.name: s.value for s in score_angles(belief, read.signals.truth, None)}
             found.append([score[f"nees/joint/{name}"] for name in UR5])
     for method, found in ratios.items():
         mean, error = np.mean(found, axis=0), np.std(found, axis=0, ddof=1) / np.sqrt(len(found))

@@ -47,7 +47,7 @@ def test_faults_are_absent_in_readings_of_real_logs(name):
     path = SHARED / "logs" / name
     if not path.exists():
         pytest.skip(f"{path} is not at hand")
-    joints = recording.read_recording(path, Settings()).joints
+    joints = recording.read_recording(path, Settings()).signals.joints
     assert joints is not None and not accused(joints)
 
 

@@ -43,9 +43,9 @@ def bodies(seen):
 def gained(read, features, learned, settings):
     """Improvement by touch of the effector (px RMS while touched) and the joints (rad RMS)."""
     model = learned.senses["effector"]
-    start = truth_at_times(read.truth, list(UR5), np.zeros(1))[0] + SHIFT
+    start = truth_at_times(read.signals.truth, list(UR5), np.zeros(1))[0] + SHIFT
     found = estimate_from_features(features, learned, replace(settings, start=tuple(start)))
-    t, true = found.joints.t, truth_at_times(read.truth, list(UR5), found.joints.t)
+    t, true = found.joints.t, truth_at_times(read.signals.truth, list(UR5), found.joints.t)
     during = np.any([(t > touch.onset + 0.2) & (t < touch.offset) for touch in features.touches], axis=0)
 
     def apart(x):

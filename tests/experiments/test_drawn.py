@@ -11,7 +11,7 @@ from bodylog.settings import Settings
 
 def test_place_equals_the_simulators_track(robot):
     read, features = pipeline.observe(robot / "reach.mcap", Settings())
-    track, truth = features.effector, ObservedLog(features, read.truth)
+    track, truth = features.effector, ObservedLog(features, read.signals.truth)
     seen = np.isfinite(track.values).all(axis=1)
     apart = (drawn.place_in_image(truth.true(JOINTS, track.t), (160, 120)) - track.values)[seen]
     assert seen.sum() > 30 and np.abs(np.median(apart, axis=0)).max() < 0.1 and np.abs(apart).max() < 0.6

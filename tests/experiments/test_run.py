@@ -58,7 +58,7 @@ def _never(*_):
 
 def test_reproduce_names_missing_packages_before_any_run(tmp_path, monkeypatch):
     monkeypatch.setattr(run, "find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"pybullet is not installed; type: pip install 'bodylog\[sim\]'"):
+    with pytest.raises(UsageError, match=r"needs PyBullet; type: pip install 'bodylog\[sim\]'"):
         run_reproduction(run.Reproduction(tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 

@@ -15,6 +15,7 @@ from bodylog.recording import recording
 from bodylog.settings import ColourSettings, Settings, settings_as_values
 from bodylog.sources import ColourSource, TagSource
 from bodylog.types import Recording
+from tests.changed_recordings import change_recording
 from tests.perception import films as candidates
 
 
@@ -22,7 +23,7 @@ from tests.perception import films as candidates
 def film(monkeypatch: pytest.MonkeyPatch) -> Recording:
     """What every path is read as: green, red and yellow things that the joints do not move, and a tag that they do."""
     found = candidates.film(tag=7, arm=False)
-    monkeypatch.setattr(recording, "read_recording", lambda _path, settings, *_: replace(found, settings=settings))
+    monkeypatch.setattr(recording, "read_recording", lambda _path, settings, *_: change_recording(found, settings=settings))
     return found
 
 
@@ -31,17 +32,17 @@ def test_guess_follows_the_arms_tag_instead_of_green(film: Recording) -> None:
     first, second = (finding.text for finding in found.findings[:2])
     assert "effector: green is not the arm's: it does not move as the joints do" in first and "tag = 7" in first
     assert "effector: not followed: " in second and "yellow: it stands still" in second and "hand" not in second
-    assert read.settings.features == {"effector": TagSource(7, "apriltag_36h11")}
+    assert read.facts.settings.features == {"effector": TagSource(7, "apriltag_36h11")}
     assert found.health["effector"].used > 110 and found.effector is not None
-    assert default_features.features_of_log(read, Settings()).features == read.settings.features
-    known = json.dumps({"settings": json.dumps(settings_as_values(read.settings))})
+    assert default_features.features_of_log(read, Settings()).features == read.facts.settings.features
+    known = json.dumps({"settings": json.dumps(settings_as_values(read.facts.settings))})
     learned = replace(_model(), provenance=json.loads(known))
-    assert default_features.features_of_body(learned, Settings()).features == read.settings.features
+    assert default_features.features_of_body(learned, Settings()).features == read.facts.settings.features
 
 
 def test_configured_features_are_not_guessed(film: Recording) -> None:
     read, found = pipeline.observe(Path("log.mcap"), Settings(colours=ColourSettings(effector="yellow")), guess=True)
-    assert not read.settings.features and not any("is not the arm's" in one.text for one in found.findings)
+    assert not read.facts.settings.features and not any("is not the arm's" in one.text for one in found.findings)
     body = json.dumps({"features": {"effector": {"tag": 9, "dictionary": "4x4_50"}}, "colours": {}})
     own = Settings(features={"effector": ColourSource("blue")})
     assert default_features.features_of_body(replace(_model(), provenance={"settings": body}), own) is own
@@ -70,7 +71,7 @@ def test_provenance_that_names_no_source_leaves_the_default(settings: str) -> No
 def test_guess_keeps_the_green_ball_of_the_arm(arm: Path) -> None:
     read, found = pipeline.observe(arm / "explore.mcap", Settings(), guess=True)
     _, plain = pipeline.observe(arm / "explore.mcap", Settings())
-    assert not read.settings.features and found.effector is not None and plain.effector is not None
+    assert not read.facts.settings.features and found.effector is not None and plain.effector is not None
     assert found.effector.values.tobytes() == plain.effector.values.tobytes()
 
 

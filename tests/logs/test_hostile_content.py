@@ -44,9 +44,9 @@ def _joints(path, times, make=None):
 def test_open_ignores_impossible_log_times(tmp_path, odd):
     path = _joints(tmp_path / "x.mcap", [T0 + k * 10**7 for k in range(30)] + [odd])
     read = recording.read_recording(path, Settings())
-    assert len(read.joints.t) == 30 and read.joints.t[-1] == pytest.approx(0.29)
-    assert read.health["/joint_states"].rejected == {"time years away": 1}
-    assert any("log times such as" in finding.text for finding in read.findings)
+    assert len(read.signals.joints.t) == 30 and read.signals.joints.t[-1] == pytest.approx(0.29)
+    assert read.facts.health["/joint_states"].rejected == {"time years away": 1}
+    assert any("log times such as" in finding.text for finding in read.facts.findings)
 
 
 def test_open_reads_a_database_with_negative_times(tmp_path):
@@ -66,7 +66,7 @@ def test_read_rejects_only_messages_with_invalid_stamps(tmp_path, stamp):
     schema = b'{"properties": {"header": {}}}'
     stream = writing.Stream("/joint_states", JSON_JOINTS, schema, [*messages, (T0 + 10**9, odd)], "json", "jsonschema")
     read = recording.read_recording(writing.write(tmp_path / "x.mcap", [stream]), Settings())
-    assert len(read.joints.t) == 30 and sum(read.health["/joint_states"].rejected.values()) == 1
+    assert len(read.signals.joints.t) == 30 and sum(read.facts.health["/joint_states"].rejected.values()) == 1
 
 
 @pytest.mark.parametrize(
@@ -82,16 +82,16 @@ def test_read_counts_invalid_positions(tmp_path, position):
     messages = [(int(t), p.replace(b'"@"', position.encode())) for t, p in messages]
     stream = writing.Stream("/joint_states", JSON_JOINTS, b"{}", messages, "json", "jsonschema")
     read = recording.read_recording(writing.write(tmp_path / "x.mcap", [stream]), Settings())
-    rejected = sum(read.health["/joint_states"].rejected.values())
-    assert len(read.joints.t) == 31 - rejected
-    assert np.isfinite(read.joints.values[:30]).all() and np.nanmax(np.abs(read.joints.values)) <= 30
+    rejected = sum(read.facts.health["/joint_states"].rejected.values())
+    assert len(read.signals.joints.t) == 31 - rejected
+    assert np.isfinite(read.signals.joints.values[:30]).all() and np.nanmax(np.abs(read.signals.joints.values)) <= 30
 
 
 def test_ingest_writes_names_with_lone_surrogates(tmp_path, run_cli):
     times = [T0 + k * 10**7 for k in range(30)]
     path = _joints(tmp_path / "x.mcap", times, lambda k: {"name": ["\ud800"], "position": [k]})
     assert run_cli("ingest", path, "-o", tmp_path / "out.mcap") == 0
-    assert recording.read_recording(tmp_path / "out.mcap", Settings()).joints.names == ("\\ud800",)
+    assert recording.read_recording(tmp_path / "out.mcap", Settings()).signals.joints.names == ("\\ud800",)
 
 
 def _raw(**fields):
@@ -332,4 +332,4 @@ def test_commands_handle_names_that_are_not_utf_8(tmp_path, run_cli, folder):
 def test_read_uses_most_of_times_decades_apart(tmp_path):
     times = [T0 + k * 10**7 for k in range(30)] + [2 * T0 + k * 10**7 for k in range(20)]
     read = recording.read_recording(_joints(tmp_path / "x.mcap", times), Settings())
-    assert len(read.joints.t) == 30 and read.health["/joint_states"].rejected == {"time years away": 20}
+    assert len(read.signals.joints.t) == 30 and read.facts.health["/joint_states"].rejected == {"time years away": 20}

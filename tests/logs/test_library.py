@@ -285,6 +285,6 @@ def test_to_pandas_names_a_missing_package(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with (
         logs.open(joints(tmp_path / "a.mcap")) as log,
-        pytest.raises(UsageError, match="pandas is not installed; type: pip install pandas"),
+        pytest.raises(UsageError, match=r"needs pandas; type: pip install 'bodylog\[pandas\]'"),
     ):
         log["/joint_states"].to_pandas()

@@ -306,11 +306,11 @@ def test_frames_are_not_copied_and_drop_pages(tmp_path: Path) -> None:
             writer.add_message(channel, time, serialise_messages(1, fields).data.tobytes(), time)
         writer.finish()
     recording = read_recording(path, Settings())
-    assert recording.frames is not None
+    assert recording.cameras.frames is not None
     tracemalloc.start()
     behind: deque[LazyImage] = deque()
     resident = []
-    for frame in recording.frames():
+    for frame in recording.cameras.frames():
         behind.append(frame)
         if len(behind) > 20:
             assert behind.popleft().decode(1)[511, 2047].tolist() == [noise[0, -1]] * 3

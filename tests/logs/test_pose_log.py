@@ -45,7 +45,7 @@ def table(tmp_path) -> Path:
 
 def test_open_reads_joints_and_tracks(table):
     read_, found = observe(table, Settings())
-    assert read_.format == "csv" and read_.poses and found.poses
+    assert read_.facts.format == "csv" and read_.signals.poses and found.poses
     assert found.joints is not None and found.joints.names == NAMES
     np.testing.assert_array_equal(found.joints.values, Q)  # whole turns between poses stay: the poses are independent
     np.testing.assert_array_equal(found.tracks["tip"].values, UV)
@@ -75,13 +75,13 @@ def test_open_reads_parquet_and_yaml_as_csv(table, tmp_path):
 def test_open_uses_a_column_of_times(tmp_path):
     path = _csv(tmp_path, "unix_s,pan", "1400834744.5,0.1", "1400834748.25,0.2")
     read_ = recording.read_recording(path, Settings())
-    assert read_.joints is not None and read_.start_ns == 1400834744500000000
-    np.testing.assert_allclose(read_.joints.t, [0, 3.75])
+    assert read_.signals.joints is not None and read_.start_ns == 1400834744500000000
+    np.testing.assert_allclose(read_.signals.joints.t, [0, 3.75])
     path = _csv(tmp_path, "stamp_ms,pan", "0,0.1", "500,0.2")
-    assert recording.read_recording(path, Settings()).joints.t.tolist() == [0.0, 0.5]
+    assert recording.read_recording(path, Settings()).signals.joints.t.tolist() == [0.0, 0.5]
     for times in (("5", "5"), ("1", ""), ("1", "1e6")):
         path = _csv(tmp_path, "t,pan", f"{times[0]},0.1", f"{times[1]},0.2")
-        assert recording.read_recording(path, Settings()).joints.t.tolist() == [0.0, 1.0]
+        assert recording.read_recording(path, Settings()).signals.joints.t.tolist() == [0.0, 1.0]
         assert "t is the row's number" in _texts(path)
 
 
@@ -96,14 +96,14 @@ def test_poses_skip_columns_that_are_not_joints(tmp_path):
 def test_open_reports_and_converts_degrees(tmp_path):
     path = _csv(tmp_path, "pan", "-90", "0", "90")
     assert 'type: [body] unit = "deg"' in _texts(path)
-    found = recording.read_recording(path, Settings(body=BodySettings(unit="deg"))).joints.values
+    found = recording.read_recording(path, Settings(body=BodySettings(unit="deg"))).signals.joints.values
     np.testing.assert_allclose(found[:, 0], [-np.pi / 2, 0, np.pi / 2])
 
 
 def test_open_counts_bad_cells_and_rows(tmp_path):
     path = _csv(tmp_path, "pan,lift", "0.1,0.2", "0.2,oops", "0.3,1e999", "0.4,0.1,7", "0.5", "0.6,0.3", "0.7,0.2")
     found = recording.read_recording(path, Settings())
-    assert found.joints.values.shape == (6, 2) and np.isnan(found.joints.values[:, 1]).sum() == 3
+    assert found.signals.joints.values.shape == (6, 2) and np.isnan(found.signals.joints.values[:, 1]).sum() == 3
     lines = _texts(path)
     assert "column lift: 2 cells are not finite numbers, e.g. 'oops'" in lines
     assert "1 rows have more than 2 cells and are left out" in lines and "1 rows have fewer than 2 cells" in lines
@@ -120,8 +120,8 @@ def test_open_reads_images_beside_the_table(tmp_path):
     path = _csv(tmp_path, "picture,pan", "0.bmp,0.1", "1.png,0.2", "gone.png,0.3")
     read_, found = observe(path, Settings())
     np.testing.assert_allclose(found.tracks["effector"].values, [[40, 30], [80, 60]], atol=0.3)
-    assert read_.roles["camera"] == "/picture/compressed"
-    assert any("1 images cannot be read: gone.png" in f.text and f.severity == "lost" for f in read_.findings)
+    assert read_.facts.roles["camera"] == "/picture/compressed"
+    assert any("1 images cannot be read: gone.png" in f.text and f.severity == "lost" for f in read_.facts.findings)
 
 
 @pytest.mark.parametrize("form", ["bmp", "tiff", "ppm"])
@@ -140,7 +140,7 @@ def test_an_image_that_states_too_many_pixels_is_not_decoded(tmp_path, monkeypat
 def test_ingest_keeps_poses_independent(table, tmp_path):
     ingest(table, tmp_path / "poses.mcap", Settings())
     read_, found = observe(tmp_path / "poses.mcap", Settings())
-    assert read_.poses and found.poses
+    assert read_.signals.poses and found.poses
     np.testing.assert_array_equal(found.joints.values, Q)
     np.testing.assert_array_equal(found.tracks["tip"].values, UV)
 
@@ -190,7 +190,7 @@ def test_a_unit_of_joints_does_not_convert_coordinates_of_a_frame(tmp_path):
     ))  # fmt: skip
     given = Settings()
     in_degrees = replace(given, body=replace(given.body, unit="deg"))
-    plain, converted = (recording.read_recording(path, one).joints for one in (given, in_degrees))
+    plain, converted = (recording.read_recording(path, one).signals.joints for one in (given, in_degrees))
     assert plain is not None and converted is not None and plain.unit == converted.unit == "rad"
     np.testing.assert_array_equal(converted.values, plain.values)
     np.testing.assert_allclose(plain.values[:, 0], [0.1, 0.2, 0.3, 0.4])

@@ -71,9 +71,9 @@ def test_info_finds_joints(name, topic, count, first):
 
 def test_read_handles_simulated_stamps():
     got = read_recording(LOGS / "vbarcena2020__abitobot/rosbag/rosbag2_2025_05_09-18_01_02_0.mcap", Settings())
-    assert got.joints is not None
-    assert (got.joints.values.shape, got.start_ns) == ((1866, 10), 101_550_000_000)
-    np.testing.assert_allclose(np.diff(got.joints.t), 0.05, atol=1e-9)
+    assert got.signals.joints is not None
+    assert (got.signals.joints.values.shape, got.start_ns) == ((1866, 10), 101_550_000_000)
+    np.testing.assert_allclose(np.diff(got.signals.joints.t), 0.05, atol=1e-9)
 
 
 PICTURES = {
@@ -121,9 +121,9 @@ def test_image_files_are_all_listed():
 
 def test_frames_show_the_moving_disc():
     got = read_recording(LOGS / "gagalo123__mcap-explorer/examples/demo.mcap", Settings())
-    assert got.frames is not None
+    assert got.cameras.frames is not None
     places = []
-    for frame in got.frames():
+    for frame in got.cameras.frames():
         b, g, r = frame.image.astype(int).transpose(2, 0, 1)
         yellow = (np.minimum(r, g) - b) > 80
         assert yellow.sum() > 50
@@ -226,8 +226,8 @@ def test_read_is_the_same_in_three_containers():
         np.testing.assert_array_equal(one.t, other.t)
         np.testing.assert_array_equal(one.values, other.values)
         assert (one.names, one.unit) == (other.names, other.unit)
-    assert bag.frames is not None and rosbag2.frames is not None
-    for one, other in zip(bag.frames(), rosbag2.frames(), strict=True):
+    assert bag.cameras.frames is not None and rosbag2.cameras.frames is not None
+    for one, other in zip(bag.cameras.frames(), rosbag2.cameras.frames(), strict=True):
         assert one.t == other.t
         np.testing.assert_array_equal(one.image, other.image)
 
@@ -236,12 +236,13 @@ def test_read_is_the_same_in_three_containers():
 def test_read_gives_the_published_arm_positions(name):
     got = read_recording(LOGS / "arm" / name, Settings())
     made = np.load(LOGS / "arm" / f"{name}.truth.npz")
-    assert got.joints is not None and got.truth is not None and got.frames is not None and got.skin is not None
-    assert sorted(got.joints.names) == sorted(got.truth.names)
+    assert got.signals.joints is not None and got.signals.truth is not None
+    assert got.cameras.frames is not None and got.signals.skin is not None
+    assert sorted(got.signals.joints.names) == sorted(got.signals.truth.names)
     order = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-    truth = got.truth.values[:, [got.truth.names.index(f"{joint}_joint") for joint in order]]
+    truth = got.signals.truth.values[:, [got.signals.truth.names.index(f"{joint}_joint") for joint in order]]
     np.testing.assert_allclose(truth, made["q"], atol=1e-9)
-    np.testing.assert_allclose(got.truth.t, made["t"] - made["t"][0], atol=2e-9)
-    np.testing.assert_allclose([frame.t for frame in got.frames()], made["tf"] - made["t"][0], atol=2e-9)
-    assert got.skin.values.shape[1] == 117
-    assert all(not health.rejected for health in got.health.values())
+    np.testing.assert_allclose(got.signals.truth.t, made["t"] - made["t"][0], atol=2e-9)
+    np.testing.assert_allclose([frame.t for frame in got.cameras.frames()], made["tf"] - made["t"][0], atol=2e-9)
+    assert got.signals.skin.values.shape[1] == 117
+    assert all(not health.rejected for health in got.facts.health.values())

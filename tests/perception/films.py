@@ -1,11 +1,11 @@
 """Films of discs and a tag, of which some move with the joints."""
 
-from dataclasses import replace
 
 import cv2
 import numpy as np
 
 from bodylog.types import Array, Recording, Series
+from tests.changed_recordings import change_recording
 from tests.perception import scenes
 from tests.perception.scenes import Disc
 
@@ -40,4 +40,4 @@ def film(tag: int | None = None, arm: bool = True) -> Recording:
             _paste(image, tag, round(220 + 30 * b), round(60 + 20 * a))
     pictures = [scenes.jpeg(image) for image in drawn]
     joints = Series(T, ANGLES, ("a", "b"), "rad", (T * 1e9).astype(np.int64))
-    return replace(scenes.recording(scenes.frames(T, pictures)), joints=joints)
+    return change_recording(scenes.recording(scenes.frames(T, pictures)), joints=joints)

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 
 from bodylog.types import Array, LazyImage, Recording, Series
+from tests.changed_recordings import make_recording
 
 GREEN, RED, YELLOW = (40, 190, 30), (36, 34, 200), (20, 210, 220)
 REDUCED = {1: 1, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
@@ -66,4 +67,4 @@ def frames(t: Array, payloads: Sequence[Array]) -> Callable[[], Iterator[LazyIma
 
 def recording(pictures: Callable[[], Iterator[LazyImage]] | None = None, skin: Series | None = None) -> Recording:
     """A Recording of pictures and skin alone."""
-    return Recording("test", "mcap", 0, 0.0, (), {}, None, skin, None, pictures, None, {})
+    return make_recording("test", skin=skin, frames=pictures)

@@ -10,6 +10,7 @@ from bodylog.perception.tracking.candidates import survey_features
 from bodylog.report.figures.contact_sheet import Mark, draw_contact_sheet
 from bodylog.sources import TagSource
 from bodylog.types import Array
+from tests.changed_recordings import change_recording
 from tests.perception import scenes
 from tests.perception.films import ANGLES, T, film
 
@@ -44,35 +45,36 @@ def test_pictures_that_cannot_be_decoded_are_an_error_that_says_why() -> None:
         raise FormatError("/camera: not a JPEG")
 
     whole = film()
-    assert whole.frames is not None
-    frames = [replace(frame, decode=broken) for frame in whole.frames()]
+    assert whole.cameras.frames is not None
+    frames = [replace(frame, decode=broken) for frame in whole.cameras.frames()]
     with pytest.raises(LogError, match="no picture can be decoded: /camera: not a JPEG; type: bodylog info"):
-        survey_features(replace(whole, frames=lambda: iter(frames)), "red")
+        survey_features(change_recording(whole, frames=lambda: iter(frames)), "red")
 
 
 def test_readings_that_are_none_do_not_count_against_the_others() -> None:
     whole, values = film(), np.column_stack([ANGLES, np.full(len(T), np.nan)])
     values[20:, 0] = np.nan
-    assert whole.joints is not None
-    some = replace(whole.joints, values=values, names=("a", "b", "c"))
-    assert survey_features(replace(whole, joints=some), "red").candidates[0].name == "green"
-    nothing = replace(whole.joints, values=np.full_like(values, np.nan), names=("a", "b", "c"))
-    assert all(one.why and one.explained is None for one in survey_features(replace(whole, joints=nothing), "red").candidates)
+    assert whole.signals.joints is not None
+    some = replace(whole.signals.joints, values=values, names=("a", "b", "c"))
+    assert survey_features(change_recording(whole, joints=some), "red").candidates[0].name == "green"
+    nothing = replace(whole.signals.joints, values=np.full_like(values, np.nan), names=("a", "b", "c"))
+    seen = survey_features(change_recording(whole, joints=nothing), "red")
+    assert all(one.why and one.explained is None for one in seen.candidates)
 
 
 def test_pictures_of_two_sizes_and_damaged_ones_are_looked_at_as_far_as_they_go() -> None:
     whole = film()
-    assert whole.frames is not None
-    frames = list(whole.frames())
+    assert whole.cameras.frames is not None
+    frames = list(whole.cameras.frames())
 
     def damaged(_k: int) -> np.ndarray:
         raise FormatError("cut off")
 
     odd = [replace(f, decode=damaged) if i % 7 == 3 else f for i, f in enumerate(frames)]
     odd[30:] = [replace(f, decode=lambda k, f=f: f.decode(2 * k)) for f in odd[30:]]
-    found = survey_features(replace(whole, frames=lambda: iter(odd)), "red")
+    found = survey_features(change_recording(whole, frames=lambda: iter(odd)), "red")
     assert "green" in {one.name for one in found.candidates}
     marks = [Mark(one.name, not one.why, one.track) for one in found.candidates]
     assert draw_contact_sheet(found.images, marks).shape[1] == 3 * 480
     with pytest.raises(LogError, match="no picture can be decoded: cut off"):
-        survey_features(replace(whole, frames=lambda: iter([replace(f, decode=damaged) for f in frames])), "red")
+        survey_features(change_recording(whole, frames=lambda: iter([replace(f, decode=damaged) for f in frames])), "red")

@@ -13,6 +13,7 @@ from bodylog.perception.tracking import joint_motion
 from bodylog.recording import recording
 from bodylog.settings import Settings, TopicSettings
 from bodylog.types import Array, Recording, Series
+from tests.changed_recordings import change_recording
 from tests.perception import scenes
 from tests.perception.scenes import Disc
 
@@ -44,7 +45,7 @@ def _film(seed: int, count: int = 200, delay: float = 0.0) -> tuple[Recording, A
     readings = angles + rng.normal(0, 0.003, angles.shape)
     joints = Series(dense - delay, readings, ("a", "b"), "rad", (dense * 1e9).astype(np.int64))
     hidden = np.hypot(*(uv - sleeve).T) < 16.0 + RADIUS
-    return replace(scenes.recording(scenes.frames(t, pictures)), joints=joints), uv, ~hidden
+    return change_recording(scenes.recording(scenes.frames(t, pictures)), joints=joints), uv, ~hidden
 
 
 @pytest.mark.parametrize(("seed", "delay"), [(0, 0.0), (1, 0.1), pytest.param(2, -0.1, marks=pytest.mark.soak)])
@@ -59,7 +60,7 @@ def test_observe_follows_only_the_ball_of_the_arm(seed: int, delay: float) -> No
 
 def test_observe_without_joints_follows_the_largest() -> None:
     film, uv, _ = _film(0)
-    track = observe_recording(replace(film, joints=None), Settings()).effector
+    track = observe_recording(change_recording(film, joints=None), Settings()).effector
     assert track is not None and np.nanmedian(np.hypot(*(track.values - uv).T)) > 20
 
 
@@ -71,20 +72,20 @@ def test_single_blob_track_does_not_depend_on_joints() -> None:
     frames = scenes.frames(np.arange(60) / 10.0, pictures)
     look, tracks = colour_tracker.search_colours, colour_tracker.colour_tracks
     one, other = (tracks(look(frames, {"effector": "green"}), frames, {"effector": "green"}, joints)
-                  for joints in (film.joints, None))  # fmt: skip
+                  for joints in (film.signals.joints, None))  # fmt: skip
     assert one[0]["effector"].values.tobytes() == other[0]["effector"].values.tobytes()
 
 
 def test_joints_explain_only_the_ball() -> None:
     film, uv, _ = _film(3)
     t = np.arange(200) / 10.0
-    q = joint_motion.moving_postures(film.joints, t)
+    q = joint_motion.moving_postures(film.signals.joints, t)
     other = 100 + 50 * np.column_stack([np.sin(1.3 * t), np.cos(0.4 * t)])
     assert joint_motion.explained_share(q, uv, 320.0) > 0.9
     assert joint_motion.explained_share(q, other, 320.0) < 0.2
-    assert joint_motion.camera_delay_s(film.joints, t, uv, 320.0) == 0.0
+    assert joint_motion.camera_delay_s(film.signals.joints, t, uv, 320.0) == 0.0
     later = np.column_stack([np.interp(t - 0.1, t, column) for column in uv.T])
-    assert joint_motion.camera_delay_s(film.joints, t[5:], later[5:], 320.0) == pytest.approx(0.1)
+    assert joint_motion.camera_delay_s(film.signals.joints, t[5:], later[5:], 320.0) == pytest.approx(0.1)
 
 
 @pytest.mark.parametrize("side", [(14.0, 6.0), (-12.0, 9.0)])

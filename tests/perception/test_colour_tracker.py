@@ -13,6 +13,7 @@ from bodylog.perception import observe_recording
 from bodylog.perception.colours import blob_measurement, colour_tracker, hsv_ranges
 from bodylog.settings import Colour, ColourSettings, Settings
 from bodylog.types import Array, Health, LazyImage, Series
+from tests.changed_recordings import change_recording
 from tests.perception import scenes
 from tests.perception.scenes import Disc
 
@@ -335,13 +336,13 @@ def test_further_cameras_look_for_what_is_on_the_arm_and_name_it_by_camera() -> 
     side = scenes.frames(T[:10] + 0.01, pictures)
     settings = Settings(colours=ColourSettings(markers={"elbow": "yellow"}))
     alone = observe_recording(scenes.recording(head), settings)
-    both = observe_recording(replace(scenes.recording(head), views={"side": side}), settings)
+    both = observe_recording(change_recording(scenes.recording(head), views={"side": side}), settings)
     assert list(both.tracks) == ["effector", "elbow", "side/effector", "side/elbow"]
     assert np.array_equal(both.tracks["effector"].values, alone.tracks["effector"].values)
     seen = both.tracks["side/effector"]
     assert np.allclose(seen.t, T[:10] + 0.01) and np.allclose(seen.values, PATH[:10, ::-1], atol=0.5)
     assert both.health["side/elbow"].used == 10
-    blind = observe_recording(replace(scenes.recording(head), views={"side": lambda: iter(())}), settings)
+    blind = observe_recording(change_recording(scenes.recording(head), views={"side": lambda: iter(())}), settings)
     assert blind.tracks["side/effector"].values.shape == (0, 2)
 
 

@@ -38,7 +38,7 @@ def world() -> World:
     """Some images of a log, what following gives in them, and the truth."""
     if not WORLDS.is_dir():
         pytest.skip("the rendered worlds (../shared/logs/worlds) are not at hand")
-    frames = recording.read_recording(WORLDS / "tag_explore", Settings()).frames
+    frames = recording.read_recording(WORLDS / "tag_explore", Settings()).cameras.frames
     assert frames is not None
     images = [cv2.cvtColor(frame.image, cv2.COLOR_BGR2GRAY) for frame in islice(frames(), *SOME)]
     tracker = TagTracker({"tag": TagSource(7), "rim": TagSource(7, corners=True)})

@@ -63,20 +63,20 @@ def log(poses, tmp_path_factory):
 )
 def test_coordinates_carry_the_frame_to_its_poses(log, poses, source, frame, rows):
     found = read_recording(log, Settings(topics=TopicSettings(joints=source)))
-    assert found.joints.unit == "rad" and found.joints.names[:3] == (
+    assert found.signals.joints.unit == "rad" and found.signals.joints.names[:3] == (
         f"{frame}.x",
         f"{frame}.y",
         f"{frame}.z",
     )
     assert (
-        np.abs(np.diff(found.joints.values, axis=0)).max() < 1.0
+        np.abs(np.diff(found.signals.joints.values, axis=0)).max() < 1.0
     )  # no leap where an angle passes half a turn
-    there = chain_between(frame_robot(frame, found.joints.names), "base", frame).at(
-        found.joints.values
+    there = chain_between(frame_robot(frame, found.signals.joints.names), "base", frame).at(
+        found.signals.joints.values
     )
     np.testing.assert_allclose(there.place, poses[0][rows], atol=1e-9)
     np.testing.assert_allclose(there.rotation, poses[1][rows], atol=1e-9)
-    lost = found.health[source.partition(".")[0]].rejected
+    lost = found.facts.health[source.partition(".")[0]].rejected
     assert sum(lost.values()) == COUNT - len(rows) and len(lost) == 1
 
 
@@ -86,10 +86,10 @@ def test_tf_alone_asks_which_frame_and_a_log_without_joints_names_the_poses(log)
     ):
         read_recording(log, Settings(topics=TopicSettings(joints="/tf")))
     found = read_recording(log, Settings())
-    assert any('[topics] joints = "/hand/pose"' in one.text for one in found.findings)
+    assert any('[topics] joints = "/hand/pose"' in one.text for one in found.facts.findings)
 
 
 def test_the_line_that_info_prints_is_read_again(log):
     first = read_recording(log, Settings(topics=TopicSettings(joints="/hand/pose")))
-    again = read_recording(log, Settings(topics=TopicSettings(joints=first.roles["joints"])))
-    np.testing.assert_array_equal(again.joints.values, first.joints.values)
+    again = read_recording(log, Settings(topics=TopicSettings(joints=first.facts.roles["joints"])))
+    np.testing.assert_array_equal(again.signals.joints.values, first.signals.joints.values)

@@ -36,24 +36,24 @@ def two(tmp_path) -> Path:
 
 def test_series_merges_topics_without_shared_names(two):
     found = read_recording(two, Settings())
-    assert found.roles["joints"] == "/arm/joint_states" and found.roles["joints/head"] == "/head/joint_states"
-    assert found.joints.names == ("pan", "lift", "neck") and found.beside == ("neck",)
-    assert len(found.joints.t) == 450 and np.all(np.diff(found.joints.t) > 0)
-    arm = np.isfinite(found.joints.values[:, 0])
-    assert arm.sum() == 300 and np.isnan(found.joints.values[arm, 2]).all()
-    np.testing.assert_allclose(found.joints.values[~arm, 2], found.joints.t[~arm] - 0.003, atol=1e-9)
+    assert found.facts.roles["joints"] == "/arm/joint_states" and found.facts.roles["joints/head"] == "/head/joint_states"
+    assert found.signals.joints.names == ("pan", "lift", "neck") and found.facts.beside == ("neck",)
+    assert len(found.signals.joints.t) == 450 and np.all(np.diff(found.signals.joints.t) > 0)
+    arm = np.isfinite(found.signals.joints.values[:, 0])
+    assert arm.sum() == 300 and np.isnan(found.signals.joints.values[arm, 2]).all()
+    np.testing.assert_allclose(found.signals.joints.values[~arm, 2], found.signals.joints.t[~arm] - 0.003, atol=1e-9)
     alone = read_recording(two, Settings(topics=TopicSettings(joints="/arm/joint_states")))
-    np.testing.assert_array_equal(alone.joints.values, found.joints.values[arm, :2])
-    np.testing.assert_array_equal(alone.joints.t, found.joints.t[arm])
+    np.testing.assert_array_equal(alone.signals.joints.values, found.signals.joints.values[arm, :2])
+    np.testing.assert_array_equal(alone.signals.joints.t, found.signals.joints.t[arm])
     assert describe_log(two, Settings())["joints"] == ["pan", "lift", "neck"]
 
 
 def test_series_applies_each_topics_delay(two):
     settings = Settings(time=TimeSettings(delay={"joints/head": 0.003}))
     found = read_recording(two, settings)
-    assert len(found.joints.t) == 300  # the head's readings are now at every second one of the arm
-    whole = np.isfinite(found.joints.values).all(axis=1)
-    np.testing.assert_allclose(found.joints.values[whole, 2], found.joints.t[whole], atol=1e-9)
+    assert len(found.signals.joints.t) == 300  # the head's readings are now at every second one of the arm
+    whole = np.isfinite(found.signals.joints.values).all(axis=1)
+    np.testing.assert_allclose(found.signals.joints.values[whole, 2], found.signals.joints.t[whole], atol=1e-9)
     with pytest.raises(ConfigError, match=r"'joints/neck'; possible: joints/arm, joints/head"):
         read_recording(two, Settings(time=TimeSettings(delay={"joints/neck": 0.003})))
 
@@ -62,13 +62,13 @@ def test_names_add_the_topic_to_shared_names(tmp_path):
     left, right = (_topic(f"/{side}/joint_states", ("elbow", side), 10, 50) for side in ("left", "right"))
     path = write(tmp_path / "sides.mcap", [left, right])
     guessed = read_recording(path, Settings())
-    assert guessed.joints.names == ("elbow", "left") and "joints/right" not in guessed.roles
-    assert any('joints = ["/left/joint_states", "/right/joint_states"]' in f.text for f in guessed.findings)
+    assert guessed.signals.joints.names == ("elbow", "left") and "joints/right" not in guessed.facts.roles
+    assert any('joints = ["/left/joint_states", "/right/joint_states"]' in f.text for f in guessed.facts.findings)
     both = Settings(topics=TopicSettings(joints=("/left/joint_states", "/right/joint_states")))
     found = read_recording(path, both)
-    assert found.joints.names == ("left/elbow", "left", "right/elbow", "right") and found.beside == ()
+    assert found.signals.joints.names == ("left/elbow", "left", "right/elbow", "right") and found.facts.beside == ()
     chosen = read_recording(path, replace(both, body=BodySettings(joints=("right/elbow", "left"))))
-    assert chosen.joints.names == ("right/elbow", "left")
+    assert chosen.signals.joints.names == ("right/elbow", "left")
     with pytest.raises(LogError, match="names 'elbow'; the log has left, left/elbow, right, right/elbow"):
         read_recording(path, replace(both, body=BodySettings(joints=("elbow",))))
     with pytest.raises(LogError, match="there is no topic '/up/joint_states'"):
@@ -92,11 +92,11 @@ def test_roles_ignore_commands_and_copies(tmp_path):
         _topic("/arm/joint_states", ("pan",), 10, 50),
     ]
     found = read_recording(write(tmp_path / "x.mcap", parts), Settings())
-    assert found.joints.names == ("pan", "lift") and found.beside == ()
+    assert found.signals.joints.names == ("pan", "lift") and found.facts.beside == ()
 
 
 def _texts(path: Path) -> str:
-    return " | ".join(f"{f.severity}: {f.text}" for f in read_recording(path, Settings()).findings)
+    return " | ".join(f"{f.severity}: {f.text}" for f in read_recording(path, Settings()).facts.findings)
 
 
 def test_read_reports_two_publishers_on_one_topic(tmp_path):
@@ -114,7 +114,7 @@ def test_joints_in_varying_order_are_one_list(tmp_path):
     messages = [m for pair in zip(one.messages, two.messages, strict=True) for m in pair]
     path = write(tmp_path / "x.mcap", [replace(one, messages=messages)])
     assert "lists of joints" not in _texts(path)
-    assert set(read_recording(path, Settings()).joints.names) == {"pan", "lift"}
+    assert set(read_recording(path, Settings()).signals.joints.names) == {"pan", "lift"}
 
 
 def test_read_reports_changing_and_vanishing_joints(tmp_path):
@@ -140,6 +140,6 @@ def test_read_counts_positions_that_are_texts(tmp_path):
     stream = Stream("/joint_states", "sensor_msgs/msg/JointState", b"{}", rows, "json", "jsonschema")
     path = write(tmp_path / "x.mcap", [stream])
     found = read_recording(path, Settings())
-    health = found.health["/joint_states"]
+    health = found.facts.health["/joint_states"]
     assert (health.seen, health.used) == (40, 30) and health.rejected == {"positions that are not numbers": 10}
     assert "rejected 10 (positions that are not numbers) of 40 messages" in _texts(path)

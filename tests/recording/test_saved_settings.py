@@ -26,11 +26,11 @@ def annotated(folder, saved):
 def test_restore_settings_fills_defaults(tmp_path):
     saved = {"topics": {"joints": JOINTS, "skin": None}, "body": {"unit": "deg"}, "time": {"joints": "log"}}
     log = annotated(tmp_path, saved)
-    restored = read_recording(log, Settings()).settings
+    restored = read_recording(log, Settings()).facts.settings
     assert restored == Settings(topics=TopicSettings(joints=JOINTS), body=BodySettings(unit="deg"), time=TimeSettings(joints="log"))
     asked = Settings(topics=TopicSettings(joints="/joints_of_mine"), time=TimeSettings(joints="header"))
     assert describe_log(log, asked)["findings"][-1]["text"].startswith('[topics] joints = "/joints_of_mine", but there is no')
-    again = read_recording(log, replace(asked, topics=TopicSettings())).settings
+    again = read_recording(log, replace(asked, topics=TopicSettings())).facts.settings
     assert again == replace(restored, time=asked.time)
 
 
@@ -47,4 +47,4 @@ def test_restore_settings_fills_defaults(tmp_path):
     ],
 )
 def test_restore_settings_ignores_values_that_do_not_fit(tmp_path, saved):
-    assert read_recording(annotated(tmp_path, saved), Settings()).settings == Settings()
+    assert read_recording(annotated(tmp_path, saved), Settings()).facts.settings == Settings()

@@ -9,13 +9,13 @@ from bodylog.recording.recording import read_recording
 from bodylog.recording.tables import export_features, export_signals
 from bodylog.recording.tidy import signals_by_role
 from bodylog.settings import Settings
-from bodylog.types import Features, Recording, Series, Stroke, Synchrony, Touch
+from bodylog.types import Features, Series, Stroke, Synchrony, Touch
+from tests.changed_recordings import make_recording
 from tests.logs.written import START
 
 
 def recording(**streams):
-    return Recording("log", "mcap", START, 1.0, (), {}, **dict.fromkeys(("joints", "skin", "truth"))
-                     | streams, frames=None, features=None, health={})  # fmt: skip
+    return make_recording(start_ns=START, duration_s=1.0, **streams)
 
 
 def some(names=("a", "b"), count=5, seed=0):
@@ -57,7 +57,7 @@ def test_export_parquet_reads_back_exactly(tmp_path):
 
 def test_export_names_a_missing_package(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(UsageError, match=r'pip install "bodylog\[parquet\]"'):
+    with pytest.raises(UsageError, match=r"pip install 'bodylog\[datasets\]'"):
         export_signals(recording(joints=some()), tmp_path, "parquet")
     assert not list(tmp_path.iterdir())
 

@@ -26,7 +26,7 @@ def log(arm, request):
 
 
 def pictures(recording):
-    return [(frame.t, frame.image) for frame in recording.frames()]
+    return [(frame.t, frame.image) for frame in recording.cameras.frames()]
 
 
 def test_ingest_keeps_signals_under_tidy_names(tmp_path, log):
@@ -52,9 +52,9 @@ def test_ingest_logs_at_the_chosen_times(tmp_path, log):
         times = {}
         for _, channel, message in make_reader(stream, validate_crcs=True).iter_messages():
             times.setdefault(channel.topic, []).append(message.log_time)
-    stamps = recording.start_ns + np.rint(recording.joints.t * 1e9).astype(np.int64)
+    stamps = recording.start_ns + np.rint(recording.signals.joints.t * 1e9).astype(np.int64)
     assert np.array_equal(times["/joint_states"], stamps)
-    camera = [recording.start_ns + round(frame.t * 1e9) for frame in recording.frames()]
+    camera = [recording.start_ns + round(frame.t * 1e9) for frame in recording.cameras.frames()]
     assert times["/camera/image/compressed"] == camera
 
 
@@ -193,7 +193,7 @@ def test_ingest_reports_messages_before_time_zero(tmp_path):
     (fields,) = [f.text for f in findings if "left out" in f.text]
     left = int(fields.removeprefix(f"{log}: ").split()[0])
     after = read_recording(tmp_path / "out.mcap", Settings())
-    assert 0 < left < 50 and len(list(after.frames())) == 50 - left and len(after.joints.t) == 50
+    assert 0 < left < 50 and len(list(after.cameras.frames())) == 50 - left and len(after.signals.joints.t) == 50
 
 
 def test_ingest_refuses_a_damaged_log_if_strict(tmp_path, arm):

@@ -9,6 +9,7 @@ import numpy as np
 from bodylog.report.page.page import write_report_page
 from bodylog.report.viewers.image_overlay import OverlayPicture
 from bodylog.types import Fault, Finding, Health, Score
+from tests.changed_recordings import change_recording
 from tests.report.records import SCORES, estimate, features, recording
 
 HOSTILE = "</script><script>window.hit=1</script><img src=x onerror=window.hit=1>&amp;\u2028\u202e\x00'\"$"
@@ -48,7 +49,7 @@ def hostile_parts():
             predicted={name: estimate().predicted["effector"], "effector": estimate().predicted["effector"]},
         ),
         "features": features(tracks={name: features().tracks["effector"]}, findings=(Finding("lost", name),)),
-        "recording": replace(log, roles={name: name}, health={name: Health(1, 0, {name: 1})}, format=name),
+        "recording": change_recording(log, roles={name: name}, health={name: Health(1, 0, {name: 1})}, format=name),
         "scores": (Score(name, 1.0, name),),
         "pictures": (OverlayPicture(1.0, np.zeros((20, 30, 3), np.uint8), name),),
         "provenance": {name: name},

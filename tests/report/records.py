@@ -22,6 +22,7 @@ from bodylog.types import (
     Synchrony,
     Touch,
 )
+from tests.changed_recordings import make_recording
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 
@@ -59,7 +60,7 @@ def recording(seed: int = 0, duration: float = 20.0, joints: tuple[str, ...] = J
         },
         "findings": (Finding("warning", "/joint_states: velocity is NaN in 12 messages"),),
     }
-    return Recording(**(fields | changes))
+    return make_recording(**(fields | changes))
 
 
 def features(seed: int = 0, duration: float = 20.0, **changes: Any) -> Features:

@@ -1,4 +1,4 @@
-import builtins
+import sys
 
 import pytest
 
@@ -14,14 +14,8 @@ def test_unknown_suffix_lists_the_known_and_writes_nothing(tmp_path, name):
 
 
 def test_missing_matplotlib_gives_the_command_to_type(tmp_path, monkeypatch):
-    real = builtins.__import__
-
-    def refuse(name, *rest):
-        if name.startswith("matplotlib"):
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
+    for name in [*filter(lambda name: name.startswith("matplotlib"), sys.modules), "matplotlib"]:
+        monkeypatch.setitem(sys.modules, name, None)
     with pytest.raises(UsageError, match=r"pip install 'bodylog\[report\]'"), open_figure(tmp_path / "f.png", 2, 2):
         pytest.fail("drawn all the same")
 

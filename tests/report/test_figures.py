@@ -6,6 +6,7 @@ import pytest
 
 from bodylog.errors import LogError, ModelError
 from bodylog.report.figures.figures import body_figure, estimate_figure, recording_figure
+from tests.changed_recordings import change_recording
 
 from .records import UNSEEN, Blind, Bowl, body, estimate, features, recording
 
@@ -46,7 +47,7 @@ def test_recording_figure_shows_every_kind_of_signal(tmp_path):
     ],
 )
 def test_recording_figure_omits_absent_signals(tmp_path, log, seen, count, absent):
-    recording_figure(replace(recording(), **log), features(**seen), tmp_path / "f.svg")
+    recording_figure(change_recording(recording(), **log), features(**seen), tmp_path / "f.svg")
     assert axes_of(tmp_path / "f.svg") == count  # the colour bar of the skin is one
     assert not absent & set(words(tmp_path / "f.svg"))
 
@@ -64,23 +65,23 @@ def test_recording_figure_without_features_shows_signals(tmp_path):
 
 def test_empty_recording_is_refused_by_name(tmp_path):
     with pytest.raises(LogError, match="no joints"):
-        recording_figure(replace(recording(), joints=None, skin=None), UNSEEN, tmp_path / "f.svg")
+        recording_figure(change_recording(recording(), joints=None, skin=None), UNSEEN, tmp_path / "f.svg")
 
 
 @pytest.mark.parametrize("cells", [1, 4, 5, 117])
 def test_skin_is_lines_for_few_cells_and_a_picture_for_many(tmp_path, cells):
-    skin = recording().skin
+    skin = recording().signals.skin
     some = replace(skin, values=np.tile(skin.values[:, :1], cells), names=tuple(f"cell {c}" for c in range(cells)))
-    recording_figure(replace(recording(), skin=some), UNSEEN, tmp_path / "f.svg")
+    recording_figure(change_recording(recording(), skin=some), UNSEEN, tmp_path / "f.svg")
     assert ("skin cell" in words(tmp_path / "f.svg")) == (cells >= 5)
 
 
 @pytest.mark.parametrize("value", [1e38, -1e38, np.inf, np.nan, np.uint32(0x7F800001).view(np.float32)])
 def test_cells_that_read_anything_are_drawn(tmp_path, value):
-    skin = recording().skin
+    skin = recording().signals.skin
     values = skin.values.astype(np.float32)
     values[::7, 3] = values[:, 5] = value
-    recording_figure(replace(recording(), skin=replace(skin, values=values)), UNSEEN, tmp_path / "f.png")
+    recording_figure(change_recording(recording(), skin=replace(skin, values=values)), UNSEEN, tmp_path / "f.png")
 
 
 def test_recording_figure_omits_a_track_without_sightings(tmp_path):
@@ -91,8 +92,8 @@ def test_recording_figure_omits_a_track_without_sightings(tmp_path):
 
 
 def test_names_from_a_log_stay_text(tmp_path):
-    recording_figure(replace(recording(joints=HOSTILE), name="$x^{<&>"), features(), tmp_path / "f.svg")
-    estimate_figure(estimate(joints=HOSTILE), recording(joints=HOSTILE).truth, None, tmp_path / "e.svg")
+    recording_figure(change_recording(recording(joints=HOSTILE), name="$x^{<&>"), features(), tmp_path / "f.svg")
+    estimate_figure(estimate(joints=HOSTILE), recording(joints=HOSTILE).signals.truth, None, tmp_path / "e.svg")
     for path in (tmp_path / "f.svg", tmp_path / "e.svg"):
         assert "<script" not in path.read_text()
         assert any("$\\frac{" in text for text in words(path))
@@ -121,7 +122,7 @@ def test_body_figure_needs_two_joints_but_no_samples(tmp_path):
 
 def test_estimate_figure_shows_belief_truth_faults_and_errors(tmp_path):
     log = recording()
-    estimate_figure(estimate(), log.truth, log.joints, tmp_path / "e.svg")
+    estimate_figure(estimate(), log.signals.truth, log.signals.joints, tmp_path / "e.svg")
     reported = set(words(tmp_path / "e.svg"))
     assert {"belief", "truth", "encoder", "off truth, mrad", "drifting since 8.2 s"} <= reported
     assert {"encoders error, σ", "effector error, σ", "free energy, nats"} <= reported
@@ -137,5 +138,5 @@ def test_estimate_figure_without_truth_has_no_deviation(tmp_path):
 def test_long_log_gives_a_small_figure(tmp_path):
     log = recording(duration=2000.0)
     recording_figure(log, features(duration=2000.0), tmp_path / "f.svg")
-    estimate_figure(estimate(duration=2000.0), log.truth, log.joints, tmp_path / "e.svg")
+    estimate_figure(estimate(duration=2000.0), log.signals.truth, log.signals.joints, tmp_path / "e.svg")
     assert max(p.stat().st_size for p in tmp_path.iterdir()) < 3_000_000

@@ -7,6 +7,7 @@ import pytest
 from bodylog.errors import FormatError, UsageError
 from bodylog.report.viewers.image_overlay import draw_overlay, draw_pictures, overlay_sheet
 from bodylog.types import LazyImage
+from tests.changed_recordings import change_recording
 
 from .records import estimate, features, recording
 
@@ -62,7 +63,7 @@ def test_pictures_are_spread_over_the_log_and_say_what_was_seen():
 
 
 def test_pictures_are_empty_without_a_camera():
-    assert draw_pictures(replace(recording(), frames=None), features(), estimate()) == ()
+    assert draw_pictures(change_recording(recording(), frames=None), features(), estimate()) == ()
 
 
 def test_damaged_image_is_replaced_by_the_next():
@@ -70,9 +71,9 @@ def test_damaged_image_is_replaced_by_the_next():
         raise FormatError("frame")
 
     good = recording()
-    frames = [LazyImage(0.0, 0, broken), *good.frames()]
+    frames = [LazyImage(0.0, 0, broken), *good.cameras.frames()]
     frames[100:110] = [replace(f, decode=broken) for f in frames[100:110]]
-    assert len(draw_pictures(replace(good, frames=lambda: iter(frames)), features(), estimate(), 6)) == 6
+    assert len(draw_pictures(change_recording(good, frames=lambda: iter(frames)), features(), estimate(), 6)) == 6
 
 
 def test_sheet_is_one_png_with_identical_bytes(tmp_path):
@@ -93,7 +94,7 @@ def test_sheet_refuses_no_images_and_other_formats(tmp_path):
 def test_pictures_show_each_cameras_own_marks():
     log, seen = recording(), features()
     aside = replace(seen, tracks=seen.tracks | {"side/effector": seen.tracks["effector"]})
-    drawn = draw_pictures(replace(log, views={"side": log.frames}), aside, estimate(), 3)
+    drawn = draw_pictures(change_recording(log, views={"side": log.cameras.frames}), aside, estimate(), 3)
     assert [p.caption.split(" · ")[0] for p in drawn[3:]] == ["side"] * 3 and len(drawn) == 6
     assert "px apart" in drawn[0].caption and "px apart" not in drawn[3].caption  # nothing predicted for it
     assert drawn[3].caption.endswith(" · seen")

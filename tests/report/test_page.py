@@ -8,6 +8,7 @@ import pytest
 
 from bodylog.report.viewers.image_overlay import OverlayPicture, draw_pictures
 from bodylog.types import Fault, FaultKind, Health, Score, Stroke, Synchrony, Touch
+from tests.changed_recordings import change_recording
 from tests.report.pages import HOSTILE, LIMIT, hostile_parts, plotted, report, titles
 
 from .records import SCORES, UNSEEN, estimate, features, recording, series
@@ -41,7 +42,7 @@ def test_page_shows_every_part(tmp_path):
     drawn = draw_pictures(recording(), features(), estimate(), 6)
     page = report(tmp_path / "r.html", pictures=drawn, provenance={"sha256": "ab"})
     assert titles(page) == [
-        *(f"{name}{what}" for name in recording().joints.names for what in (", rad", " minus truth, rad")),
+        *(f"{name}{what}" for name in recording().signals.joints.names for what in (", rad", " minus truth, rad")),
         "encoders: prediction error, standard deviations",
         "effector: prediction error, standard deviations",
         "free energy, nats",
@@ -92,7 +93,7 @@ def test_page_keeps_the_estimates_numbers(tmp_path):
     t, y = numbers(data["panels"][0]["traces"][2], data["span"])
     assert np.allclose(t, belief.joints.t, atol=1e-8) and np.allclose(y, belief.joints.values[:, 0], atol=1e-6)
     off = numbers(data["panels"][1]["traces"][2], data["span"])[1]
-    assert np.allclose(off, belief.joints.values[:, 0] - recording().truth.values[:, 0], atol=1e-6)
+    assert np.allclose(off, belief.joints.values[:, 0] - recording().signals.truth.values[:, 0], atol=1e-6)
     band = data["panels"][0]["traces"][1]
     high = np.frombuffer(base64.b64decode(band["high"]), "<f4")
     assert np.allclose((high - numbers(band, data["span"])[1]) / 4, np.sqrt(belief.cov[:, 0, 0]), atol=1e-6)
@@ -119,16 +120,16 @@ def test_page_keeps_gaps_in_tracks(tmp_path):
 
 
 def test_page_omits_absent_parts(tmp_path):
-    bare = replace(recording(), truth=None, skin=None, health={}, findings=(), roles={})
+    bare = change_recording(recording(), truth=None, skin=None, health={}, findings=(), roles={})
     page = report(tmp_path / "r.html", recording=bare, features=UNSEEN, scores=())
-    assert titles(page)[:3] == [f"{name}, rad" for name in bare.joints.names]
+    assert titles(page)[:3] == [f"{name}, rad" for name in bare.signals.joints.names]
     assert not any("truth" in title or "px" in title or "skin" in title for title in titles(page))
     for absent in ("<h2>Pictures", "<h2>Touches", "<h2>Provenance", "<h2>Remarks", "Health of the log"):
         assert absent not in page
 
 
 def test_page_without_plots_has_no_script(tmp_path):
-    bare, nothing = replace(recording(), truth=None, skin=None, joints=None), np.full((1000, 3), np.nan)
+    bare, nothing = change_recording(recording(), truth=None, skin=None, joints=None), np.full((1000, 3), np.nan)
     found = estimate(errors={}, free_energy=nothing[:, 0], cov=nothing[:, :, None] * nothing[:, None])
     found = replace(found, joints=replace(found.joints, values=nothing))
     page = report(tmp_path / "r.html", recording=bare, features=UNSEEN, estimate=found)
@@ -164,7 +165,7 @@ def test_long_wide_and_busy_logs_stay_below_the_limit(tmp_path, seed):
     strokes = tuple(Stroke(i * 1e-3, i * 1e-3 + 1e-4, (0.0, 0.0), (1.0, 1.0)) for i in range(n))
     pairs = tuple(Synchrony(i, i, 1 / 3, 1 / 3) for i in range(n))
     busy = features(seed, duration, touches=touches, strokes=strokes, synchrony=pairs)
-    crowded = replace(log, health={f"/topic/{i}" * 30: Health(1, 1) for i in range(5000)})
+    crowded = change_recording(log, health={f"/topic/{i}" * 30: Health(1, 1) for i in range(5000)})
     belief = estimate(seed, duration, names)
     page = report(tmp_path / "r.html", recording=crowded, features=busy, estimate=belief, pictures=noise)
     assert len(page.encode()) <= LIMIT
@@ -195,7 +196,7 @@ def test_header_shows_any_start_time(tmp_path, start_ns):
 
 def test_page_of_one_instant_has_a_time_axis(tmp_path):
     one = series(np.array([0.0]), np.zeros((1, 1)), ("a",), "rad")
-    instant = replace(recording(), joints=one, truth=None, skin=None, duration_s=0.0)
+    instant = change_recording(recording(), joints=one, truth=None, skin=None, duration_s=0.0)
     found = estimate(joints=("a",), errors={}, cov=np.ones((1, 1, 1)), free_energy=np.zeros(1))
     found = replace(found, joints=one)
     page = report(tmp_path / "r.html", estimate=found, features=UNSEEN, recording=instant)

@@ -83,7 +83,7 @@ def test_points_lie_where_and_when_the_log_says(seen, annotated):
     from bodylog.recording import recording
     from bodylog.settings import Settings
 
-    estimate, track = log.read_estimate(annotated), recording.read_recording(annotated, Settings()).features.effector
+    estimate, track = log.read_estimate(annotated), recording.read_recording(annotated, Settings()).signals.features.effector
     for name, series in (("seen", track), ("predicted", estimate.predicted["effector"])):
         ns, points = values(seen, rf"/camera/image/compressed/effector\ {name}", "Points2D:positions")
         order = np.argsort(ns, kind="stable")
@@ -207,7 +207,8 @@ def test_view_falls_back_to_topics_with_roles(run_cli, tmp_path, capsys):
 def test_names_are_names_whatever_signs_they_hold(tmp_path, cameras):
     log = hostile_parts()
     found = log["features"]
-    rerun_recording.write_companion(tmp_path / "h.rrd", HOSTILE, (), cameras, found, log["estimate"], log["recording"].truth)
+    truth = log["recording"].signals.truth
+    rerun_recording.write_companion(tmp_path / "h.rrd", HOSTILE, (), cameras, found, log["estimate"], truth)
     assert "1 file verified without error" in rerun(tmp_path, "rrd", "verify", tmp_path / "h.rrd")
     printed = rerun(tmp_path, "rrd", "print", tmp_path / "h.rrd")
     assert printed.count("/bodylog/belief/") >= 6 and "/bodylog/events" in printed

@@ -61,7 +61,7 @@ def test_bones_and_trails_join_their_ends_and_what_is_foreign_is_grey():
 
 def test_page_shows_the_surface_its_error_and_the_share_of_foreign_corners(tmp_path):
     log = recording()
-    t = next(iter(log.frames())).t
+    t = next(iter(log.cameras.frames())).t
     found = judged([view_of_log(t)])
     pictures = surface_pictures(log, found)
     assert len(pictures) == 1 and "1 corners, 0.71 px off per axis" in pictures[0].caption

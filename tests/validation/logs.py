@@ -75,7 +75,7 @@ def learned(seed, cameras=1, seconds=40.0):
 def recorded(name):
     """A recorded log of fixtures/arm: what perception finds, and the truth it carries."""
     read, features = pipeline.observe(RECORDED / name, Settings())
-    return ObservedLog(features, read.truth)
+    return ObservedLog(features, read.signals.truth)
 
 
 @cache

@@ -72,7 +72,7 @@ def learned(name):
 def log(name):
     """A run with its truth."""
     read, features = pipeline.observe(FOLDER / f"{name}.mcap", settings())
-    return ObservedLog(features, read.truth)
+    return ObservedLog(features, read.signals.truth)
 
 
 def row(name, exploration, run):

@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import LogError, UsageError
+from ...io.extras import require_module
 from ...runtime.blas_threads import without_real_time
 from ..limits import Input
 from ..records import Array
 from . import video
-from .extra import require_module
 
 Images = Callable[[], Iterator[Array]]
 """Returns the images (H,W,3) uint8 BGR of a video in order, on each call."""

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, LogError
+from ...io.extras import require_module
 from ...io.values import read_json
 from ..limits import LIMITS, Input
 from ..records import Finding
-from .extra import require_module
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 _DEEPEST = 6

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from ...errors import FormatError, LogError
+from ...io.extras import require_module
 from ..limits import LIMITS, Input, TableSize
 from ..records import Array
 from ..storage.compression import Allowance
 from ..tables import parquet_pages
-from .extra import require_module
 
 _MOST_ROWS = 1 << 24
 _ROWS_AT_ONCE = 16

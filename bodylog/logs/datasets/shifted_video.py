@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import FormatError
+from ...io.extras import require_module
 from ..limits import Input
 from . import video
-from .extra import require_module
 
 _TOLERANCE_S = 1e-4
 """s: LeRobot rejects images that are further from their rows."""

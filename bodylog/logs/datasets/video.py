@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from ...errors import LogError
+from ...io.extras import require_module
 from ..images.mp4_boxes import check_samples
 from ..limits import Input
 from ..records import Array
-from .extra import require_module
 
 _LEAST_PIXELS = 1 << 20
 """A decoder pads small images, so that it needs more than these have."""

@@ -2,13 +2,12 @@
 
 import difflib
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ...errors import UsageError
+from ...io.extras import require_module
 from ..records import Array, Topic
 from .columns import definition_of
 from .definitions import PRIMITIVES, TEXTS, TIMES, Definition
@@ -93,16 +92,13 @@ class Table:
         """A pandas DataFrame: log_ns, then each field, arrays
         as one column per element. Needs the extra pandas.
         """
-        with _require_package("pandas"):
-            import pandas as pd
-        return pd.DataFrame(dict(self._flat(fields)))
+        return require_module("pandas").DataFrame(dict(self._flat(fields)))
 
     def to_arrow(self, fields: Sequence[str] | None = None) -> Any:
         """A pyarrow Table: log_ns, then each field, arrays as
         one column per element; UsageError without pyarrow.
         """
-        with _require_package("pyarrow"):
-            import pyarrow as pa
+        pa = require_module("pyarrow")
         return pa.table({name: pa.array(values) for name, values in self._flat(fields)})
 
     def _flat(self, fields: Sequence[str] | None) -> Iterator[tuple[str, Array]]:
@@ -141,17 +137,6 @@ class Table:
         self._found |= other._found
         for reason, count in other.rejected.items():
             self.rejected[reason] = max(count, self.rejected.get(reason, 0))
-
-
-@contextmanager
-def _require_package(package: str) -> Iterator[None]:
-    """Turn a failed import in the `with` block into
-    a UsageError that names the package to install.
-    """
-    try:
-        yield
-    except ImportError:
-        raise UsageError(f"{package} is not installed; type: pip install {package}") from None
 
 
 class Struct:

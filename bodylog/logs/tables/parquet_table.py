@@ -6,7 +6,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ...errors import FormatError, UsageError
+from ...errors import FormatError
+from ...io.extras import require_module
 from ..limits import Input, TableSize
 from ..records import Array
 from . import parquet_pages
@@ -17,11 +18,7 @@ def read_parquet_table(path: Path, limits: Input) -> tuple[list[str], list[Array
     """Names and cells (N,) of the columns, and the number
     of rows; FormatError or LogError where it is unreadable.
     """
-    try:
-        parquet: Any = import_module("pyarrow.parquet")
-    except ImportError:
-        text = 'Parquet needs pyarrow; type: pip install "bodylog[parquet]", or save it as CSV'
-        raise UsageError(f"{path}: {text}") from None
+    parquet = require_module("pyarrow.parquet", path)
     with _arrow_damage_errors(path):
         return _of_file(path, limits, parquet)
 

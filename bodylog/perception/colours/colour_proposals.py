@@ -17,7 +17,7 @@ def pick_images(recording: Recording) -> Callable[[], Iterator[tuple[float, Arra
     """Times and images, at most _LOOKED_AT evenly spaced,
     decoded one by one; undecodable ones are left out.
     """
-    frames = recording.frames or (lambda: iter(()))
+    frames = recording.cameras.frames or (lambda: iter(()))
     every = -(-sum(1 for _ in frames()) // _LOOKED_AT)
 
     def pictures() -> Iterator[tuple[float, Array]]:
@@ -33,7 +33,7 @@ def pick_images(recording: Recording) -> Callable[[], Iterator[tuple[float, Arra
 
 def why_none(recording: Recording) -> str:
     """Why there are no images: the log has none, or the first cannot be decoded."""
-    for frame in recording.frames() if recording.frames else ():
+    for frame in recording.cameras.frames() if recording.cameras.frames else ():
         try:
             frame.decode(1)
         except FormatError as problem:

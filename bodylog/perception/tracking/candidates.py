@@ -132,7 +132,7 @@ def survey_features(
         width = max(width, image.shape[1])
         if index in shown:
             images[index] = np.array(image)
-    q = joint_motion.moving_postures(recording.joints, t)
+    q = joint_motion.moving_postures(recording.signals.joints, t)
     judged = [
         *(_tag_candidate(tag, np.stack(seen)[:, k], q, width) for k, tag in enumerate(tags)),
         *(
@@ -164,7 +164,7 @@ def _colour_candidate(
 ) -> Candidate:
     low, high = one.parts[0][0], one.parts[-1][1]
     choice = (
-        clutter.choose_arm_blobs(t, found, recording.joints, width)
+        clutter.choose_arm_blobs(t, found, recording.signals.joints, width)
         if np.isfinite(found[:, 1:, 0]).any()
         else None
     )
@@ -174,7 +174,9 @@ def _colour_candidate(
         track = np.where(
             choice.number[:, None] >= 0, found[np.arange(len(t)), choice.number, :2], np.nan
         )
-    q = joint_motion.moving_postures(recording.joints, t, 0.0 if choice is None else choice.delay)
+    q = joint_motion.moving_postures(
+        recording.signals.joints, t, 0.0 if choice is None else choice.delay
+    )
     source = ColourSource({"low": low, "high": high})
     of_hand = () if hand is None else covered_hue_names(resolve_colour(hand, "hand"))
     why = "the hand's colour" if colour_proposals.name_of_middle_hue(one) in of_hand else ""

@@ -43,7 +43,7 @@ def find_alternative(
         return Alternative(
             why,
             candidates.survey_features(
-                recording, hand_colour(settings, recording.skin is not None)
+                recording, hand_colour(settings, recording.signals.skin is not None)
             ),
         )
     except InputError:
@@ -52,7 +52,7 @@ def find_alternative(
 
 def _reason_not_on_arm(recording: Recording, track: Series, width: float) -> str:
     """Why a track is not on the arm; "" when it may be."""
-    q = joint_motion.moving_postures(recording.joints, track.t)
+    q = joint_motion.moving_postures(recording.signals.joints, track.t)
     frames = np.flatnonzero(np.isfinite(track.values[:, 0]))
     if not q.shape[1]:
         return ""

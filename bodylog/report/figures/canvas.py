@@ -9,6 +9,7 @@ from typing import Any
 
 from ...errors import UsageError
 from ...io.atomic_files import replace_atomically
+from ...io.extras import require_module
 from ...overlay_style import MEASURED
 
 FORMATS = {
@@ -81,13 +82,9 @@ def _require_known_format(out: Path) -> None:
 
 
 def _import_matplotlib() -> Any:
-    try:
-        import matplotlib
-        import matplotlib.backends.backend_agg
-        import matplotlib.figure
-    except ImportError:
-        raise UsageError("figures need matplotlib; type: pip install 'bodylog[report]'") from None
-    return matplotlib
+    require_module("matplotlib.backends.backend_agg")
+    require_module("matplotlib.figure")
+    return require_module("matplotlib")
 
 
 def _save_figure(drawing: Any, path: Path, suffix: str) -> None:

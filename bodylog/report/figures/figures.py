@@ -49,7 +49,7 @@ def recording_figure(recording: Recording, features: Features, out: Path) -> Non
     skin, events, trajectories; absent ones are left out.
     """
     panels = _recording_panels(recording, features)
-    if recording.poses:
+    if recording.signals.poses:
         panels = [partial(_draw_separate_rows, draw) for draw in panels]
     tracks = {name: one for name, one in seen_tracks(features).items() if one.unit == "px"}
     if not panels:
@@ -58,13 +58,15 @@ def recording_figure(recording: Recording, features: Features, out: Path) -> Non
         grid = drawing.add_gridspec(
             len(panels), 2 if tracks else 1, width_ratios=(5, 3) if tracks else (1,)
         )
-        drawing.suptitle(printable_label(recording.name, 80), x=0.01, ha="left", weight="bold")
-        label = POSE_AXIS if recording.poses else TIME_AXIS
+        drawing.suptitle(
+            printable_label(recording.facts.name, 80), x=0.01, ha="left", weight="bold"
+        )
+        label = POSE_AXIS if recording.signals.poses else TIME_AXIS
         _stack_panels(drawing, grid, panels, recording.duration_s, label=label)
         if tracks:
             ax = drawing.add_subplot(grid[:, 1])
             draw_trajectories(tracks, features.strokes, ax)
-            if recording.poses:
+            if recording.signals.poses:
                 _replace_lines_by_points(ax)
 
 
@@ -192,12 +194,12 @@ def estimate_figure(
 
 def _recording_panels(recording: Recording, features: Features) -> list[Panel]:
     panels: list[Panel] = []
-    if recording.joints is not None and len(recording.joints.t):
-        panels.append(partial(draw_signals, recording.joints, "joints, rad"))
+    if recording.signals.joints is not None and len(recording.signals.joints.t):
+        panels.append(partial(draw_signals, recording.signals.joints, "joints, rad"))
     if seen_tracks(features):
         panels.append(partial(draw_pixels, features))
-    if recording.skin is not None and len(recording.skin.t):
-        panels.append(partial(draw_skin, recording.skin))
+    if recording.signals.skin is not None and len(recording.signals.skin.t):
+        panels.append(partial(draw_skin, recording.signals.skin))
     if features.touches or features.strokes:
         panels.append(partial(draw_events, features))
     return panels

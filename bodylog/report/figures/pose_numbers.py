@@ -32,14 +32,14 @@ def number_poses(
         replace(fault, since=float(numbered(np.array(fault.since))), until=end)
         for fault, end in zip(estimate.faults, until, strict=True)
     )
+    signals = replace(
+        recording.signals,
+        joints=renamed(recording.signals.joints),
+        truth=renamed(recording.signals.truth),
+        skin=renamed(recording.signals.skin),
+    )
     return (
-        replace(
-            recording,
-            duration_s=float(len(times)),
-            joints=renamed(recording.joints),
-            truth=renamed(recording.truth),
-            skin=renamed(recording.skin),
-        ),
+        replace(recording, duration_s=float(len(times)), signals=signals),
         replace(features, tracks=renamed_all(features.tracks), joints=renamed(features.joints)),
         replace(
             estimate,
@@ -56,7 +56,7 @@ def number_poses(
 
 def _pose_times(recording: Recording, features: Features) -> Array:
     """The times of all poses, ascending."""
-    joints = [] if recording.joints is None else [recording.joints.t]
+    joints = [] if recording.signals.joints is None else [recording.signals.joints.t]
     return np.unique(
         np.concatenate([np.zeros(0), *joints, *(x.t for x in features.tracks.values())])
     )

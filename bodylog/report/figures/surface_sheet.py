@@ -94,7 +94,9 @@ def surface_pictures(recording: Recording, estimate: Estimate) -> tuple[OverlayP
     pictures = list[OverlayPicture]()
     for camera, found in _declared_cameras(estimate):
         views = list(_declared_views(found.get("images")))
-        frames = recording.frames if camera == "camera" else recording.views.get(camera)
+        frames = (
+            recording.cameras.frames if camera == "camera" else recording.cameras.views.get(camera)
+        )
         for t, image in pick_images(frames, [view.t for view in views]).items():
             view = next(one for one in views if one.t == t)
             drawn = draw_surface(*_crop_to_arm(image, view))

@@ -46,7 +46,7 @@ def write_report_page(
 
     Of still poses t is the pose's number.
     """
-    still = recording.poses
+    still = recording.signals.poses
     drawn = list_panels(recording, features, estimate)
     marks = [] if still else background_marks(features, estimate)
     groups = (

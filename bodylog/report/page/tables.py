@@ -40,9 +40,9 @@ def page_title(recording: Recording, provenance: Mapping[str, str]) -> str:
     the annotated one if it differs: a batch's are all alike.
     """
     match _parse_json_text(provenance.get("inputs", "")):
-        case [[str(name), *_], *_] if name != recording.name:
-            return f"{name} ({recording.name})"
-    return recording.name
+        case [[str(name), *_], *_] if name != recording.facts.name:
+            return f"{name} ({recording.facts.name})"
+    return recording.facts.name
 
 
 def page_header(
@@ -54,11 +54,15 @@ def page_header(
 ) -> str:
     """Title, start, duration, method, the verdict's sentences, and the main figures as cards."""
     lasting = f"{recording.duration_s:.2f} s"
-    if recording.poses:
+    if recording.signals.poses:
         count = len(estimate.joints.t)
         lasting = f"{count} still poses, each independent of the others"
     dated = recording.start_ns >= _FIRST_DATE_NS
-    facts = [*([_start_time_text(recording.start_ns)] if dated else []), lasting, recording.format]
+    facts = [
+        *([_start_time_text(recording.start_ns)] if dated else []),
+        lasting,
+        recording.facts.format,
+    ]
     facts += [f"method {estimate.method}", f"{len(estimate.joints.names)} joints"]
     line = escape_text(" · ".join(facts))
     cards = "".join(
@@ -133,14 +137,14 @@ def list_thinning_notes(features: Features, estimate: Estimate) -> list[str]:
 
 def finding_tables(recording: Recording, features: Features, estimate: Estimate) -> str:
     """Tables of findings, touches, health per topic and sense, and roles."""
-    findings = (*recording.findings, *features.findings, *estimate.findings)
+    findings = (*recording.facts.findings, *features.findings, *estimate.findings)
     parts = [
         html_table("Remarks", ("severity", "what"), [(x.severity, x.text) for x in findings]),
-        _health_table("Health of the log, per topic", recording.health),
+        _health_table("Health of the log, per topic", recording.facts.health),
         _health_table("What perception found, per feature", features.health),
         _health_table("What the estimate used, per sense", estimate.used),
         _touch_table(features),
-        html_table("Which topic is what", ("role", "topic"), list(recording.roles.items())),
+        html_table("Which topic is what", ("role", "topic"), list(recording.facts.roles.items())),
     ]
     return "\n".join(part for part in parts if part)
 

@@ -58,7 +58,7 @@ class Panel:
 
 def list_panels(recording: Recording, features: Features, estimate: Estimate) -> tuple[Panel, ...]:
     """All panels with content, in reading order."""
-    if recording.poses:
+    if recording.signals.poses:
         return tuple(_pose_panels(recording, estimate))
     drawn = [
         *_belief_panels(recording, estimate),
@@ -78,7 +78,7 @@ def _pose_panels(recording: Recording, estimate: Estimate) -> Iterator[Panel]:
     """
     for m, name in enumerate(estimate.joints.names[:JOINTS]):
         t = estimate.joints.t
-        encoder = _line_trace(recording.joints, name, "encoder", "encoder")
+        encoder = _line_trace(recording.signals.joints, name, "encoder", "encoder")
         read = np.interp(t, encoder[0].t, encoder[0].y) if encoder else np.zeros(len(t))
         off = 1e3 * (estimate.joints.values[:, m] - read)
         spread = 2e3 * np.sqrt(np.maximum(estimate.cov[:, m, m], 0.0))
@@ -137,8 +137,8 @@ def _joint_panels(recording: Recording, estimate: Estimate, m: int) -> Iterator[
     t = estimate.joints.t
     mean = estimate.joints.values[:, m]
     spread = 2.0 * np.sqrt(np.maximum(estimate.cov[:, m, m], 0.0))
-    encoder = _line_trace(recording.joints, name, "encoder", "encoder")
-    truth = _line_trace(recording.truth, name, "truth", "truth")
+    encoder = _line_trace(recording.signals.joints, name, "encoder", "encoder")
+    truth = _line_trace(recording.signals.truth, name, "truth", "truth")
     belief = (
         PlotTrace("2σ", "belief", t, mean - spread, "band", mean + spread),
         PlotTrace("belief", "belief", t, mean),
@@ -166,10 +166,11 @@ def _track_panels(features: Features, estimate: Estimate) -> Iterator[Panel]:
 
 
 def _touch_panels(recording: Recording, features: Features) -> Iterator[Panel]:
-    if recording.skin is not None and recording.skin.values.size:
-        strongest = np.fmax.reduce(recording.skin.values, axis=1)
+    if recording.signals.skin is not None and recording.signals.skin.values.size:
+        strongest = np.fmax.reduce(recording.signals.skin.values, axis=1)
         yield Panel(
-            "skin, 0..1", (PlotTrace("strongest cell", "felt", recording.skin.t, strongest),)
+            "skin, 0..1",
+            (PlotTrace("strongest cell", "felt", recording.signals.skin.t, strongest),),
         )
     touches = features.touches or ()
     strokes = tuple((x.start, x.end) for x in features.strokes)

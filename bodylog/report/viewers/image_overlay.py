@@ -80,10 +80,10 @@ def draw_pictures(
     """`count` frames of each camera, evenly over the log,
     with measurements and predictions; () without a camera.
     """
-    films = {} if recording.frames is None else {"": recording.frames}
+    films = {} if recording.cameras.frames is None else {"": recording.cameras.frames}
     wanted = [recording.duration_s * (k + 0.5) / count for k in range(count)]
     drawn: list[OverlayPicture] = []
-    for camera, frames in (films | dict(recording.views)).items():
+    for camera, frames in (films | dict(recording.cameras.views)).items():
         due = iter(wanted)
         after = next(due)
         for frame in frames():
@@ -102,10 +102,10 @@ def draw_pose_pictures(
     """Images of still poses with an arrow from each point as measured to where the calibration
     alone expects it, `times` as long as it is; of many images those with the largest errors.
     """
-    films = {} if recording.frames is None else {"": recording.frames}
+    films = {} if recording.cameras.frames is None else {"": recording.cameras.frames}
     poses = np.unique([t for series in estimate.kinematic.values() for t in series.t.tolist()])
     found = list[tuple[float, str, LazyImage, Array]]()
-    for camera, frames in (films | dict(recording.views)).items():
+    for camera, frames in (films | dict(recording.cameras.views)).items():
         tracks = [name for name in estimate.kinematic if name.rpartition("/")[0] == camera]
         for frame in frames():
             arrows = [_arrow_at_time(features, estimate, name, frame.t) for name in tracks]
@@ -127,9 +127,9 @@ def draw_pose_pictures(
 
 def measure_images(recording: Recording) -> dict[str, tuple[int, int]]:
     """(width, height) px of each camera's first sound image, "" the first camera."""
-    films = {} if recording.frames is None else {"": recording.frames}
+    films = {} if recording.cameras.frames is None else {"": recording.cameras.frames}
     sizes = dict[str, tuple[int, int]]()
-    for camera, frames in (films | dict(recording.views)).items():
+    for camera, frames in (films | dict(recording.cameras.views)).items():
         for frame in frames():
             with suppress(FormatError):
                 height, width = frame.image.shape[:2]

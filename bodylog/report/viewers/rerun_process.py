@@ -10,6 +10,7 @@ from pathlib import Path
 
 from ...errors import LogError, UsageError
 from ...io.atomic_files import replace_atomically
+from ...io.extras import describe_missing
 from ...io.temporary import create_scratch_folder
 
 APPLICATION = "bodylog"
@@ -36,7 +37,7 @@ SECONDS = 600.0
 def require_rerun() -> None:
     """UsageError, before any file is read, if Rerun is not installed."""
     if find_spec("rerun") is None or find_spec("rerun_cli") is None:
-        raise UsageError("view: rerun-sdk is not installed; type: pip install 'bodylog[view]'")
+        raise UsageError(f"view: {describe_missing('rerun')}")
 
 
 def merge_recording(

@@ -45,7 +45,7 @@ def _spoilt(data: bytearray, rng: random.Random) -> bytearray:
 
 def _read_whole(path: Path) -> None:
     facts.describe_log(path, Settings())
-    frames = recording.read_recording(path, Settings()).frames
+    frames = recording.read_recording(path, Settings()).cameras.frames
     for frame in frames() if frames is not None else ():
         try:
             assert frame.image.ndim == 3

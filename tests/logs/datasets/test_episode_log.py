@@ -227,7 +227,7 @@ def test_open_names_missing_packages(tmp_path, monkeypatch):
     for module in ("h5py", "av"):
         monkeypatch.setitem(sys.modules, module, None)
     for log in (path, tmp_path / "a.mp4"):
-        with pytest.raises(UsageError, match=r'type: pip install "bodylog\[datasets\]"'):
+        with pytest.raises(UsageError, match=r"type: pip install 'bodylog\[datasets\]'"):
             open_log(log)
 
 

@@ -112,8 +112,8 @@ def test_unit_converts_declared_degrees(copied, declared):
     info["features"]["observation.state"] |= declared
     (copied / "meta/info.json").write_text(json.dumps(info))
     read = recording.read_recording(copied, Settings())
-    assert read.joints is not None and read.joints.unit == "rad"
-    np.testing.assert_allclose(read.joints.values, np.deg2rad(drawn.angles(12).astype(float)), rtol=1e-15)
+    assert read.signals.joints is not None and read.signals.joints.unit == "rad"
+    np.testing.assert_allclose(read.signals.joints.values, np.deg2rad(drawn.angles(12).astype(float)), rtol=1e-15)
     assert "degrees, as" in texts(copied)
     with logs.open(copied) as log:
         np.testing.assert_array_equal(log["/joint_states"].position, drawn.angles(12))
@@ -140,8 +140,8 @@ def test_unit_reports_its_guess_from_values(copied, values, unit, text):
     turn = {"counts": 4096.0, "unknown": np.inf, "rad": 2 * np.pi}[unit]
     steps = np.diff(rows, axis=0)
     moved = steps - np.where(np.abs(steps) > turn / 2, np.sign(steps) * turn, 0.0) if np.isfinite(turn) else steps
-    assert read.joints is not None
-    np.testing.assert_allclose(np.diff(read.joints.values, axis=0), moved)
+    assert read.signals.joints is not None
+    np.testing.assert_allclose(np.diff(read.signals.joints.values, axis=0), moved)
 
 
 def test_frames_take_row_times_and_report_drift(copied):
@@ -224,8 +224,8 @@ def test_open_reads_sound_images_of_a_damaged_video(copied):
         messages = sum(len(batch.log_ns) for batch in log.batches((camera.id,)))
         assert messages == camera.messages == 12
     read = recording.read_recording(copied, Settings())
-    assert read.frames is not None
-    assert len(list(read.frames())) == 12
+    assert read.cameras.frames is not None
+    assert len(list(read.cameras.frames())) == 12
 
 
 def _edited(folder: Path, **more: object) -> Path:
@@ -300,7 +300,7 @@ def test_open_names_a_missing_package(module, old, monkeypatch):
     import sys
 
     monkeypatch.setitem(sys.modules, module, None)
-    with pytest.raises(UsageError, match=r'type: pip install "bodylog\[datasets\]"'):
+    with pytest.raises(UsageError, match=r"type: pip install 'bodylog\[datasets\]'"):
         open_log(Path(f"{old}#1"))
 
 
