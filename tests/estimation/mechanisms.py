@@ -83,9 +83,9 @@ def replayed(
     return Features(joints, {"effector": track}, None, (), (), {})
 
 
-def true_angles(seed: int, mechanism: Mechanism) -> Series:
+def true_angles(seed: int, mechanism: Mechanism, duration: float = 16.0) -> Series:
     """The links' angles during the run of this seed, by what encoders without errors read."""
-    motors = replayed(seed, Mechanism(0.0, Hardware()), Fault()).joints
+    motors = replayed(seed, Mechanism(0.0, Hardware()), Fault(), duration).joints
     values = add_play(motors.values, mechanism.hardware.play)
     return Series(motors.t, values, motors.names, "rad", motors.source_ns)
 

@@ -34,7 +34,7 @@ def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
 
 def test_play_is_measured_and_taken_out_and_no_delay_stands_for_it():
     body = mechanisms.learned(1000, mechanisms.SOUND)
-    features, true = mechanisms.replayed(4, LOOSE, Fault()), true_angles(4, LOOSE)
+    features, true = mechanisms.replayed(4, LOOSE, Fault(), 10.0), true_angles(4, LOOSE, 10.0)
     found = estimate_from_features(features, body, EstimationSettings())
     play = found.settings[HARDWARE_ERRORS]["play"]
     assert set(play) == set(found.joints.names)
