@@ -41,10 +41,11 @@ lint: $(VENV)/installed
 	$(BIN)/mypy --strict bodylog cli
 
 # Side by side, a worker with one thread of linear algebra per core: more of them would spin while they wait.
+# Compiled modules are kept, whatever the shell says: commands that tests run as processes start in two thirds of the time.
 # For a single test, or in a debugger: .venv/bin/pytest -k NAME
 test: $(VENV)/installed
 	$(MAKE) --jobs=2 lint wheel site
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --dist worksteal
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --dist worksteal
 
 # The tests on every Python of pyproject.toml, and with the lowest version of every dependency; each must be installed.
 # Those of numbers also as on other processors.

@@ -1,14 +1,16 @@
 """Arms with the errors of real mechanisms, explored and then replayed with a fault, drawn from a seed."""
 
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
 from bodylog import body
 from bodylog.body_model import BodyModel
+from bodylog.evaluation.scores import truth_at_times
 from bodylog.settings import Settings
 from bodylog.sim.hardware import Hardware, add_play, add_stick, encoder_noise, rounded_to_counts
-from bodylog.types import Array, Features, Series
+from bodylog.types import Array, Estimate, Features, Series
 from tests.estimation.conftest import JOINTS, Arm
 
 ENCODER_HZ = 100.0
@@ -28,6 +30,8 @@ class Mechanism:
 
 SOUND = Mechanism()
 QUIET = Mechanism(2e-4, camera_hz=10.0)
+LASTING = Mechanism(5e-4, Hardware(correlated=2e-3, correlation_s=2.0))
+LOOSE = Mechanism(5e-4, Hardware(play=8e-3))
 QUANTISED = Mechanism(1e-5, Hardware(counts=4096))
 CORRELATED = Mechanism(hardware=Hardware(correlated=2e-3, correlation_s=2.0))
 REALISTIC = Mechanism(
@@ -48,6 +52,7 @@ class Fault:
     payload: float = 0.0
 
 
+@cache
 def learned(seed: int, mechanism: Mechanism) -> BodyModel:
     """The body learned from 40 s of babbling."""
     return body.learn_body([replayed(seed, mechanism, Fault(), duration=40.0)], Settings(), {}).model
@@ -76,6 +81,19 @@ def replayed(
     std = np.full(seen.shape, PIXEL_STD)
     track = Series(frames, seen, ("u", "v"), "px", (frames * 1e9).astype(np.int64), std)
     return Features(joints, {"effector": track}, None, (), (), {})
+
+
+def true_angles(seed: int, mechanism: Mechanism, duration: float = 16.0) -> Series:
+    """The links' angles during the run of this seed, by what encoders without errors read."""
+    motors = replayed(seed, Mechanism(0.0, Hardware()), Fault(), duration).joints
+    values = add_play(motors.values, mechanism.hardware.play)
+    return Series(motors.t, values, motors.names, "rad", motors.source_ns)
+
+
+def errors_and_nees(found: Estimate, true: Series) -> tuple[Array, float]:
+    """Errors (N,M) rad, and the mean square of those in standard deviations."""
+    error = found.joints.values - truth_at_times(true, list(found.joints.names), found.joints.t)
+    return error, float((error**2 / np.einsum("nii->ni", found.cov)).mean())
 
 
 def _wandering(t: Array, rng: np.random.Generator) -> Array:

@@ -157,7 +157,7 @@ def test_estimate_with_tag_poses_has_true_error_bars(pose_alone, method):
 
 
 def test_noise_is_learned_beside_poses_and_corners(monkeypatch):
-    features, body, truth, _ = drawn(1, duration=6.0, pixel=0.1, camera=6.0)
+    features, body, truth, _ = drawn(1, duration=3.0, pixel=0.1, camera=6.0)
     errors = []
     for senses in ((("vision", track.read_tracks),), (("vision", track.read_tracks), ("vision", TagPose(LENS)))):
         monkeypatch.setattr(gather, "SENSES", senses)

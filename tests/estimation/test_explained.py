@@ -5,36 +5,16 @@ import pytest
 
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.methods import explained
-from bodylog.evaluation.scores import truth_at_times
 from bodylog.findings import verdict
 from bodylog.settings import EstimationSettings
-from bodylog.sim.hardware import Hardware
-from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, Series
+from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR
 from tests.estimation import mechanisms
-from tests.estimation.mechanisms import Fault, Mechanism
-
-CORRELATED = Mechanism(5e-4, Hardware(correlated=2e-3, correlation_s=2.0))
-LOOSE = Mechanism(5e-4, Hardware(play=8e-3))
-SOUND = ("sound", "quantised", "quiet")
-
-
-def truth(seed, mechanism):
-    """The links' angles during the run of this seed, by what encoders without errors read."""
-    quiet = Mechanism(0.0, Hardware())
-    motors = mechanisms.replayed(seed, quiet, Fault()).joints
-    values = mechanisms.add_play(motors.values, mechanism.hardware.play)
-    return Series(motors.t, values, motors.names, "rad", motors.source_ns)
-
-
-def errors(found, true):
-    """Errors (N,M) rad, and the mean square of those in standard deviations."""
-    error = found.joints.values - truth_at_times(true, list(found.joints.names), found.joints.t)
-    return error, float((error**2 / np.einsum("nii->ni", found.cov)).mean())
+from tests.estimation.mechanisms import LASTING, LOOSE, Fault, errors_and_nees, true_angles
 
 
 def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
     body = mechanisms.learned(1000, mechanisms.SOUND)
-    features, true = mechanisms.replayed(4, CORRELATED, Fault()), truth(4, CORRELATED)
+    features, true = mechanisms.replayed(4, LASTING, Fault()), true_angles(4, LASTING)
     found = estimate_from_features(features, body, EstimationSettings(method="smoother"), "off")
     reported = found.settings[HARDWARE_ERRORS]
     assert (
@@ -43,7 +23,7 @@ def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
     )
     assert 0.5 < reported["lasting"]["seconds"] < 8.0
     assert not reported["play"]
-    error, nees = errors(found, true)
+    error, nees = errors_and_nees(found, true)
     raw = features.joints.values - true.values
     assert np.sqrt(np.mean(error**2)) < np.sqrt(np.mean(raw**2))
     assert 0.4 < nees < 2.5
@@ -54,13 +34,13 @@ def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
 
 def test_play_is_measured_and_taken_out_and_no_delay_stands_for_it():
     body = mechanisms.learned(1000, mechanisms.SOUND)
-    features, true = mechanisms.replayed(4, LOOSE, Fault()), truth(4, LOOSE)
+    features, true = mechanisms.replayed(4, LOOSE, Fault(), 10.0), true_angles(4, LOOSE, 10.0)
     found = estimate_from_features(features, body, EstimationSettings())
     play = found.settings[HARDWARE_ERRORS]["play"]
     assert set(play) == set(found.joints.names)
     for one in play.values():
         assert one["rad"] == pytest.approx(8e-3, abs=max(4.0 * one["std"], 8e-4))
-    error, nees = errors(found, true)
+    error, nees = errors_and_nees(found, true)
     # the readings err by 4 mrad
     assert np.sqrt(np.mean(error**2)) < 1e-3
     assert 0.2 < nees < 2.5
@@ -68,21 +48,6 @@ def test_play_is_measured_and_taken_out_and_no_delay_stands_for_it():
     lines = verdict.verdict_of_estimate(found, ())
     assert sum("° of play; corrected" in line for line in lines) == 3
     assert not any("timestamps" in line for line in lines)
-
-
-@pytest.mark.soak
-@pytest.mark.parametrize(
-    "mechanism", [mechanisms.SOUND, mechanisms.QUANTISED, mechanisms.QUIET], ids=SOUND
-)
-def test_a_sound_log_gets_no_warning_and_keeps_its_error_bars(mechanism):
-    body = mechanisms.learned(1000, mechanism)
-    for seed in range(3):
-        found = estimate_from_features(
-            mechanisms.replayed(seed, mechanism, Fault(), reaches=seed % 2 == 1),
-            body,
-            EstimationSettings(),
-        )
-        assert HARDWARE_ERRORS not in found.settings
 
 
 def test_an_encoder_that_drifts_is_named_and_no_error_that_lasts_stands_for_it():
@@ -106,14 +71,6 @@ def test_error_bars_are_wider_and_angles_stay_where_settings_keep_them(setting, 
     assert LASTING_ERROR in found.settings
     (warning,) = (one for one in found.findings if "errors last" in one.text)
     assert reason in warning.text
-
-
-def test_noise_that_is_set_is_left_as_it_is():
-    body = mechanisms.learned(1000, mechanisms.SOUND)
-    features = mechanisms.replayed(4, CORRELATED, Fault())
-    for setting in ({"precision": "model"}, {"sigma_encoders": 1e-6}):
-        found = estimate_from_features(features, body, EstimationSettings(**setting))
-        assert HARDWARE_ERRORS not in found.settings
 
 
 def test_a_log_whose_explanation_has_no_solution_gets_wider_error_bars_and_the_reason(monkeypatch):

@@ -32,7 +32,6 @@ def _drifting(seed: int, how: Drawn, drift: float, stated: float) -> World:
 
 
 QUIET = (
-    (2, 0.002, 0.3, Drawn("reach", noise=2e-4, encoder_hz=100.0, camera_hz=10.0, pixel=0.3)),
     (1, 0.005, 0.3, Drawn("reach", noise=5e-4, encoder_hz=100.0, camera_hz=10.0, pixel=0.3)),
     (2, 0.002, 0.03, Drawn("reach", noise=1e-4, encoder_hz=200.0, camera_hz=10.0, pixel=0.1)),
 )

@@ -6,32 +6,15 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
-from bodylog.evaluation.scores import truth_at_times
 from bodylog.findings import verdict
 from bodylog.settings import EstimationSettings
-from bodylog.sim.hardware import Hardware
-from bodylog.types import LASTING_ERROR, Series
+from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR
 from tests.estimation import mechanisms
-from tests.estimation.mechanisms import Fault, Mechanism
+from tests.estimation.mechanisms import LASTING, LOOSE, Fault, errors_and_nees, true_angles
 from tests.validation import logs, outliers
 
-CORRELATED = Mechanism(5e-4, Hardware(correlated=2e-3, correlation_s=2.0))
-LOOSE = Mechanism(5e-4, Hardware(play=8e-3))
 METHODS = ("laplace", "smoother")
 SOUND = ("sound", "quantised", "quiet")
-
-
-def truth(seed, mechanism):
-    """The links' angles during the run of this seed, by what encoders without errors read."""
-    quiet = Mechanism(0.0, Hardware())
-    motors = mechanisms.replayed(seed, quiet, Fault()).joints
-    values = mechanisms.add_play(motors.values, mechanism.hardware.play)
-    return Series(motors.t, values, motors.names, "rad", motors.source_ns)
-
-
-def nees(found, true):
-    error = found.joints.values - truth_at_times(true, list(found.joints.names), found.joints.t)
-    return float((error**2 / np.einsum("nii->ni", found.cov)).mean())
 
 
 def without_widening(monkeypatch):
@@ -42,24 +25,24 @@ def without_widening(monkeypatch):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize(
-    ("mechanism", "std"), [(CORRELATED, 2e-3), (LOOSE, 4e-3)], ids=["correlated", "play"]
+    ("mechanism", "std"), [(LASTING, 2e-3), (LOOSE, 4e-3)], ids=["correlated", "play"]
 )
 def test_error_bars_hold_an_error_that_lasts_and_a_warning_tells_its_size(
     method, mechanism, std, monkeypatch
 ):
     body = mechanisms.learned(1000, mechanisms.SOUND)
-    features, true = mechanisms.replayed(4, mechanism, Fault()), truth(4, mechanism)
+    features, true = mechanisms.replayed(4, mechanism, Fault()), true_angles(4, mechanism)
     settings = EstimationSettings(method=method, hardware_errors="widen")
     found = estimate_from_features(features, body, settings, "off")
     own = found.settings[LASTING_ERROR]
     assert own["std"] == pytest.approx(std, rel=0.5) and own["nats"] > 12.0
-    assert 0.3 < nees(found, true) < 2.0
+    assert 0.3 < errors_and_nees(found, true)[1] < 2.0
     (warning,) = (one for one in found.findings if "errors last about" in one.text)
     assert warning.severity == "warning" and "mrad" in warning.text
     assert any("errors last about" in line for line in verdict.verdict_of_estimate(found, ()))
     without_widening(monkeypatch)
     narrow = estimate_from_features(features, body, settings, "off")
-    assert nees(narrow, true) > 5.0
+    assert errors_and_nees(narrow, true)[1] > 5.0
     assert np.array_equal(narrow.joints.values, found.joints.values)
     assert np.allclose(found.cov - narrow.cov, own["std"] ** 2 * np.eye(3))
 
@@ -75,7 +58,7 @@ def test_a_sound_log_gets_no_warning_and_keeps_its_error_bars(mechanism):
             body,
             EstimationSettings(),
         )
-        assert LASTING_ERROR not in found.settings
+        assert not {LASTING_ERROR, HARDWARE_ERRORS} & set(found.settings)
 
 
 @pytest.mark.parametrize("seed", [0, 3])
@@ -89,13 +72,13 @@ def test_images_of_something_else_are_no_error_of_the_encoders(seed):
 
 def test_noise_that_is_set_is_left_as_it_is():
     body = mechanisms.learned(1000, mechanisms.SOUND)
-    features = mechanisms.replayed(4, CORRELATED, Fault())
-    assert (
-        LASTING_ERROR
-        not in estimate_from_features(
-            features, body, EstimationSettings(precision="model")
-        ).settings
+    features = mechanisms.replayed(4, LASTING, Fault())
+    given, typed = (
+        estimate_from_features(features, body, EstimationSettings(**setting)).settings
+        for setting in ({"precision": "model"}, {"sigma_encoders": 1e-6})
     )
+    assert LASTING_ERROR not in given
+    assert not any(HARDWARE_ERRORS in one for one in (given, typed))
 
 
 def test_a_log_with_a_single_reading_has_no_lasting_error():

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bodylog.fault_kinds import FORMS
 from bodylog.findings.verdict import verdict_of_batch, verdict_of_body, verdict_of_estimate
 from bodylog.types import Capabilities, Fault, FaultKind, Health, Score
 from tests.report.records import JOINTS, estimate
@@ -59,6 +60,13 @@ def test_a_moved_board_has_the_displacement_of_its_centre_and_its_turn() -> None
     lines = verdict_of_estimate(replace(SOUND, faults=(moved,)), TRUTH)
     displacement = "board: its centre moved since the body was learned, by 3.1 ± 0.3 mm"
     assert lines[0] == f"{displacement} and turned by 0.0367 ± 0.001 rad (2.1 ± 0.057°)"
+
+
+def test_words_of_a_fault_stand_in_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    kind = ("encoders", FaultKind.FROZEN)
+    monkeypatch.setitem(FORMS, kind, FORMS[kind]._replace(words="encoder rests {since}"))
+    fault = Fault("encoders", JOINTS[0], FaultKind.FROZEN, 5.0, 0.0, "rad")
+    assert verdict_of_estimate(replace(SOUND, faults=(fault,)), ())[0] == f"{JOINTS[0]}: encoder rests since 5.0 s"
 
 
 def test_verdict_admits_ambiguity_between_two_joints() -> None:

@@ -7,8 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bodylog import pipeline
 from bodylog.errors import LogError
-from bodylog.logs.formats import open_log, payload_views
+from bodylog.logs.formats import FORMATS, open_log, payload_views
+from bodylog.logs.limits import Input
+from bodylog.logs.mcap.reader import McapLog
+from bodylog.settings import Settings
 from bodylog.types import Batch
 
 from . import peers
@@ -135,3 +139,20 @@ def test_open_refuses_an_unreadable_file_in_one_line(tmp_path: Path, monkeypatch
     monkeypatch.setattr(Path, "open", refused)
     with pytest.raises(LogError, match="it cannot be read: Permission denied"):
         open_log(path)
+
+
+def test_a_new_container_is_a_reader_and_one_line_of_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, inside = tmp_path / "log.ours", Path(__file__).parents[2] / "fixtures" / "arm" / "reach.mcap"
+    path.write_bytes(b"OURLOG" + inside.read_bytes())
+
+    def open_ours(path: Path, strict: bool, source: Path, limits: Input) -> McapLog:
+        (tmp_path / "inside").write_bytes(source.read_bytes()[6:])
+        return McapLog(path, strict, tmp_path / "inside", limits)
+
+    with pytest.raises(LogError, match="not a log: it begins with b'OURLOG"):
+        open_log(path)
+    monkeypatch.setitem(FORMATS, b"OURLOG", open_ours)
+    ours, theirs = (
+        pipeline.estimate(log, None, tmp_path / f"{log.suffix}.mcap", Settings()) for log in (path, inside)
+    )
+    assert ours.verdict == theirs.verdict and ours.scores == theirs.scores
