@@ -25,7 +25,8 @@ _OUT = "Of a dataset: a page (.html), or a folder for the page, rows and junit.x
 @click.option(
     "--body",
     type=PATH,
-    help="Measure camera delays by this body; default: by one learned from the log.",
+    help="Measure camera delays by this body, of a dataset also what differs from it; default: by "
+    "one learned from the log.",
 )
 @setting_option("kinematics", "urdf", metavar="ROBOT.urdf|log", help=_URDF)
 @click.option("-o", "--output", "out", type=options.PageOrFolder(), metavar="OUT", help=_OUT)
@@ -81,8 +82,8 @@ def doctor(
     from bodylog.batch.dataset import holds_several_logs
 
     settings = common.settings(kinematics={"urdf": urdf})
-    if repair is None and body is None and any(map(holds_several_logs, logs)):
-        return _examine_dataset(logs, settings, common, as_json, typed)
+    if repair is None and any(map(holds_several_logs, logs)):
+        return _examine_dataset(logs, settings, common, body, as_json, typed)
     _refuse_dataset_options(logs, typed)
     return _examine_logs(logs, repair, body, settings, as_json)
 
@@ -102,7 +103,7 @@ def _refuse_dataset_options(logs: tuple[Path, ...], typed: dict[str, Any]) -> No
             for log in logs:
                 open_log(log).close()
             raise click.UsageError(
-                f"{option} is for a dataset or a folder of logs, without --repair and --body"
+                f"{option} is for a dataset or a folder of logs, without --repair"
             )
 
 
@@ -139,7 +140,12 @@ def _examine_logs(
 
 
 def _examine_dataset(
-    logs: tuple[Path, ...], settings: Any, common: Common, as_json: bool, typed: dict[str, Any]
+    logs: tuple[Path, ...],
+    settings: Any,
+    common: Common,
+    body: Path | None,
+    as_json: bool,
+    typed: dict[str, Any],
 ) -> int:
     from bodylog.batch import BatchPlan, Group, dataset
     from bodylog.batch.jobs import EXAMINE
@@ -155,7 +161,9 @@ def _examine_dataset(
         )
     begin, end = typed["episodes"] or (None, None)
     chosen = dataset.chosen_episodes(logs, begin, end)
-    group = Group("", chosen, settings, bounds=typed["bounds"], task=EXAMINE)
+    if body is not None:
+        dataset.require_surface(body)
+    group = Group("", chosen, settings, body=body, bounds=typed["bounds"], task=EXAMINE)
     read = () if common.config_file is None else (common.config_file,)
     plan = BatchPlan(
         groups=(group,),

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import UsageError
+from ..errors import ModelError, UsageError
 from ..evaluation import bounds as score_bounds
 from ..io import episodes, remote
 from ..io.atomic_files import replace_atomically
@@ -128,6 +128,17 @@ def fix_dataset(
         judged = outputs.judge_dataset(rows_folder, rows)
     base, chosen = remedies.choose_remedies(judged, settings, exclude)
     return corrected_files.write_corrected(base, chosen, out, repeats, settings)
+
+
+def require_surface(body: Path) -> None:
+    """ModelError for a body by which no episode can be judged beside the others."""
+    from ..body import storage
+
+    if storage.load_body(body).surface is None:
+        raise ModelError(
+            f"{body}: it has no surface of a robot, by which episodes are judged; type: "
+            "bodylog fit DATASET --urdf ROBOT.urdf -o body.npz"
+        )
 
 
 def examine_without_folder(

@@ -135,7 +135,7 @@ def _examine_job(job: Job) -> dict[str, Any]:
     from ..dataset import examination
 
     with remote.local_copy(job.log, job.folder, job.settings.input.max_wait_s) as log:
-        result, evidence = examination.examine_episode(log, job.settings, job.log)
+        result, evidence = examination.examine_episode(log, job.settings, job.log, job.body)
     text = json.dumps(evidence, sort_keys=True, ensure_ascii=False, allow_nan=False)
     _write_job_text(job.folder / EVIDENCE[0], text)
     lost = any(finding.severity == "lost" for finding in result.findings)

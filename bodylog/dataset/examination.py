@@ -11,9 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from ..delays.findings import ExaminedDelays
+from ..errors import ModelError
 from ..findings.result import Result, Scores
 from ..settings import Settings
-from ..types import Array, Finding, Recording, Score
+from ..types import Array, Fault, Finding, Recording, Score
 from .checks import CHECKS, figure_name
 from .reading import EpisodeReading, StoredNumbers, read_episode
 from .views import encode_view, picture_at_rest
@@ -24,11 +26,14 @@ THUMBNAIL_WIDTH_PX = 160
 _QUALITY = 75
 
 
-def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, dict[str, Any]]:
+def examine_episode(
+    log: Path, settings: Settings, name: str, body: Path | None = None
+) -> tuple[Result, dict[str, Any]]:
     """All checks of one episode: the result for people, and the evidence as plain values (see
     `episode_evidence`).
 
-    `name`: what texts call the log. InputError where it cannot be used.
+    `name`: what texts call the log · body: one of the robot's surface, by which the episode is
+    judged, in place of a URDF. InputError where it cannot be used.
     """
     reading = read_episode(log, settings)
     scores = list[Score]()
@@ -47,30 +52,45 @@ def examine_episode(log: Path, settings: Settings, name: str) -> tuple[Result, d
                 scores.append(Score(figure, one.value, check.unit, one.std))
                 if one.std is not None:
                     scores.append(Score(f"std/{figure}", one.std, check.unit))
-    by_surface = list[str]()
-    if settings.kinematics.urdf is not None and settings.time.delay != "off":
-        by_surface = _add_surface(log, settings, reading.read, scores, findings, figures)
+    surface = dict[str, Any]()
+    faults: tuple[Fault, ...] = ()
+    if settings.time.delay != "off":
+        found = _examine_surface(log, settings, body)
+        surface = _add_surface(found, log, reading.read, scores, findings, figures)
+        faults = found.faults
     findings = [replace(one, text=one.text.replace(str(log), name)) for one in findings]
-    about = episode_evidence(reading, figures) | {"by_surface": by_surface}
-    return Result(
-        None, Scores(scores), reading.read.facts.health, tuple(dict.fromkeys(findings))
-    ), about
+    about = episode_evidence(reading, figures) | surface
+    unique = tuple(dict.fromkeys(findings))
+    return Result(None, Scores(scores), reading.read.facts.health, unique, faults=faults), about
+
+
+def _examine_surface(log: Path, settings: Settings, body: Path | None) -> ExaminedDelays:
+    """What the robot's own surface tells, by a body or else by a URDF; nothing without either."""
+    from ..body import storage
+    from ..surface.findings import examine_by_body, examine_by_surface
+
+    if body is not None:
+        try:
+            return examine_by_body(log, storage.load_body(body), settings)
+        except ModelError as problem:
+            return ExaminedDelays((), (Finding("warning", str(problem)),))
+    if settings.kinematics.urdf is not None:
+        return examine_by_surface(log, settings)
+    return ExaminedDelays()
 
 
 def _add_surface(
+    found: ExaminedDelays,
     log: Path,
-    settings: Settings,
     read: Recording,
     scores: list[Score],
     findings: list[Finding],
     figures: dict[str, list[float | None]],
-) -> list[str]:
-    """Add what the robot's own surface tells of cameras and joint zeros, and return the figures
-    that are by it; what flow tells of the same stands beside, as flow/NAME."""
+) -> dict[str, Any]:
+    """Add what the robot's own surface tells of cameras and joint zeros, and return the evidence of
+    it; what flow tells of the same stands beside, as flow/NAME."""
     from ..recording.cameras import camera_name_of_source
-    from ..surface.findings import examine_by_surface
 
-    found = examine_by_surface(log, settings)
     first = (
         camera_name_of_source(read.facts.roles["camera"])
         if "camera" in read.facts.roles
@@ -98,7 +118,11 @@ def _add_surface(
         else one
         for one in found.findings
     ]
-    return figures_of_surface
+    faults = [
+        [one.kind, one.name, one.size if isfinite(one.size) else None, one.std, one.unit]
+        for one in found.faults
+    ]
+    return {"by_surface": figures_of_surface, "faults": faults}
 
 
 def _name_first_camera(name: str, first: str) -> str:
@@ -128,7 +152,8 @@ def episode_evidence(
     joints move its picture, of several} ·
     robot: its type, "" if it is not known ·
     statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
-    `examine_episode` adds by_surface, the figures that are by the robot's surface.
+    `examine_episode` adds by_surface, the figures that are by the robot's surface, and faults
+    [kind, sensor, size, standard error, unit], what differs from a body.
     """
     return {
         "figures": dict(sorted(figures.items())),

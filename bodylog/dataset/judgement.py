@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..types import Array, Score
-from ..wording import list_in_words
+from ..wording import list_in_words, quantity_text
 from .checks import BY_NAME, Check
 from .siblings import LEAST_EPISODES, Outlier, PooledFigure, find_outliers, own_std, pool_values
 from .views import Views, compare_views, find_moved, moved_sentences
@@ -105,6 +105,9 @@ def judge_episodes(
         standouts += _find_standouts(group, evidence, table, single, looks)
         for camera, (_, step) in moved.items():
             lasting += moved_sentences(camera, step, group)
+        singles, more = _compare_with_body(group, evidence)
+        standouts += singles
+        lasting += more
     odd = sorted(standouts, key=lambda one: -one.z)
     outliers = tuple(one for one in odd if one.accused)
     summary_findings = [
@@ -158,6 +161,47 @@ def _robot_sentences(kinds: Mapping[Robot, Sequence[str]]) -> Iterator[str]:
         f"the episodes are of {len(kinds)} robots, and each is compared with its own: "
         + "; ".join(shown)
     )
+
+
+def _compare_with_body(
+    names: Sequence[str], evidence: Mapping[str, Evidence]
+) -> tuple[list[StandsOut], list[str]]:
+    """Episodes in which a sensor differs from what a body learned, and sentences on those in which
+    it does so in most episodes, or from one on."""
+    episodes: dict[tuple[str, str], list[str]] = {}
+    sizes: dict[tuple[str, str], dict[str, tuple[float, float, str]]] = {}
+    for name in names:
+        for kind, sensor, size, std, unit in evidence[name].get("faults", ()):
+            episodes.setdefault((sensor, kind), []).append(name)
+            if size is not None and std is not None:
+                sizes.setdefault((sensor, kind), {})[name] = (size, std, unit)
+    singles = list[StandsOut]()
+    lasting = list[str]()
+    for (sensor, kind), odd in episodes.items():
+        known = sizes.get((sensor, kind), {})
+        text = f"{sensor}: {_OF_BODY.get(kind, kind)} than the body that is given"
+        count = len(odd)
+        since = list(names[-count:]) == odd
+        if count > 1 and (since or 2 * count > len(names)):
+            where = f"from {odd[0]} on" if since else f"in {count} of {len(names)} episodes"
+            values = np.array([size for size, *_ in known.values()])
+            about = ""
+            if len(values):
+                first = next(iter(known.values()))
+                about = f", {quantity_text(float(np.median(values)), None, first[2], True)}"
+            lasting.append(f"{text}{about}, {where}")
+            continue
+        for name in odd:
+            size, std, unit = known.get(name, (0.0, 0.0, ""))
+            about = f", {quantity_text(size, std, unit, True)}" if name in known else ""
+            z = abs(size) / std if std else 0.0
+            cost = "to a learner, the same readings are another posture"
+            singles.append(StandsOut(name, (f"{kind}/{sensor}",), z, f"{text}{about}; {cost}"))
+    return singles, lasting
+
+
+_OF_BODY = {"offset": "its encoder has another zero", "moved": "it stands elsewhere before the arm"}
+"""What a fault means between episodes."""
 
 
 def _with_outliers(row: Row, outliers: Sequence[StandsOut]) -> Row:

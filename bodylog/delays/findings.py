@@ -16,7 +16,7 @@ from ..errors import InputError
 from ..features.defaults import features_of_body, search_again_without_default
 from ..features.observed import add_recorded_joints, moving_features
 from ..settings import Settings
-from ..types import Features, Finding, LazyImage, Recording, Score
+from ..types import Fault, Features, Finding, LazyImage, Recording, Score
 
 if TYPE_CHECKING:
     from ..estimation.timing.delay_profile import Delay
@@ -33,10 +33,12 @@ all of a minute at 100 Hz, as motion needs neighbours.
 
 @dataclass(frozen=True, eq=False)
 class ExaminedDelays:
-    """Delays of cameras with standard errors (s) as scores, and what was found about them."""
+    """Delays of cameras with standard errors (s) as scores, what was found about them, and what
+    differs from the logs that a body was learned from."""
 
     scores: tuple[Score, ...] = ()
     findings: tuple[Finding, ...] = ()
+    faults: tuple[Fault, ...] = ()
 
 
 def measure_image_delays(log: Path, body: BodyModel | None, settings: Settings) -> ExaminedDelays:

@@ -69,6 +69,7 @@ def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedD
     return ExaminedDelays(
         tuple(list_delays(found)),
         tuple(Finding(one.severity, f"{log}: {one.text}") for one in all_findings),
+        found.faults,
     )
 
 

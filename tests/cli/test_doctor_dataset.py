@@ -244,3 +244,10 @@ def test_a_file_that_no_examination_wrote_is_not_replaced(
     assert run_cli("doctor", dataset, "--delay", "off", "-o", tmp_path) == 2
     assert (tmp_path / name).read_text() == "mine"
     assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_body_without_a_surface_is_refused_before_any_episode(
+    dataset: Path, robot: Path, run_cli: Any, capsys: Any
+) -> None:
+    assert run_cli("doctor", dataset, "--body", robot / "body.npz") == 65
+    assert "it has no surface of a robot, by which episodes are judged; type: bodylog fit" in capsys.readouterr().err

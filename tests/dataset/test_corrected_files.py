@@ -127,19 +127,59 @@ def test_cameras_with_different_delays_are_each_paired(tmp_path: Path) -> None:
             seen = squares(tmp_path / "out", number, camera)
             wanted = frames_of(rows)[late : rows - 3 + late]
             assert np.abs(np.array(seen) - wanted).max() <= 1
-        # as LeRobot looks it up: the frame whose time is the row's timestamp
-        table = parquet.read_table(tmp_path / f"out/data/chunk-000/episode_{number:06d}.parquet")
-        t = np.array(table.column("timestamp"))
         for camera, late in ((drawn.CAMERA, 3), (SIDE, 1)):
-            film = tmp_path / f"out/videos/chunk-000/{camera}/episode_{number:06d}.mp4"
-            with av.open(str(film)) as container:
-                shown = {frame.time: _column(frame.to_ndarray(format="bgr24"))
-                         for frame in container.decode(video=0)}  # fmt: skip
-            times = np.array(list(shown))
-            nearest = [int(np.abs(times - at).argmin()) for at in t]
-            assert np.abs(times[nearest] - t).max() < 1e-4
             wanted = frames_of(rows)[late : rows - 3 + late]
-            assert np.abs(np.array(list(shown.values()))[nearest] - wanted).max() <= 1
+            found = squares_by_loader(tmp_path / "out", number, camera)
+            assert np.abs(np.array(found) - wanted).max() <= 1
+
+
+def squares_by_loader(folder: Path, number: int, camera: str) -> list[int]:
+    """As `squares`, looked up as LeRobot's loader does it: the frame whose time is the row's
+    `timestamp`, in a shared video from `from_timestamp` on, to its tolerance of 0.1 ms."""
+    files = sorted((folder / "data").rglob("*.parquet"))
+    tables = [parquet.read_table(path) for path in files]
+    t = np.concatenate(
+        [np.array(one["timestamp"])[np.array(one["episode_index"]) == number] for one in tables]
+    )
+    film = folder / f"videos/chunk-000/{camera}/episode_{number:06d}.mp4"
+    if not film.is_file():
+        film = folder / f"videos/{camera}/chunk-000/file-000.mp4"
+        listed = parquet.read_table(folder / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+        t = t + listed[number][f"videos/{camera}/from_timestamp"]
+    with av.open(str(film)) as container:
+        frames = [(one.time, one.to_ndarray(format="bgr24")) for one in container.decode(video=0)]
+    times = np.array([time for time, _ in frames])
+    nearest = [int(np.abs(times - at).argmin()) for at in t]
+    assert np.abs(times[nearest] - t).max() < 1e-4
+    return [_column(frames[k][1]) for k in nearest]
+
+
+@pytest.mark.parametrize("late", [0, 3, 4])
+def test_images_of_a_lower_rate_are_those_that_lerobots_loader_gives(
+    dataset: Path, tmp_path: Path, late: int
+) -> None:
+    """Every second row is kept, of a film whose frames are stored twice; one episode is left out."""
+    pictures = [drawn.images(rows, number)[np.arange(rows) // 2 * 2] for number, rows in enumerate(ROWS)]
+    shared = dataset / f"videos/{drawn.CAMERA}/chunk-000/file-000.mp4"
+    if shared.is_file():
+        drawn.film(shared, np.concatenate(pictures))
+    else:
+        for number, some in enumerate(pictures):
+            name = f"videos/chunk-000/{drawn.CAMERA}/episode_{number:06d}.mp4"
+            drawn.film(dataset / name, some)
+    delays = {drawn.CAMERA: CameraDelay(late / FPS, 0.002)} if late else {}
+    remedies = [
+        Remedy(0, "", delays, (drawn.CAMERA,)),
+        Remedy(1, "it stands out"),
+        Remedy(2, "", delays, (drawn.CAMERA,)),
+    ]
+    write_corrected(dataset, remedies, tmp_path / "out", "drop", Settings())
+    for number, rows in enumerate((ROWS[0], ROWS[2])):
+        found = squares_by_loader(tmp_path / "out", number, drawn.CAMERA)
+        assert len(found) == len(states(tmp_path / "out", number)) >= (rows - late) // 2
+        assert squares(tmp_path / "out", number, drawn.CAMERA) == pytest.approx(found, abs=1)
+        # the picture is that of the frame `late` on, and its next copy is the next row's
+        assert np.diff(found)[:4] == pytest.approx([4] * 4, abs=1)
 
 
 def test_an_episode_left_out_is_listed_and_the_others_numbered_again(

@@ -7,12 +7,13 @@ import pytest
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bodylog[datasets]'")
 
+from bodylog.body import storage
 from bodylog.dataset.examination import examine_episode
 from bodylog.dataset.judgement import judge_episodes
 from bodylog.delays.findings import ExaminedDelays
 from bodylog.settings import KinematicsSettings, Settings
 from bodylog.surface import findings as surface_findings
-from bodylog.types import Finding, Score
+from bodylog.types import Fault, Finding, Score
 
 from . import arm_dataset
 
@@ -53,3 +54,37 @@ def test_the_delay_by_the_surface_is_used_and_pooled_and_flows_stands_beside(
     (text,) = [text for text in judged.verdict if "late against the joints" in text]
     assert "by the robot's surface in 2 of 3 episodes" in text
     assert any("by the picture's motion alone" in text for text in judged.verdict)
+
+
+def faults_by_body(log: Path, _body: object, _settings: Settings) -> ExaminedDelays:
+    """The second joint is off by 5° in the second episode, and the camera moved from the fourth on."""
+    faults = []
+    if log.name.endswith("#1"):
+        faults.append(Fault("encoders", "lift", "offset", 0.0, 0.0873, "rad", 0.003))
+    if int(log.name[-1]) > 2:
+        faults.append(Fault("vision", "top", "moved", 0.0, float("nan"), "m"))
+    return ExaminedDelays((), (), tuple(faults))
+
+
+def test_an_encoder_that_was_homed_again_is_named_with_its_episode_and_size(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    episodes = [arm_dataset.episode(0) for _ in range(5)]
+    folder = arm_dataset.write(tmp_path / "arm", episodes)
+    monkeypatch.setattr(surface_findings, "examine_by_body", faults_by_body)
+    monkeypatch.setattr(storage, "load_body", lambda _: None)
+    evidence = {}
+    rows: list[dict[str, Any]] = []
+    for number in range(len(episodes)):
+        name = f"arm_{number}"
+        log = Path(f"{folder}#{number}")
+        result, evidence[name] = examine_episode(log, Settings(), name, tmp_path / "body.npz")
+        assert len(result.faults) == (number in (1, 3, 4))
+        rows.append({"name": name, "exit_code": 0, "verdict": [], "findings": [], "scores": {}, "log": ""})
+    judged = judge_episodes(rows, evidence)
+    (odd,) = judged.outliers
+    assert (odd.episode, odd.figures) == ("arm_1", ("offset/lift",))
+    assert "lift: its encoder has another zero than the body that is given" in odd.text
+    assert "(+5 ± 0.17°)" in odd.text
+    (lasting,) = [text for text in judged.findings if "top" in text]
+    assert lasting.endswith("it stands elsewhere before the arm than the body that is given, from arm_3 on")

@@ -360,7 +360,9 @@ def _frames_of_rows(
     there to its last row; one with rows at a lower rate than the video's has those frames at the
     rows' times `shown` (N,) s.
     """
-    margin = 0.5 / fps
+    steps = np.diff(film.t)
+    # rows may be fewer than the video's frames: half a frame is less than half a row then
+    margin = 0.5 * min(1.0 / fps, float(np.median(steps)) if len(steps) else np.inf)
     later = begin_s if begin_s > margin and part.start + begin_s < film.t[-1:].sum() else 0.0
     start, end = part.start + later, part.end
     if later and len(shown):
