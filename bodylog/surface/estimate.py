@@ -27,13 +27,14 @@ from .calibration import (
     LONGEST_S,
     MOST_IMAGES,
     ROW_STRIDE,
-    camera_film,
+    SEARCH_PIECES,
+    SEARCH_STRIDE,
     control_counts,
     explains_enough_pieces,
     smoothed_motion,
     track_camera,
 )
-from .map import KeyFrames, find_again, key_frames, refine
+from .map import find_again, refine
 from .tracks import (
     LinkedTracks,
     describe_foreign,
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from ..kinematics.landmark_fit import LandmarkFit
     from ..kinematics.landmark_hypotheses import ChangeHypothesis
     from ..kinematics.landmarks import LandmarkBelief, LandmarkModel
+    from ..perception.surface.corner_tracks import KeyFrames
 
 FAULT_EVIDENCE_NATS = 8.0
 """Evidence that a fault must win over a sound log."""
@@ -204,7 +206,7 @@ def judge_by_camera(
     from ..kinematics.landmark_fit import MOST_PIECES, choose_pieces, search_delay, staged_fit
     from ..kinematics.landmarks import join_landmark_tracks
 
-    tracks, picture = track_camera(log, read, camera.name)
+    tracks, picture, keys = track_camera(log, read, camera.name)
     if tracks.size != camera.size:
         found, known = ("x".join(map(str, size)) for size in (tracks.size, camera.size))
         raise ModelError(
@@ -215,7 +217,8 @@ def judge_by_camera(
     free = hypotheses.widen_zero_belief(model, belief)
     seen = join_landmark_tracks([(tracks.piece, tracks.t[tracks.frame], tracks.uv)], tracks.size[1])
     part = seen.take(choose_pieces(seen, MOST_PIECES)).thinned(ROW_STRIDE)
-    start, _ = search_delay(free, belief.mean.copy(), part.thinned(2))
+    few = seen.take(choose_pieces(seen, SEARCH_PIECES)).thinned(SEARCH_STRIDE)
+    start, _ = search_delay(free, belief.mean.copy(), few)
     fit = staged_fit(free, start, part)
     if fit is None or not explains_enough_pieces(fit, part):
         count = 0 if fit is None else len(fit.used)
@@ -234,8 +237,6 @@ def judge_by_camera(
     # tracks follow every image, landmarks are looked for in some
     late = float(fit.phi[delay]), float(np.sqrt(unknowns_covariance(fit)[delay, delay]))
     if camera.landmarks is not None:
-        film = camera_film(log, read, camera.name)
-        keys = key_frames(film, tracks.t)
         by_landmarks = _by_landmarks(camera, fit, belief, changes, keys, may_move)
         if by_landmarks is not None:
             fit, belief = by_landmarks
@@ -265,7 +266,7 @@ def _by_landmarks(
     fit: "LandmarkFit",
     belief: "LandmarkBelief",
     changes: "Sequence[ChangeHypothesis]",
-    keys: KeyFrames,
+    keys: "KeyFrames",
     camera_may_move: bool,
 ) -> "tuple[LandmarkFit, LandmarkBelief] | None":
     """Adjust from the body's landmarks alone, found again
