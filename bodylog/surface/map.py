@@ -25,7 +25,7 @@ _LEAST_FOUND = 5
 """Sightings of a landmark that is kept."""
 _LEAST_SHARE = 0.35
 """Share of the images that show a landmark from a known side in which it is found, at least."""
-_MOST_ERROR_PX = 2.5
+MOST_ERROR_PX = 2.5
 """Root mean square error of a landmark that is kept."""
 _CANDIDATE_PX = 2.5
 _ROUNDS = 3
@@ -128,7 +128,7 @@ def refine(
             if len(numbers) < LEAST_PIECES:
                 return None
             phi, placed, reduced = adjust_landmarks(model, phi, seen, landmarks.take(numbers), free)
-            good = np.flatnonzero(rms_errors(seen, reduced.residual) < _MOST_ERROR_PX)
+            good = np.flatnonzero(rms_errors(seen, reduced.residual) < MOST_ERROR_PX)
             result = LandmarkFit(model, phi, free, seen, numbers, placed, reduced), kept[numbers]
             landmarks = _with_places(landmarks, numbers, placed.places)
             if len(good) == len(numbers):
