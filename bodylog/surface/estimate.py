@@ -426,7 +426,9 @@ def _with_judgement(
     settings[LEAST_OFFSETS] = _smallest_shown_offsets(
         one, learned, names, settings.get(LEAST_OFFSETS, {})
     )
-    if one.shift is not None and one.shift > _SAME_PICTURE_PX:
+    if one.shift is None:
+        findings.append(_describe_other_scene(one))
+    elif one.shift > _SAME_PICTURE_PX:
         text = (
             f"its still scene lies {one.shift:.1f} px beside that of the body: scene or camera "
             "moved"
@@ -439,6 +441,19 @@ def _with_judgement(
     views = views_as_values(one.linked, surface_space(learned.surface))
     settings[SURFACE_VIEWS] = {**settings.get(SURFACE_VIEWS, {}), one.camera: views}
     return replace(found, settings=settings, findings=tuple(findings))
+
+
+def _describe_other_scene(one: CameraJudgement) -> Finding:
+    """That another scene does not tell whether a camera moved; a warning where its corners say so."""
+    from ..kinematics.landmark_hypotheses import CAMERA, SOUND
+
+    nats = {change.name: change.nats for change in one.changes}
+    gain = nats[CAMERA] - nats[SOUND]
+    text = f"{one.camera}: its scene is not that of the body, so whether the camera moved is not judged"
+    if gain < FAULT_EVIDENCE_NATS:
+        return Finding("info", text)
+    why = f"a moved camera explains the arm's corners better ({gain:.0f} nats)"
+    return Finding("warning", f"{text}; {why}, and so does an arm that looks another way")
 
 
 def _smallest_shown_offsets(
@@ -494,7 +509,9 @@ def _winning_fault(one: CameraJudgement, since: float, learned: BodyModel) -> Fa
             "rad",
         )
     if best.name == CAMERA:
-        return Fault("vision", one.camera, "moved", since, float("nan"), "m")
+        # in another scene the surface itself may look another way, and its corners lie elsewhere
+        moved = Fault("vision", one.camera, "moved", since, float("nan"), "m")
+        return None if one.shift is None else moved
     if abs(best.value) < _least_offset(best) or names[best.name] not in one.identifiable:
         return None
     # a reading that is too large by x needs a zero that is smaller by x

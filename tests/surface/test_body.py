@@ -18,7 +18,7 @@ from bodylog.surface.estimate import picture_shift
 from bodylog.types import Score
 
 REACH = Path(__file__).parents[2] / "fixtures" / "arm" / "reach.mcap"
-G1 = Path(__file__).parents[2] / "shared" / "real" / "g1"
+G1 = Path(__file__).parents[3] / "shared" / "real" / "g1"
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 PAN_ONLY = """<robot name="arm"><link name="base"/><link name="a"/><link name="b"/><link name="c"/>
 <joint name="shoulder_pan_joint" type="revolute"><origin xyz="0 0 0.2"/><parent link="base"/><child link="a"/>
