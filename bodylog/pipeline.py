@@ -197,17 +197,26 @@ def fit(
     robot, unfit = robot_model.find_robot(logs, features, settings)
     features, not_joints = robot_model.joints_of_urdf(features, robot)
     settings = robot_model.with_coordinates(settings, robot)
+    may_fall_back = known is None and robot is not None and not any(f.poses for f in features)
+    may_fall_back &= default_features.has_no_features(asked)
     try:
         with log_context(logs[0], [*findings, *unfit], len(logs) - 1):
             learned = camera_delay.learn_with_delays(features, settings, origin, known, robot)
     except EvidenceError as problem:
-        fallback = known is None and robot is not None and default_features.has_no_features(asked)
-        if not fallback or any(found.poses for found in features):
+        if not may_fall_back:
             raise
         try:
             return _fit_surface(given, out, asked, test, leave_out, str(problem))
         except InputError as also:
             raise EvidenceError(f"{problem}; nor by the robot's own surface: {also}") from also
+    loose = surface_body.describe_loose_marker(learned.scores) if may_fall_back else None
+    if loose is not None:
+        try:
+            return _fit_surface(given, out, asked, test, leave_out, loose)
+        except (InputError, UsageError) as problem:
+            misjudges = f"{loose}; other postures may be misjudged"
+            why_not = f"by the robot's own surface: {problem}"
+            findings.append(Finding("warning", f"{misjudges}; {why_not}"))
     learned = replace(learned, model=robot_model.with_robot_chain(learned.model, robot, features))
     if surface_asked:
         recordings = [(log, read) for log, (read, _) in zip(logs, observed, strict=True)]

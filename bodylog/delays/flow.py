@@ -189,7 +189,9 @@ def _smooth_joint(t: Array, values: Array, at: Array) -> Array:
     if np.ptp(values[finite]) == 0.0:
         return np.full(len(at), values[finite][0])
     chain = angle_smoother.build_reading_chain(t[finite], values[finite])
-    motions = [angle_smoother.fit_white_motion([chain], order) for order in (2, 3)]
+    motions = [
+        angle_smoother.fit_white_motion([chain], order, with_errors=False) for order in (2, 3)
+    ]
     best = max(motions, key=lambda motion: motion.evidence)
     inside = np.clip(at, chain.t[0], chain.t[-1])
     return angle_smoother.smooth_angles(chain, best, inside)[0]

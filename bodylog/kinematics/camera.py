@@ -21,24 +21,35 @@ def project_points(points: Array, numbers: Array) -> tuple[Array, Array, Array]:
     """Project points (…,3) m: image (…,2) px ·
     derivative by point (…,2,3) · by the lens (…,2,6).
     """
+    image, by_point = project_with_slopes(points, numbers)
+    plain = points[..., :2] / np.maximum(points[..., 2:], NEAREST)
+    focal = np.exp(numbers[0]) * np.array([1.0, np.exp(numbers[1])])
+    square = np.square(plain).sum(axis=-1)
+    bend = 1.0 + square * (numbers[4] + numbers[5] * square)
+    return image, by_point, _by_lens(plain, square, bend, focal)
+
+
+def project_with_slopes(points: Array, numbers: Array) -> tuple[Array, Array]:
+    """Project points (…,3) m: image (…,2) px · derivative by point (…,2,3)."""
     depth = np.maximum(points[..., 2], NEAREST)
     x, y = points[..., 0] / depth, points[..., 1] / depth
-    fu = np.exp(numbers[0])
-    focal = np.array([fu, fu * np.exp(numbers[1])])
+    focal = np.exp(numbers[0]) * np.array([1.0, np.exp(numbers[1])])
     square = x * x + y * y
     bend = 1.0 + square * (numbers[4] + numbers[5] * square)
     rise = 2.0 * (numbers[4] + 2.0 * numbers[5] * square)
-    plain = np.stack([x, y], axis=-1)
-    image = focal * plain * bend[..., None] + numbers[2:4]
-    # d(x bend, y bend) / d(x, y): bend I + rise [x y]ᵀ[x y]
-    inner = (
-        bend[..., None, None] * np.eye(2)
-        + rise[..., None, None] * plain[..., :, None] * plain[..., None, :]
-    )
-    shrink = np.zeros((*points.shape[:-1], 2, 3))
-    shrink[..., 0, 0] = shrink[..., 1, 1] = 1.0 / depth
-    shrink[..., 2] = -plain / depth[..., None] * (points[..., 2] > NEAREST)[..., None]
-    return image, focal[:, None] * (inner @ shrink), _by_lens(plain, square, bend, focal)
+    image = np.empty((*x.shape, 2))
+    image[..., 0] = focal[0] * x * bend + numbers[2]
+    image[..., 1] = focal[1] * y * bend + numbers[3]
+    # d(x bend, y bend) / d(x, y) = bend I + rise [x y]ᵀ[x y]
+    by_point = np.empty((*x.shape, 2, 3))
+    by_point[..., 0, 0] = bend + rise * x * x
+    by_point[..., 0, 1] = by_point[..., 1, 0] = rise * x * y
+    by_point[..., 1, 1] = bend + rise * y * y
+    along = (bend + rise * square) * (points[..., 2] > NEAREST)
+    by_point[..., 0, 2] = -along * x
+    by_point[..., 1, 2] = -along * y
+    by_point *= focal[:, None] / depth[..., None, None]
+    return image, by_point
 
 
 def scale_points(points: Array) -> tuple[Array, Array, Array]:

@@ -41,9 +41,11 @@ class Chain:
                 place = place + rotation[:, :, 2] * angle[:, k, None]
             else:
                 rotation = _turn_about_z(rotation, angle[:, k])
-            strides[:, k] = rotation @ self.fixed[k + 1, :3, 3]
+            # as one product of tall matrices, for those of many small ones take five times as long
+            rows = rotation.reshape(-1, 3)
+            strides[:, k] = (rows @ self.fixed[k + 1, :3, 3]).reshape(-1, 3)
             place = place + strides[:, k]
-            rotation = rotation @ self.fixed[k + 1, :3, :3]
+            rotation = (rows @ self.fixed[k + 1, :3, :3]).reshape(-1, 3, 3)
         return ChainPoses(rotation, place, axes, origins, strides[:, :-1])
 
     def slopes(self, poses: "ChainPoses", points: Array) -> Array:
@@ -53,7 +55,7 @@ class Chain:
         result = np.zeros((*points.shape, len(self.joints)))
         for k, slides in enumerate(self.slides):
             axis = poses.axes[:, None, k]
-            lean = axis if slides else _cross_product(axis, points - poses.origins[:, None, k])
+            lean = axis if slides else cross_products(axis, points - poses.origins[:, None, k])
             result[..., self.column[k]] += self.scale[k] * lean
         return result
 
@@ -162,7 +164,7 @@ def _chain_joints(robot: Robot, start: str, end: str, ways: Sequence[tuple[Joint
     )
 
 
-def _cross_product(a: Array, b: Array) -> Array:
+def cross_products(a: Array, b: Array) -> Array:
     """Cross products (…,3); np.cross takes five times as long on few rows."""
     result = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for k in range(3):
@@ -176,7 +178,11 @@ def _turn_about_z(rotation: Array, angle: Array) -> Array:
     cos = np.cos(angle)[:, None]
     sin = np.sin(angle)[:, None]
     x, y = rotation[:, :, 0], rotation[:, :, 1]
-    return np.stack([cos * x + sin * y, cos * y - sin * x, rotation[:, :, 2]], axis=2)
+    result = np.empty(rotation.shape)
+    result[:, :, 0] = cos * x + sin * y
+    result[:, :, 1] = cos * y - sin * x
+    result[:, :, 2] = rotation[:, :, 2]
+    return result
 
 
 def _step_transform(angle: float, slides: bool) -> Array:

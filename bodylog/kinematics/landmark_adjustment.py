@@ -24,8 +24,8 @@ DATA_SHARE = 1.0 / 6.0
 them errs independently, as a link's landmarks err alike.
 """
 _STEPS = 15
-_SETTLED = 1e-4
-"""Prior standard deviations by which the largest step of a settled descent moves an unknown."""
+_SETTLED = 0.01
+"""Cost that the last step of a settled descent gains: a tenth of an unknown's deviation."""
 _MOST_DAMPING = 1e8
 _PLACE_STEPS = 4
 _NEAREST_M = 0.05
@@ -213,59 +213,58 @@ def adjust_landmarks(
             damping *= 10.0
         if not after.cost < here.cost:
             break
+        gain = here.cost - after.cost
         phi = phi + step
         landmarks = there
         here = after
         damping = max(damping / 10.0, 1e-9)
-        if np.abs(step[free] / std).max(initial=0.0) < _SETTLED:
+        if gain < _SETTLED:
             break
     return phi, landmarks, here
 
 
 def triangulate_pieces(
-    model: LandmarkModel, phi: Array, seen: LandmarkSightings, body: int
+    model: LandmarkModel, phi: Array, seen: LandmarkSightings, body: int, angles: Array
 ) -> tuple[Array, Array]:
-    """Places (K,3) m of all pieces on one body, for given
-    shared unknowns, and their rows' residuals (R,) px.
+    """Places (K,3) m of all pieces on one body, for given shared unknowns and joint angles (R,M)
+    of the rows, and the rows' residuals (R,) px.
 
     The first place is nearest to all rays; Gauss-Newton
     on the image then refines it, with the body's prior.
     """
-    from .camera import project_points
+    from .camera import project_with_slopes
     from .starts import normalised_directions
 
-    rotation, place = model.frames(phi, seen, body)
+    rotation, place = model.frames(phi, angles, body)
     rays = np.concatenate(
         [normalised_directions(seen.uv, phi[6:12]), np.ones((len(seen.uv), 1))], axis=1
     )
     rays /= np.linalg.norm(rays, axis=1)[:, None]
-    across = np.eye(3) - rays[:, :, None] * rays[:, None]
     part = model.bodies[body]
     focal = float(np.exp(phi[6]))
     depth = max(float(np.linalg.norm(place + rotation @ part.centre, axis=1).mean()), _NEAREST_M)
     precision = 1.0 / part.size**2
-    beyond = across @ rotation
-    matrix = seen.sums(rotation.transpose(0, 2, 1) @ beyond) * (
-        focal / depth
-    ) ** 2 + precision * np.eye(3)
-    right = (
-        -seen.sums(np.einsum("nji,nj->ni", beyond, place)) * (focal / depth) ** 2
-        + precision * part.centre
-    )
+    # with A = I − r rᵀ across a ray and w = Rᵀ r: Rᵀ A R = I − w wᵀ, and Rᵀ A p = Rᵀ p − w rᵀ p
+    along = np.einsum("nij,ni->nj", rotation, rays)
+    across = np.einsum("nij,ni->nj", rotation, place) - along * (rays * place).sum(1)[:, None]
+    sharpness = (focal / depth) ** 2
+    matrix = -sharpness * seen.sums(along[:, :, None] * along[:, None])
+    matrix += (sharpness * seen.lengths[:, None, None] + precision) * np.eye(3)
+    right = -sharpness * seen.sums(across) + precision * part.centre
     places = np.linalg.solve(matrix, right[..., None])[..., 0]
     for turn in range(_PLACE_STEPS + 1):
         inside = np.einsum("nij,nj->ni", rotation, places[seen.piece]) + place
-        image, by_point, _ = project_points(inside, phi[6:12])
+        image, by_point = project_with_slopes(inside, phi[6:12])
         residual = seen.uv - image
         length = np.linalg.norm(residual, axis=1)
         if turn == _PLACE_STEPS:
             break
         by_place = by_point @ rotation
         weighted = by_place * np.minimum(1.0, 4.0 / np.maximum(length, 1e-9))[:, None, None]
-        matrix = seen.sums(np.einsum("nip,niq->npq", weighted, by_place)) + precision * np.eye(3)
-        right = seen.sums(np.einsum("nip,ni->np", weighted, residual)) + precision * (
-            part.centre - places
-        )
+        weighted = weighted.transpose(0, 2, 1)
+        matrix = seen.sums(weighted @ by_place) + precision * np.eye(3)
+        right = seen.sums((weighted @ residual[..., None])[..., 0])
+        right += precision * (part.centre - places)
         places = places + np.linalg.solve(matrix, right[..., None])[..., 0]
     length[inside[:, 2] < _NEAREST_M] = 1e3
     return places, length
@@ -297,12 +296,17 @@ def assign_pieces(
     """Try every piece on every body, or on those that `tried` (B,K) names: the least error wins."""
     errors = np.full((len(model.bodies), seen.count), np.inf)
     places = np.zeros((len(model.bodies), seen.count, 3))
+    angles = model.joints_at(phi, seen)[0]
     for number, part in enumerate(model.bodies):
         pieces = np.arange(seen.count) if tried is None else np.flatnonzero(tried[number])
         if not len(pieces):
             continue
-        some = seen if len(pieces) == seen.count else seen.take(pieces)
-        there, length = triangulate_pieces(model, phi, some, number)
+        some = seen
+        of_rows = angles
+        if tried is not None:
+            some = seen.take(pieces)
+            of_rows = angles[tried[number][seen.piece]]
+        there, length = triangulate_pieces(model, phi, some, number, of_rows)
         away = np.linalg.norm(there - part.centre, axis=1) / part.size
         error = np.sqrt(some.sums(np.square(length)) / some.lengths)
         errors[number, pieces] = np.where(away > _BOX_SIGMAS, np.inf, error)

@@ -19,10 +19,10 @@ import numpy as np
 
 from ..types import Array
 from .camera import project_points
-from .chain import Chain
+from .chain import Chain, cross_products
 from .joint_motion import JointCurve
 from .rig import Rig
-from .rotations import cross_product_matrix, left_jacobian, rotation_from_vector
+from .rotations import left_jacobian, rotation_from_vector
 
 DELAY_STD_S = 0.3
 """Prior std of a camera's delay."""
@@ -187,9 +187,12 @@ class LandmarkModel:
             angles[rows], speeds[rows] = motion.at(exposed[rows])
         return angles, speeds, share
 
-    def frames(self, phi: Array, seen: LandmarkSightings, body: int) -> tuple[Array, Array]:
-        """Rotation (R,3,3) and place (R,3) m of a body in the camera at each row."""
-        return _body_in_camera(self, phi, self.joints_at(phi, seen)[0], body)
+    def frames(self, phi: Array, angles: Array, body: int) -> tuple[Array, Array]:
+        """Rotation (R,3,3) and place (R,3) m of a body in the camera at joint angles (R,M)."""
+        theta = self.changed(phi)
+        poses = self.bodies[body].chain.at(self.rig.angles(theta, angles))
+        camera = self.rig.camera_pose(0, theta)
+        return camera[:3, :3] @ poses.rotation, poses.place @ camera[:3, :3].T + camera[:3, 3]
 
     def predict(
         self, phi: Array, seen: LandmarkSightings, body: Array, places: Array
@@ -209,16 +212,6 @@ class Prediction:
     by_shared: Array
     by_joints: Array
     depth: Array
-
-
-def _body_in_camera(
-    model: LandmarkModel, phi: Array, angles: Array, body: int
-) -> tuple[Array, Array]:
-    rig = model.rig
-    theta = model.changed(phi)
-    poses = model.bodies[body].chain.at(rig.angles(theta, angles))
-    camera = rig.camera_pose(0, theta)
-    return camera[:3, :3] @ poses.rotation, poses.place @ camera[:3, :3].T + camera[:3, 3]
 
 
 def _predict_images(
@@ -249,7 +242,9 @@ def _predict_images(
         by_place[at] = to_link @ poses.rotation
         by_joints[at] = to_link @ chain.slopes(poses, linked[:, None])[:, 0]
         by_shared[at, :, :3] = by_point
-        by_shared[at, :, 3:6] = by_point @ (-cross_product_matrix(turned) @ left_jacobian(pose[3:]))
+        # of a turn dw the point moves by dw × p, and aᵀ (dw × p) = (p × a)ᵀ dw
+        by_turn = cross_products(turned[:, None], by_point)
+        by_shared[at, :, 3:6] = (by_turn.reshape(-1, 3) @ left_jacobian(pose[3:])).reshape(-1, 2, 3)
         by_shared[at, :, 6:12] = by_lens
     by_shared[:, :, rig.of_joints] = by_joints
     by_time = np.einsum("nim,nm->ni", by_joints, speeds)

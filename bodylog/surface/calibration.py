@@ -17,16 +17,22 @@ if TYPE_CHECKING:
     from ..kinematics.links import CameraHint
     from ..kinematics.rig import RigCamera
     from ..kinematics.robot import Robot
-    from ..perception.surface.corner_tracks import CornerTracks
+    from ..perception.surface.corner_tracks import CornerTracks, KeyFrames
     from ..settings import Settings
 
+_MOST_KEPT_FRAMES = 240
+"""Images of all logs together in which landmarks are looked for."""
+_LEAST_KEPT_FRAMES = 20
+"""Such images of one of many logs."""
 LONGEST_S = 60.0
 """The middle of a log that is used."""
 MOST_IMAGES = 1800
 ROW_STRIDE = 2
 """Every n-th row of a piece is used: errors of neighbours are alike."""
-_SEARCH_PIECES = 80
-_SEARCH_STRIDE = 4
+SEARCH_PIECES = 80
+"""Pieces by which starts and delays are compared."""
+SEARCH_STRIDE = 4
+"""Every n-th row of these pieces is used."""
 _GRID_S = 0.01
 """Spacing of the smoothed joint angles."""
 LEAST_RANGE = 0.02
@@ -84,14 +90,14 @@ class _StrangeLog(EvidenceError):
 @dataclass(frozen=True, eq=False)
 class _CameraTracks:
     """What one log shows through one camera: its number among
-    the logs, its tracks, its median picture, its frames.
+    the logs, its tracks, its median picture, some images.
     """
 
     log: Path
     number: int
     tracks: "CornerTracks"
     picture: Array | None
-    frames: Callable[[], Iterator[LazyImage]]
+    keys: "KeyFrames"
 
 
 def calibrate_cameras(
@@ -131,7 +137,7 @@ def calibrate_cameras(
                     del films[problem.number]
                 else:
                     break
-            mapped = build_map(fit, seen, [(one.frames, one.tracks.t) for one in films])
+            mapped = build_map(fit, seen, [one.keys for one in films])
         except EvidenceError as problem:
             yield problem
             continue
@@ -282,7 +288,7 @@ def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointCurve":
         readings = joints.values[:, list(joints.names).index(name)]
         finite = np.isfinite(readings)
         signal = angle_smoother.build_reading_chain(joints.t[finite], readings[finite])
-        motion = angle_smoother.fit_white_motion([signal], 3)
+        motion = angle_smoother.fit_white_motion([signal], 3, with_errors=False)
         # a joint's own readings may begin later and end earlier than those of other topics
         within = np.clip(grid, signal.t[0], signal.t[-1])
         columns.append(angle_smoother.smooth_angles(signal, motion, within)[0])
@@ -302,16 +308,17 @@ def _track_each_log(
         if film is None:
             continue
         try:
-            tracks, picture = _moving_tracks(f"{log}: {camera or 'camera'}", film)
+            where = f"{log}: {camera or 'camera'}"
+            tracks, picture, keys = _moving_tracks(where, film, len(logs))
             size = size or tracks.size
-            _require_size(f"{log}: {camera or 'camera'}", tracks.size, size)
+            _require_size(where, tracks.size, size)
         except EvidenceError as problem:
             if left_out is None:
                 raise
             problems.append(problem)
             left_out.append(str(problem))
             continue
-        yield _CameraTracks(log, number, tracks, picture, film)
+        yield _CameraTracks(log, number, tracks, picture, keys)
     if size is None:
         raise problems[0]
 
@@ -333,28 +340,31 @@ def camera_film(log: Path, read: Recording, camera: str) -> Callable[[], Iterato
     return film
 
 
-def track_camera(log: Path, read: Recording, camera: str) -> "tuple[CornerTracks, Array | None]":
+def track_camera(
+    log: Path, read: Recording, camera: str
+) -> "tuple[CornerTracks, Array | None, KeyFrames]":
     """The corners that move before a camera, "camera"
-    the first, and its median picture, grey and shrunken.
+    the first, its median picture, grey and shrunken, and some images.
 
     EvidenceError without the camera, or where too little moves.
     """
-    return _moving_tracks(f"{log}: {camera}", camera_film(log, read, camera))
+    return _moving_tracks(f"{log}: {camera}", camera_film(log, read, camera), 1)
 
 
 def _moving_tracks(
-    where: str, film: Callable[[], Iterator[LazyImage]]
-) -> "tuple[CornerTracks, Array | None]":
+    where: str, film: Callable[[], Iterator[LazyImage]], logs: int
+) -> "tuple[CornerTracks, Array | None, KeyFrames]":
     from ..kinematics.landmark_fit import LEAST_PIECES
-    from ..perception.surface.corner_tracks import moving_pieces, track_corners
+    from ..perception.surface.corner_tracks import MOST_KEY_FRAMES, moving_pieces, track_corners
 
-    tracks, survey = track_corners(film)
+    most_keys = min(MOST_KEY_FRAMES, max(_MOST_KEPT_FRAMES // logs, _LEAST_KEPT_FRAMES))
+    tracks, survey, keys = track_corners(film, most_key_frames=most_keys)
     moving = moving_pieces(tracks)
     if len(moving) < LEAST_PIECES:
         raise EvidenceError(
             f"{where}: {len(moving)} corners move in its images; the surface needs {LEAST_PIECES}"
         )
-    return tracks.take(moving), survey.median
+    return tracks.take(moving), survey.median, keys
 
 
 def _calibrate_camera(
@@ -385,7 +395,7 @@ def _calibrate_camera(
         size[1],
     )
     part = seen.take(choose_pieces(seen, _most_pieces(len(films)))).thinned(ROW_STRIDE)
-    few = seen.take(choose_pieces(seen, -(-_SEARCH_PIECES // len(films)))).thinned(_SEARCH_STRIDE)
+    few = seen.take(choose_pieces(seen, -(-SEARCH_PIECES // len(films)))).thinned(SEARCH_STRIDE)
     own_motions = [motions[one.number] for one in films]
     best: LandmarkFit | None = None
     for cameras in _start_cameras(name or "camera", robot, space, hint):

@@ -28,13 +28,14 @@ from .calibration import (
     LONGEST_S,
     MOST_IMAGES,
     ROW_STRIDE,
-    camera_film,
+    SEARCH_PIECES,
+    SEARCH_STRIDE,
     control_counts,
     explains_enough_pieces,
     smoothed_motion,
     track_camera,
 )
-from .map import KeyFrames, find_again, key_frames, refine
+from .map import find_again, refine
 from .tracks import (
     LinkedTracks,
     describe_foreign,
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from ..kinematics.landmark_fit import LandmarkFit
     from ..kinematics.landmark_hypotheses import ChangeHypothesis
     from ..kinematics.landmarks import LandmarkBelief, LandmarkModel
+    from ..perception.surface.corner_tracks import KeyFrames
 
 FAULT_EVIDENCE_NATS = 8.0
 """Evidence that a fault must win over a sound log."""
@@ -205,7 +207,7 @@ def judge_by_camera(
     from ..kinematics.landmark_fit import MOST_PIECES, choose_pieces, search_delay, staged_fit
     from ..kinematics.landmarks import join_landmark_tracks
 
-    tracks, picture = track_camera(log, read, camera.name)
+    tracks, picture, keys = track_camera(log, read, camera.name)
     if tracks.size != camera.size:
         found, known = ("x".join(map(str, size)) for size in (tracks.size, camera.size))
         raise ModelError(
@@ -216,7 +218,8 @@ def judge_by_camera(
     free = hypotheses.widen_zero_belief(model, belief)
     seen = join_landmark_tracks([(tracks.piece, tracks.t[tracks.frame], tracks.uv)], tracks.size[1])
     part = seen.take(choose_pieces(seen, MOST_PIECES)).thinned(ROW_STRIDE)
-    start, _ = search_delay(free, belief.mean.copy(), part.thinned(2))
+    few = seen.take(choose_pieces(seen, SEARCH_PIECES)).thinned(SEARCH_STRIDE)
+    start, _ = search_delay(free, belief.mean.copy(), few)
     fit = staged_fit(free, start, part)
     if fit is None or not explains_enough_pieces(fit, part):
         count = 0 if fit is None else len(fit.used)
@@ -235,8 +238,6 @@ def judge_by_camera(
     # tracks follow every image, landmarks are looked for in some
     late = float(fit.phi[delay]), float(np.sqrt(unknowns_covariance(fit)[delay, delay]))
     if camera.landmarks is not None:
-        film = camera_film(log, read, camera.name)
-        keys = key_frames(film, tracks.t)
         by_landmarks = _by_landmarks(camera, fit, belief, changes, keys, may_move)
         if by_landmarks is not None:
             fit, belief = by_landmarks
@@ -266,7 +267,7 @@ def _by_landmarks(
     fit: "LandmarkFit",
     belief: "LandmarkBelief",
     changes: "Sequence[ChangeHypothesis]",
-    keys: KeyFrames,
+    keys: "KeyFrames",
     camera_may_move: bool,
 ) -> "tuple[LandmarkFit, LandmarkBelief] | None":
     """Adjust from the body's landmarks alone, found again
@@ -426,7 +427,9 @@ def _with_judgement(
     settings[LEAST_OFFSETS] = _smallest_shown_offsets(
         one, learned, names, settings.get(LEAST_OFFSETS, {})
     )
-    if one.shift is not None and one.shift > _SAME_PICTURE_PX:
+    if one.shift is None:
+        findings.append(_describe_other_scene(one))
+    elif one.shift > _SAME_PICTURE_PX:
         text = (
             f"its still scene lies {one.shift:.1f} px beside that of the body: scene or camera "
             "moved"
@@ -439,6 +442,19 @@ def _with_judgement(
     views = views_as_values(one.linked, surface_space(learned.surface))
     settings[SURFACE_VIEWS] = {**settings.get(SURFACE_VIEWS, {}), one.camera: views}
     return replace(found, settings=settings, findings=tuple(findings))
+
+
+def _describe_other_scene(one: CameraJudgement) -> Finding:
+    """That another scene does not tell whether a camera moved; a warning where its corners say so."""
+    from ..kinematics.landmark_hypotheses import CAMERA, SOUND
+
+    nats = {change.name: change.nats for change in one.changes}
+    gain = nats[CAMERA] - nats[SOUND]
+    text = f"{one.camera}: its scene is not that of the body, so whether the camera moved is not judged"
+    if gain < FAULT_EVIDENCE_NATS:
+        return Finding("info", text)
+    why = f"a moved camera explains the arm's corners better ({gain:.0f} nats)"
+    return Finding("warning", f"{text}; {why}, and so does an arm that looks another way")
 
 
 def _smallest_shown_offsets(
@@ -494,7 +510,9 @@ def _winning_fault(one: CameraJudgement, since: float, learned: BodyModel) -> Fa
             "rad",
         )
     if best.name == CAMERA:
-        return Fault("vision", one.camera, FaultKind.MOVED, since, float("nan"), "m")
+        # in another scene the surface itself may look another way, and its corners lie elsewhere
+        moved = Fault("vision", one.camera, FaultKind.MOVED, since, float("nan"), "m")
+        return None if one.shift is None else moved
     if abs(best.value) < _least_offset(best) or names[best.name] not in one.identifiable:
         return None
     # a reading that is too large by x needs a zero that is smaller by x

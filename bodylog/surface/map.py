@@ -2,25 +2,19 @@
 again in images by how they look, where they are predicted.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from ..errors import InputError
-from ..types import Array, LazyImage
+from ..types import Array
 
 if TYPE_CHECKING:
     from ..body_model import LandmarkMap
     from ..kinematics.landmark_adjustment import Landmarks
     from ..kinematics.landmark_fit import LandmarkFit
     from ..kinematics.landmarks import LandmarkModel, LandmarkSightings
+    from ..perception.surface.corner_tracks import KeyFrames
 
-MOST_KEY_FRAMES = 80
-"""Images of a log in which landmarks are looked for,
-evenly spread: memory does not grow with the film.
-"""
-MOST_KEPT_FRAMES = 240
-"""Images of all logs together."""
 MOST_LANDMARKS = 200
 _MOST_VIEWS = 3
 _PASSES = ((10, 3), (6, 1), (5, 1))
@@ -31,20 +25,12 @@ _LEAST_FOUND = 5
 """Sightings of a landmark that is kept."""
 _LEAST_SHARE = 0.35
 """Share of the images that show a landmark from a known side in which it is found, at least."""
-_MOST_ERROR_PX = 2.5
+MOST_ERROR_PX = 2.5
 """Root mean square error of a landmark that is kept."""
 _CANDIDATE_PX = 2.5
 _ROUNDS = 3
 _APART_PX = 5.0
 """Distance at which landmarks of one link count as two."""
-
-
-@dataclass(frozen=True, eq=False)
-class KeyFrames:
-    """Some images of one log: t (F,) s, ascending, and the grey images (H,W) uint8."""
-
-    t: Array
-    images: tuple[Array, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,32 +46,12 @@ class FoundAgain:
     possible: Array
 
 
-def key_frames(
-    film: Callable[[], Iterable[LazyImage]], t: Array, most: int = MOST_KEY_FRAMES
-) -> KeyFrames:
-    """At most `most` of the images at t (N,) s."""
-    import numpy as np
-
-    from ..perception.colours.coarse_search import convert_to_gray
-
-    chosen = np.unique(np.linspace(0, len(t) - 1, min(most, len(t))).round().astype(int))
-    wanted = set(t[chosen].tolist())
-    found = dict[float, Array]()
-    for frame in film():
-        if frame.t in wanted and frame.t not in found:
-            try:
-                found[frame.t] = convert_to_gray(frame.decode(1))
-            except InputError:
-                continue
-    return KeyFrames(np.array(sorted(found)), tuple(found[instant] for instant in sorted(found)))
-
-
 def find_again(
     model: "LandmarkModel",
     phi: Array,
     known: "LandmarkMap",
     landmarks: "Landmarks",
-    keys: Sequence[KeyFrames],
+    keys: "Sequence[KeyFrames]",
     reach_px: int,
     every: int = 1,
 ) -> FoundAgain | None:
@@ -136,7 +102,7 @@ def refine(
     free: Array,
     known: "LandmarkMap",
     landmarks: "Landmarks",
-    keys: Sequence[KeyFrames],
+    keys: "Sequence[KeyFrames]",
     passes: Sequence[tuple[int, int]] = _PASSES,
 ) -> "tuple[LandmarkFit, Array] | None":
     """Adjust from landmarks found again alone: the fit,
@@ -162,7 +128,7 @@ def refine(
             if len(numbers) < LEAST_PIECES:
                 return None
             phi, placed, reduced = adjust_landmarks(model, phi, seen, landmarks.take(numbers), free)
-            good = np.flatnonzero(rms_errors(seen, reduced.residual) < _MOST_ERROR_PX)
+            good = np.flatnonzero(rms_errors(seen, reduced.residual) < MOST_ERROR_PX)
             result = LandmarkFit(model, phi, free, seen, numbers, placed, reduced), kept[numbers]
             landmarks = _with_places(landmarks, numbers, placed.places)
             if len(good) == len(numbers):
@@ -188,14 +154,11 @@ def _with_places(landmarks: "Landmarks", numbers: Array, places: Array) -> "Land
 
 
 def build_map(
-    fit: "LandmarkFit",
-    seen: "LandmarkSightings",
-    films: Sequence[tuple[Callable[[], Iterable[LazyImage]], Array]],
+    fit: "LandmarkFit", seen: "LandmarkSightings", keys: "Sequence[KeyFrames]"
 ) -> "tuple[LandmarkFit, LandmarkMap] | None":
     """Find the landmarks of a fit again in its logs' films, and adjust from these sightings alone.
 
-    seen: all moving pieces · films: of each log the frames, and the times (N,) s of its tracked
-    images. None where too few landmarks are found again.
+    seen: all moving pieces · keys: of each log. None where too few landmarks are found again.
     """
     import numpy as np
 
@@ -204,8 +167,6 @@ def build_map(
 
     model = fit.model
     phi = fit.phi
-    most = min(MOST_KEY_FRAMES, max(MOST_KEPT_FRAMES // len(films), 20))
-    keys = [key_frames(film, t, most) for film, t in films]
     chosen = assign_pieces(model, phi, seen.thinned(2))
     moves = np.array([len(body.chain.column) > 0 for body in model.bodies])[chosen.body]
     sound = (chosen.error < _CANDIDATE_PX) & explained_pieces(model, chosen) & moves
@@ -275,7 +236,7 @@ def _with_views(
     phi: Array,
     seen: "LandmarkSightings",
     landmarks: "Landmarks",
-    keys: Sequence[KeyFrames],
+    keys: "Sequence[KeyFrames]",
 ) -> "tuple[LandmarkMap, Landmarks] | None":
     """A map of the landmarks with views from where they
     were seen, as differently as can be; None without any.

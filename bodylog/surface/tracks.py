@@ -2,7 +2,7 @@
 each image tells, the share that follows no link, and views for people.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -10,8 +10,10 @@ from ..types import Array, PostureReadings
 from .calibration import LEAST_RANGE
 
 if TYPE_CHECKING:
+    from ..kinematics.chain import Chain
     from ..kinematics.landmarks import LandmarkModel, LandmarkSightings
     from ..kinematics.links import Space
+    from ..kinematics.robot import Robot
 
 FOREIGN = -1
 """Number of the body of a piece that follows none."""
@@ -161,6 +163,7 @@ def views_as_values(linked: LinkedTracks, space: "Space") -> dict[str, Any]:
     instants, counts = np.unique(own.t[moving], return_counts=True)
     if not len(instants):
         return {"foreign": linked.foreign_share, "links": [], "images": []}
+    chains = chains_to_links(linked, space)
     images = []
     # of each part of the film the image that shows most corners
     for part in np.array_split(np.arange(len(instants)), min(MOST_VIEWS, len(instants))):
@@ -169,7 +172,7 @@ def views_as_values(linked: LinkedTracks, space: "Space") -> dict[str, Any]:
         corners = np.column_stack(
             [own.uv[rows], predicted[rows], linked.body[kept][own.piece[rows]]]
         )
-        bones = skeleton_segments(linked, space, t)
+        bones = skeleton_segments(linked, space.robot, chains, t)
         images.append(
             {"t": t, "bones": bones.round(1).tolist(), "corners": corners.round(2).tolist()}
         )
@@ -199,7 +202,15 @@ def trails_as_views(
         yield t, np.zeros((0, 4)), np.zeros((0, 5)), tuple(trails)
 
 
-def skeleton_segments(linked: LinkedTracks, space: "Space", t: float) -> Array:
+def chains_to_links(linked: LinkedTracks, space: "Space") -> "dict[str, Chain]":
+    """The chain from the camera's link to each of the robot's."""
+    camera = linked.model.rig.cameras[0].link
+    return {link: space.chain(camera, link) for link in space.robot.links}
+
+
+def skeleton_segments(
+    linked: LinkedTracks, robot: "Robot", chains: "Mapping[str, Chain]", t: float
+) -> Array:
     """Segments (S,4) px, u, v at both ends, that join the origins
     of the URDF's links in an image at t (s); those before the camera.
     """
@@ -212,14 +223,13 @@ def skeleton_segments(linked: LinkedTracks, space: "Space", t: float) -> Array:
     late = linked.phi[model.of_delays][0]
     angles = model.rig.angles(theta, model.motions[0].at(np.array([t - late]))[0])
     camera = model.rig.camera_pose(0, theta)
-    link_of_camera = model.rig.cameras[0].link
     places = dict[str, Array]()
-    for link in space.robot.links:
-        inside = space.chain(link_of_camera, link).at(angles).place[0]
+    for link, chain in chains.items():
+        inside = chain.at(angles).place[0]
         places[link] = camera[:3, :3] @ inside + camera[:3, 3]
     ends = [
         (places[joint.parent], places[link])
-        for link, joint in space.robot.above.items()
+        for link, joint in robot.above.items()
         if min(places[joint.parent][2], places[link][2]) > 0.05
         and np.linalg.norm(places[joint.parent] - places[link]) > 1e-3
     ]

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from bodylog.perception.surface import corner_tracks
 from bodylog.perception.surface.corner_tracks import (
     CornerTracker,
     moving_pieces,
@@ -45,7 +46,7 @@ def film(images: list[Array]) -> Iterator[LazyImage]:
 
 
 def test_corners_inside_the_square_follow_it():
-    tracks, survey = track_corners(lambda: film(pictures(80)))
+    tracks, survey, _ = track_corners(lambda: film(pictures(80)))
     assert survey.repeats.share is not None and survey.repeats.share < 0.02
     moving = tracks.take(moving_pieces(tracks))
     errors = []
@@ -59,7 +60,7 @@ def test_corners_inside_the_square_follow_it():
 
 def test_repeats_are_left_out():
     twice = [image for image in pictures(60) for _ in range(2)]
-    tracks, survey = track_corners(lambda: film(twice))
+    tracks, survey, _ = track_corners(lambda: film(twice))
     assert survey.repeats.share == pytest.approx(0.5, abs=0.02)
     assert len(tracks.t) == pytest.approx(60, abs=2)
 
@@ -72,6 +73,19 @@ def test_memory_does_not_grow_with_the_film():
     tracks = tracker.tracks()
     assert tracks.count == 50
     assert tracks.frame.max() > 100
+
+
+@pytest.mark.parametrize("kept_bytes, looks", [(1 << 27, 1), (100_000, 2)])
+def test_film_is_decoded_once_where_its_images_fit_in_memory(monkeypatch, kept_bytes, looks):
+    images = pictures(40)
+    expected = track_corners(lambda: film(images))[0]
+    monkeypatch.setattr(corner_tracks, "_MOST_KEPT_BYTES", kept_bytes)
+    reads = []
+    found, _, keys = track_corners(lambda: (reads.append(1), film(images))[1], most_key_frames=5)
+    assert len(reads) == looks
+    np.testing.assert_array_equal(found.uv, expected.uv)
+    np.testing.assert_array_equal(keys.t, found.t[[0, 10, 20, 29, 39]])
+    assert all(image.shape == (240, 320) for image in keys.images)
 
 
 def test_same_film_same_tracks():

@@ -39,3 +39,18 @@ def test_joint_is_identifiable_where_a_common_fault_would_be_found():
     least = surface_estimate._least_offset
     assert least(joint_change("wrist", np.radians(0.54))) < FAULT
     assert least(joint_change("wrist", np.radians(1.72))) > OFFSET_STD
+
+
+@pytest.mark.parametrize("shift, faults", [(None, []), (8.0, ["moved"])])
+def test_camera_is_not_judged_by_another_scene(shift, faults):
+    changes = [ChangeHypothesis(SOUND, 0.0), joint_change(JOINTS[0], 0.003), ChangeHypothesis(CAMERA, 20.0)]
+    judged = surface_estimate.CameraJudgement("camera", (0.0, 0.001), changes, (JOINTS[0],), shift, None)
+    learned = SimpleNamespace(surface=SimpleNamespace(joint_of={name: name for name in JOINTS}))
+    fault = surface_estimate._winning_fault(judged, 0.0, learned)
+    assert [one.kind for one in [fault] if one is not None] == faults
+    if shift is None:
+        said = surface_estimate._describe_other_scene(judged)
+        assert said.severity == "warning"
+        assert "whether the camera moved is not judged" in said.text and "20 nats" in said.text
+        calm = replace(judged, changes=[ChangeHypothesis(SOUND, 0.0), ChangeHypothesis(CAMERA, 2.0)])
+        assert surface_estimate._describe_other_scene(calm).severity == "info"

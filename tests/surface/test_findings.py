@@ -14,7 +14,7 @@ from bodylog.surface import findings as surface_findings
 from bodylog.types import Series
 
 FIXTURES = Path(__file__).parents[2] / "fixtures" / "arm"
-G1 = Path(__file__).parents[2] / "shared" / "real" / "g1"
+G1 = Path(__file__).parents[3] / "shared" / "real" / "g1"
 G1_DELAYS_MS = {1: 85.2, 2: 101.3, 4: 87.7, 5: 88.7, 7: 91.1, 8: 89.9, 11: 98.1}
 """As an independent prototype measured them, with 0.9 to 1.7 ms."""
 UNRELATED = """<robot name="other"><link name="base"/><link name="tip"/><joint name="crank" type="revolute">

@@ -6,7 +6,8 @@ import numpy as np
 from bodylog.body_model import PATCH_PX, LandmarkMap
 from bodylog.kinematics.landmark_adjustment import Landmarks
 from bodylog.kinematics.landmark_map import foretell
-from bodylog.surface.map import KeyFrames, find_again
+from bodylog.perception.surface.corner_tracks import KeyFrames
+from bodylog.surface.map import find_again
 from tests.kinematics.landmark_arm import model, motion, truth
 
 T = 2.0 + np.arange(6) * 0.02

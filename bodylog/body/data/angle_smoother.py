@@ -114,9 +114,13 @@ def _assign_nodes(t: Array) -> tuple[float, Array]:
     return _BIN_S, (np.cumsum(gap >= _NEAR * _BIN_S) - 1)[node]
 
 
-def fit_white_motion(signals: Sequence[ReadingChain], order: int) -> WhiteMotion:
+def fit_white_motion(
+    signals: Sequence[ReadingChain], order: int, with_errors: bool = True
+) -> WhiteMotion:
     """Process and encoder variance of greatest evidence
     over all chains; encoder profiled out, ratio searched.
+
+    with_errors: standard errors too, which take a third of the time; else they are infinite.
     """
     from scipy.optimize import minimize_scalar
 
@@ -136,9 +140,9 @@ def fit_white_motion(signals: Sequence[ReadingChain], order: int) -> WhiteMotion
     ratio = float(found.x)
     value, variance = _profile_evidence(systems, order, unit, ratio)
     density = float(np.exp(ratio) * variance / unit ** (2 * order - 1))
-    return WhiteMotion(
-        order, density, variance, value, _std_error(systems, order, unit, ratio, density, variance)
-    )
+    unknown = float("inf"), float("inf")
+    errors = _std_error(systems, order, unit, ratio, density, variance) if with_errors else unknown
+    return WhiteMotion(order, density, variance, value, errors)
 
 
 def smooth_angles(signal: ReadingChain, motion: WhiteMotion, at: Array) -> tuple[Array, Array]:

@@ -3,15 +3,16 @@ seconds: pyramidal KLT with a check backwards in time.
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
 from ...errors import InputError
 from ...types import Array, LazyImage
-from ..colours.coarse_search import convert_to_gray
-from .repeats import FrameRepeats, RepeatSearch, shrink_grey, shrunken_frames
+from .repeats import FrameRepeats, RepeatSearch, decode_grey, shrink_grey, shrunken_frames
 
 LONGEST_FRAMES = 60
 """Frames after which a piece ends: templates age as the light on a link changes."""
@@ -35,6 +36,12 @@ _MOST_SAMPLES = 48
 _STATIC_SHARE = 0.25
 """Share of corners that are taken where nothing moves: they tell whether the camera does."""
 _SEED = 7
+MOST_KEY_FRAMES = 80
+"""Images of a film in which landmarks are looked for,
+evenly spread: memory does not grow with the film.
+"""
+_MOST_KEPT_BYTES = 1 << 27
+"""Grey images that are kept from one look at a film to the next; of a larger film none is."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +83,14 @@ class PictureSurvey:
     median: Array | None
 
 
+@dataclass(frozen=True, eq=False)
+class KeyFrames:
+    """Some images of one log: t (F,) s, ascending, and the grey images (H,W) uint8."""
+
+    t: Array
+    images: tuple[Array, ...]
+
+
 def survey_pictures(frames: Callable[[], Iterable[LazyImage]]) -> PictureSurvey:
     """Look at all frames once, shrunken; memory for images does not grow with the film."""
     search = RepeatSearch()
@@ -93,25 +108,73 @@ def survey_pictures(frames: Callable[[], Iterable[LazyImage]]) -> PictureSurvey:
 
 
 def track_corners(
-    frames: Callable[[], Iterable[LazyImage]], most_pieces: int = 1200
-) -> tuple[CornerTracks, PictureSurvey]:
-    """Track the corners of a camera's frames, which are read twice.
+    frames: Callable[[], Iterable[LazyImage]],
+    most_pieces: int = 1200,
+    most_key_frames: int = MOST_KEY_FRAMES,
+) -> tuple[CornerTracks, PictureSurvey, KeyFrames]:
+    """Track the corners of a camera's frames, which are read twice, or once if they are few.
 
     Of more than `most_pieces` pieces a fixed random choice is kept, so that memory does not grow
     with the film. Frames that repeat their predecessor, or cannot be decoded, are left out.
     """
-    survey = survey_pictures(frames)
-    repeated = {float(t) for t in survey.repeats.t[survey.repeats.repeated]}
+    film = _KeptFilm(frames)
+    survey = survey_pictures(film.first_look)
+    fresh = survey.repeats.t[~survey.repeats.repeated]
+    chosen = np.linspace(0, len(fresh) - 1, min(most_key_frames, len(fresh))).round().astype(int)
+    is_key = dict.fromkeys(fresh.tolist(), False) | dict.fromkeys(fresh[chosen].tolist(), True)
     tracker = CornerTracker(survey.median, most_pieces)
-    for frame in frames():
-        if frame.t in repeated:
-            continue
-        try:
-            image = convert_to_gray(frame.decode(1))
-        except InputError:
-            continue
-        tracker.add(frame.t, image)
-    return tracker.tracks(), survey
+    keys = list[tuple[float, Array]]()
+    for t, image in film.second_look():
+        if t in is_key:
+            tracker.add(t, image)
+            if is_key[t]:
+                keys.append((t, image))
+                is_key[t] = False
+    key_frames = KeyFrames(np.array([t for t, _ in keys]), tuple(image for _, image in keys))
+    return tracker.tracks(), survey, key_frames
+
+
+class _KeptFilm:
+    """A film that is looked at twice. Where a shrunken image costs as much to decode as a whole
+    one, the first look keeps the grey images if all fit in _MOST_KEPT_BYTES.
+    """
+
+    def __init__(self, frames: Callable[[], Iterable[LazyImage]]) -> None:
+        self._frames = frames
+        self._kept: list[tuple[float, Array]] = []
+        self._whole = True
+        self._size = 0
+
+    def first_look(self) -> Iterator[LazyImage]:
+        """The frames, which are kept as they are decoded."""
+        for frame in self._frames():
+            if frame.shrinks:
+                self._give_up()
+                yield frame
+            else:
+                yield replace(frame, decode=partial(self._decode, frame))
+
+    def second_look(self) -> Iterator[tuple[float, Array]]:
+        """Time (s) and grey image (H,W) uint8 of each frame that can be decoded."""
+        if self._whole:
+            yield from self._kept
+            return
+        for frame in self._frames():
+            with suppress(InputError):
+                yield frame.t, decode_grey(frame)
+
+    def _decode(self, frame: LazyImage, _shrink: int) -> Array:
+        image = decode_grey(frame)
+        self._size += image.nbytes
+        if self._size > _MOST_KEPT_BYTES:
+            self._give_up()
+        if self._whole:
+            self._kept.append((frame.t, image))
+        return image
+
+    def _give_up(self) -> None:
+        self._whole = False
+        self._kept.clear()
 
 
 @dataclass(eq=False)

@@ -11,8 +11,7 @@ import numpy as np
 from ...errors import InputError
 from ...logs.datasets.checks import block_means
 from ...types import Array, LazyImage
-from ..colours.coarse_search import convert_to_gray
-from .repeats import SHRINK, FrameRepeats, RepeatSearch, shrink_grey
+from .repeats import SHRINK, FrameRepeats, RepeatSearch, decode_grey, shrink_grey
 
 FLOW_WIDTH_PX = 320
 """Width at which flow is computed: twice that changes
@@ -141,8 +140,7 @@ def _decoded_grey_frames(frames: Iterable[LazyImage]) -> Iterator[tuple[float, A
     """Yield time (s) and grey image (H,W) uint8 of each frame that can be decoded."""
     for frame in frames:
         try:
-            image = frame.decode(1)
-            yield frame.t, image if image.ndim == 2 else convert_to_gray(image)
+            yield frame.t, decode_grey(frame)
         except InputError:
             continue
 

@@ -63,16 +63,16 @@ def warp_patches(patches: Array, maps: Array) -> tuple[Array, Array]:
     scale = np.sqrt(np.abs(np.linalg.det(maps)))
     fit = (scale < _MOST_STRETCH) & (scale > 1.0 / _MOST_STRETCH)
     inverse = np.linalg.inv(np.where(fit[:, None, None], maps, np.eye(2)))
-    grid = np.arange(-half, half + 1, dtype=float)
-    offsets = np.stack(np.meshgrid(grid, grid), axis=-1)
-    places = np.einsum("nij,abj->nabi", inverse, offsets)
-    reach = PATCH_PX // 2 + _BEYOND_PX
-    fit &= np.abs(places).reshape(count, -1).max(axis=1) <= reach
-    places = np.clip(places + PATCH_PX // 2, 0.0, PATCH_PX - 1.0).astype(np.float32)
-    templates = np.zeros((count, _TEMPLATE_PX, _TEMPLATE_PX), np.uint8)
+    fit &= half * np.abs(inverse).sum(axis=2).max(axis=1) <= PATCH_PX // 2 + _BEYOND_PX
+    begin = PATCH_PX // 2 - half * inverse.sum(axis=2, keepdims=True)
+    to_picture = np.concatenate([inverse, begin], axis=2)
+    size = (_TEMPLATE_PX, _TEMPLATE_PX)
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    templates = np.zeros((count, *size), np.uint8)
     for number in np.flatnonzero(fit):
-        u, v = places[number, ..., 0].copy(), places[number, ..., 1].copy()
-        templates[number] = cv2.remap(patches[number], u, v, cv2.INTER_LINEAR)
+        templates[number] = cv2.warpAffine(
+            patches[number], to_picture[number], size, flags=flags, borderMode=cv2.BORDER_REPLICATE
+        )
     fit &= templates.reshape(count, -1).std(axis=1) >= _LEAST_CONTRAST
     return templates, fit
 
@@ -98,14 +98,17 @@ def match_templates(image: Array, templates: Array, uv: Array, reach_px: int) ->
         correlation = cv2.matchTemplate(
             image[top:bottom, left:right], templates[number], cv2.TM_CCOEFF_NORMED
         )
-        row, column = divmod(int(np.argmax(correlation)), correlation.shape[1])
-        best = float(correlation[row, column])
+        row, column = divmod(int(correlation.argmax()), correlation.shape[1])
+        best = correlation.item(row, column)
         score[number] = best
         if best < LEAST_ALIKE or row in (0, 2 * reach_px) or column in (0, 2 * reach_px):
             continue
-        du = _vertex(correlation[row, column - 1], best, correlation[row, column + 1])
-        dv = _vertex(correlation[row - 1, column], best, correlation[row + 1, column])
-        found[number] = column + left + half + du, row + top + half + dv
+        beside = correlation.item(row, column - 1), correlation.item(row, column + 1)
+        above, below = correlation.item(row - 1, column), correlation.item(row + 1, column)
+        found[number] = (
+            column + left + half + _vertex(beside[0], best, beside[1]),
+            row + top + half + _vertex(above, best, below),
+        )
         correlation[
             max(row - _APART_PX, 0) : row + _APART_PX + 1,
             max(column - _APART_PX, 0) : column + _APART_PX + 1,
@@ -117,4 +120,4 @@ def match_templates(image: Array, templates: Array, uv: Array, reach_px: int) ->
 def _vertex(before: float, peak: float, after: float) -> float:
     """Where the parabola through three neighbours is highest, −½ to ½."""
     bend = before - 2.0 * peak + after
-    return 0.0 if bend >= 0.0 else float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5))
+    return 0.0 if bend >= 0.0 else min(max(0.5 * (before - after) / bend, -0.5), 0.5)

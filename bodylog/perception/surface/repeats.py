@@ -147,7 +147,15 @@ def shrink_frame(frame: LazyImage) -> Array:
     """
     if frame.shrinks:
         return convert_to_gray(frame.decode(SHRINK))
-    return shrink_grey(convert_to_gray(frame.decode(1)))
+    return shrink_grey(decode_grey(frame))
+
+
+def decode_grey(frame: LazyImage) -> Array:
+    """A frame as a grey image (H,W) uint8; it may decode to one. InputError where it cannot be
+    decoded.
+    """
+    image = frame.decode(1)
+    return image if image.ndim == 2 else convert_to_gray(image)
 
 
 def shrink_grey(image: Array) -> Array:
