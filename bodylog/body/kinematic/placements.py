@@ -24,6 +24,8 @@ WORST_PLACE_M = 0.1
 WORST_TURN_RAD = float(np.radians(10.0))
 """Largest std of an orientation that is identifiable."""
 IMAGE_SIZES = "image_sizes"
+SAG = "sag"
+"""Name in a body's provenance of what is said about gravity sag, where its URDF has masses."""
 """In the provenance: {camera: [width, height]} px."""
 KEPT = "calibration"
 """In the provenance: the calibration, as `kept_calibration` makes it plain."""
@@ -111,6 +113,7 @@ class Calibration:
     findings: tuple[Finding, ...]
     image_sizes: Mapping[str, tuple[int, int]]
     earlier: tuple[Placement, ...] = ()
+    compliances: tuple[Offset, ...] = ()
 
 
 CALIBRATION = "a calibration"
@@ -138,10 +141,15 @@ def calibration_of_body(model: BodyModel) -> Calibration:
         *map(_without_row_time, cameras),
         *_unidentified_findings(cameras, markers, (*zeros, *scales)),
     ]
+    if SAG in model.provenance:
+        findings.append(Finding("info", model.provenance[SAG]))
     if not zeros:
         findings.append(_without_zeros(model.joints))
     sizes = {f"camera {name}".strip(): size for name, size in image_sizes(model).items()}
-    return Calibration(cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier)
+    sagging = tuple(_offset_from(one) for one in kept.get("compliances", ()))
+    return Calibration(
+        cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier, sagging
+    )
 
 
 def image_sizes(model: BodyModel) -> dict[str, tuple[int, int]]:
@@ -192,6 +200,7 @@ def calibration_of(found: Adjusted) -> Calibration:
         (),
         {},
         tuple(_earlier_placements(given)),
+        identifiability.joint_compliances(given.rig, given.theta, found.covariance),
     )
 
 
@@ -206,6 +215,11 @@ def kept_calibration(found: Calibration) -> dict[str, Any]:
         "zeros": [asdict(one) | {"confused": list(one.confused)} for one in found.zeros],
         "scales": [asdict(one) | {"confused": list(one.confused)} for one in found.scales],
         "earlier": [one.plain for one in found.earlier],
+        "compliances": [
+            asdict(one) | {"confused": list(one.confused)}
+            for one in found.compliances
+            if one.beforehand > identifiability.GIVEN
+        ],
     }
 
 
