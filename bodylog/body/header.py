@@ -202,6 +202,8 @@ def _check_provenance(found: Any) -> dict[str, Any]:
         raise ValueError(
             f"provenance.image_sizes: found {given}, possible: {{camera: [width, height]}} in px"
         )
+    if not isinstance(provenance.get("sag", ""), str):
+        raise ValueError(f"provenance.sag: found {provenance['sag']!r:.200}, possible: a text")
     if "calibration" in provenance:
         _check_calibration(provenance["calibration"])
     return provenance
@@ -221,13 +223,16 @@ def _check_calibration(found: Any) -> None:
         "lenses": (_are_lenses, f"a list of {', '.join(_LENS)}, 2 numbers each"),
         "zeros": (_are_offsets, offsets),
         "scales": (_are_offsets, offsets),
+        "compliances": (_are_offsets, offsets),
     }
-    found = {"trackers": []} | found if isinstance(found, dict) else found
-    if not isinstance(found, dict) or set(found) != set(parts):
+    # bodies without masses, and of images alone
+    needed = set(parts) - {"compliances", "trackers"}
+    if not isinstance(found, dict) or not needed <= set(found) <= set(parts):
         raise ValueError(
             f"provenance.calibration: found {str(found)[:200]}, possible: {', '.join(parts)}"
         )
-    for name, (is_sound, wanted) in parts.items():
+    for name in found:
+        is_sound, wanted = parts[name]
         if not is_sound(found[name]):
             raise ValueError(
                 f"provenance.calibration.{name}: found {str(found[name])[:200]}, possible: {wanted}"

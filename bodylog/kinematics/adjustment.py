@@ -50,13 +50,15 @@ class Posed:
 @dataclass(frozen=True, eq=False)
 class Adjusted:
     """theta (P,) of least error, and its covariance (P,P) ·
-    curvature (P,P): the loss's inverse second derivative.
+    curvature (P,P): the loss's inverse second derivative · left_out (G,) px²: squared error of each
+    group, predicted by θ of least error without it.
     """
 
     rig: Rig
     theta: Array
     covariance: Array
     curvature: Array
+    left_out: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +93,7 @@ def adjust(rig: Rig, data: Sequence[Posed], theta: Array, noise: Array, known: K
     mean, std = rig.prior
     prior = _Prior(mean, np.eye(len(std)))
     found = _adjusted(rig, data, theta, noise, prior)
+    left_out = found.noise * _left_out_losses(found.normal)
     for part, most in ((_known_zeros(rig, known), ZERO_SIGMA), (known, MOST_SIGMA)):
         weight = _least_weight(found, part, most, std)
         if weight > 0.0:
@@ -101,7 +104,7 @@ def adjust(rig: Rig, data: Sequence[Posed], theta: Array, noise: Array, known: K
     known = replace(known, covariance=known.covariance + np.outer(away, away))
     inverse_of_loss = np.linalg.inv(found.normal.matrix)
     covariance = _covariance(found.normal, prior.precision, known, std)
-    return Adjusted(rig, found.theta, covariance * unit, inverse_of_loss * unit)
+    return Adjusted(rig, found.theta, covariance * unit, inverse_of_loss * unit, left_out)
 
 
 def _known_zeros(rig: Rig, known: Known) -> Known:
@@ -184,6 +187,7 @@ class _Normal:
     value: float
     matrices: Array
     pulls: Array
+    values: Array
 
 
 def _descended(
@@ -242,6 +246,7 @@ def _normal(
         value,
         shares[:, :-1, :-1],
         shares[:, :-1, -1],
+        shares[:, -1, -1],
     )
 
 
@@ -327,6 +332,16 @@ def _covariance(found: _Normal, precision: Array, known: Known, std: Array) -> A
     covariance = follow @ (known.covariance / std[rows] / std[rows, None]) @ follow.T
     covariance[np.ix_(rest, rest)] += _jackknife(found, precision, rest)
     return np.asarray(covariance)
+
+
+def _left_out_losses(found: _Normal) -> Array:
+    """Loss (G,) of each group about θ without it, along the quadratic loss about θ."""
+    moved = np.linalg.solve(found.matrix - found.matrices, found.pulls[..., None])[..., 0]
+    return np.asarray(
+        found.values
+        + 2.0 * np.einsum("gp,gp->g", moved, found.pulls)
+        + np.einsum("gp,gpq,gq->g", moved, found.matrices, moved)
+    )
 
 
 def _jackknife(found: _Normal, precision: Array, rows: Array) -> Array:

@@ -12,7 +12,15 @@ from .rig import Rig
 
 LEAST = 1.0 / 3.0
 """A zero is identifiable if its standard deviation is at most this share of the prior's."""
-SHOWN = {"rad": (float(np.degrees(1.0)), "°"), "m": (1e3, " mm"), "1": (100.0, " %")}
+TOLD = 0.7
+"""The same for a compliance, of whose size little is known: sightings halve its prior variance."""
+SHOWN = {
+    "rad": (float(np.degrees(1.0)), "°"),
+    "m": (1e3, " mm"),
+    "1": (100.0, " %"),
+    "rad/(N m)": (1e3, " mrad/(N m)"),
+    "m/N": (1e3, " mm/N"),
+}
 """Factor and symbol with which each unit is displayed."""
 GIVEN = 1e-6
 """rad or m: a zero with a smaller prior std is given, not estimated."""
@@ -38,12 +46,14 @@ class Offset:
     @property
     def identifiable(self) -> bool:
         """Whether the sightings determine it."""
-        return self.std <= LEAST * self.beforehand
+        most = TOLD if self.noun == "compliance" else LEAST
+        return self.std <= most * self.beforehand
 
     @property
     def noun(self) -> str:
-        """Which parameter of the joint it is: zero or scale."""
-        return "scale" if self.unit == "1" else "zero"
+        """Which parameter of the joint it is: zero, scale or compliance."""
+        nouns = {"1": "scale", "rad/(N m)": "compliance", "m/N": "compliance"}
+        return nouns.get(self.unit, "zero")
 
     @property
     def shown(self) -> str:
@@ -66,6 +76,16 @@ def joint_scales(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...
     part = rig.of_scales
     return tuple(
         _zero_or_scale(rig, theta, covariance, index, "1") for index in range(part.start, part.stop)
+    )
+
+
+def joint_compliances(rig: Rig, theta: Array, covariance: Array) -> tuple[Offset, ...]:
+    """Each joint's compliance for θ (P,) ± covariance (P,P); empty where there is no sag."""
+    units = ["m/N" if rig.slides(m) else "rad/(N m)" for m in range(len(rig.joints))]
+    part = range(rig.of_sag.start, rig.of_sag.stop)
+    return tuple(
+        _zero_or_scale(rig, theta, covariance, index, unit)
+        for index, unit in zip(part, units, strict=False)
     )
 
 

@@ -88,7 +88,9 @@ class Rig:
 
     θ: each camera's pose (6) and lens (6 or 0), each marker's place (3) or place and rotation (6), each
     joint's offset δ, and each joint's scale s where `scale_doubt` is (M,) and not empty: a joint
-    that reads q is at (1 + s) q + δ. lenses: the camera whose lens each camera has, itself if
+    that reads q is at (1 + s) q + δ. Where `sag_doubt` is (M,) and not empty, each joint has a
+    compliance c, readings are (N,2M) with the torques τ beside q, and it is at (1 + s) q + δ + c τ.
+    lenses: the camera whose lens each camera has, itself if
     empty; a camera that moved between logs keeps its lens.
     """
 
@@ -99,6 +101,7 @@ class Rig:
     doubt: Array
     scale_doubt: Array = field(default_factory=lambda: np.zeros(0))
     lenses: tuple[int, ...] = ()
+    sag_doubt: Array = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
     def prior(self) -> tuple[Array, Array]:
@@ -106,8 +109,9 @@ class Rig:
         mean = [np.concatenate([np.zeros(6), one.lens]) for one in self.cameras]
         mean += [np.zeros(len(one.doubt)) for one in self.carriers]
         std = [*(one.doubt for one in self.cameras), *(one.doubt for one in self.carriers)]
-        zeros = np.zeros(len(self.joints) + len(self.scale_doubt))
-        return np.concatenate([*mean, zeros]), np.concatenate([*std, self.doubt, self.scale_doubt])
+        zeros = np.zeros(len(self.joints) + len(self.scale_doubt) + len(self.sag_doubt))
+        std = [*std, self.doubt, self.scale_doubt, self.sag_doubt]
+        return np.concatenate([*mean, zeros]), np.concatenate(std)
 
     def of_camera(self, index: int) -> slice:
         """A camera's 12 unknowns in θ; a tracker's 6."""
@@ -139,17 +143,27 @@ class Rig:
     @property
     def of_joints(self) -> slice:
         """The joints' offsets in θ."""
-        end = len(self.prior[0]) - len(self.scale_doubt)
+        end = self.of_sag.start - len(self.scale_doubt)
         return slice(end - len(self.joints), end)
 
     @property
     def of_scales(self) -> slice:
         """The joints' scales in θ; empty where scales are fixed."""
-        return slice(self.of_joints.stop, len(self.prior[0]))
+        return slice(self.of_joints.stop, self.of_sag.start)
+
+    @property
+    def of_sag(self) -> slice:
+        """The joints' compliances in θ; empty where there is no sag."""
+        end = len(self.prior[0])
+        return slice(end - len(self.sag_doubt), end)
 
     def angles(self, theta: Array, q: Array) -> Array:
         """Joint angles, rad or m, for readings q (N,M)."""
-        return np.asarray(self.gain(theta) * q + theta[self.of_joints])
+        count = len(self.joints)
+        angles = self.gain(theta) * q[:, :count] + theta[self.of_joints]
+        if len(self.sag_doubt):
+            angles = angles + theta[self.of_sag] * q[:, count:]
+        return np.asarray(angles)
 
     def gain(self, theta: Array) -> Array:
         """Joint motion (M,) per unit of reading."""
@@ -194,6 +208,7 @@ class Rig:
             self.of_carrier(sight.carrier),
             self.of_joints,
             self.of_scales,
+            self.of_sag,
         )
         used = np.concatenate([np.arange(part.start, part.stop) for part in parts])
         camera = self.cameras[sight.camera]
@@ -257,7 +272,9 @@ def _predict_sight(rig: Rig, sight: Sight, theta: Array, q: Array) -> RigPredict
     design[..., rig.of_carrier(sight.carrier)] = (turn @ poses.rotation[:, None]) @ by_marker
     design[..., rig.of_joints] = by_angle
     if len(rig.scale_doubt):
-        design[..., rig.of_scales] = by_angle * q[:, None, None]
+        design[..., rig.of_scales] = by_angle * q[:, None, None, : len(rig.joints)]
+    if len(rig.sag_doubt):
+        design[..., rig.of_sag] = by_angle * q[:, None, None, len(rig.joints) :]
     slope = by_angle * rig.gain(theta)
     return RigPrediction(image, slope, design, turn @ poses.strides.transpose(0, 2, 1)[:, None])
 

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -52,12 +52,16 @@ class Joint:
 
 @dataclass(frozen=True, eq=False)
 class Robot:
-    """A tree of links; `source` names the file in messages."""
+    """A tree of links; `source` names the file in messages.
+
+    masses: kg and centre (3,) m of links that have them.
+    """
 
     name: str
     links: tuple[str, ...]
     joints: tuple[Joint, ...]
     source: str
+    masses: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
 
     @cached_property
     def above(self) -> Mapping[str, Joint]:

@@ -1,5 +1,6 @@
 """Parse a URDF into records of links and joints; errors name the element."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 KINDS = (*MOVING, "fixed", "floating", "planar")
 _MOST_BYTES = 1 << 25
+_HEAVIEST_KG = 1e6
 _DEEPEST = 100
 
 
@@ -55,9 +57,9 @@ def parse_urdf(xml: str, source: str, limits: Input = LIMITS) -> Robot:
         raise FormatError(
             f"{source}: {len(elements)} joints, at most {limits.max_joints} are read; {asked}"
         )
-    robot = Robot(
-        root.get("name", ""), links, tuple(_parse_joint(one, source) for one in elements), source
-    )
+    masses = dict(_parse_masses(root, source))
+    joints = tuple(_parse_joint(one, source) for one in elements)
+    robot = Robot(root.get("name", ""), links, joints, source, masses)
     for problem in find_tree_problems(robot):
         raise FormatError(f"{source}: {problem}")
     return robot
@@ -111,6 +113,28 @@ def parse_xml_root(xml: str, source: str) -> "Element":
     except expat.ExpatError as problem:
         raise FormatError(f"{source}: not XML ({problem}); give a URDF file") from problem
     return builder.close()
+
+
+def _parse_masses(root: "Element", source: str) -> Iterator[tuple[str, tuple[float, Array]]]:
+    """Yield links with their mass, kg, and its centre, m; those that state none are left out."""
+    for link in root.findall("link"):
+        inertial = link.find("inertial")
+        mass = None if inertial is None else inertial.find("mass")
+        if inertial is None or mass is None:
+            continue
+        where = f"{source}: link {link.get('name', '')!r}: inertial"
+        origin = inertial.find("origin")
+        centre = (
+            np.zeros(3) if origin is None else _parse_number_list(origin, "xyz", "0 0 0", where)
+        )
+        try:
+            value = float(mass.get("value", ""))
+        except ValueError:
+            value = float("nan")
+        if not 0.0 <= value < _HEAVIEST_KG:
+            found = mass.get("value", "")[:40]
+            raise FormatError(f"{where}: mass is {found!r}; possible: 0 to {_HEAVIEST_KG:g} kg")
+        yield link.get("name", ""), (value, centre)
 
 
 def _parse_joint(element: "Element", source: str) -> Joint:

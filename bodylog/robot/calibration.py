@@ -33,9 +33,10 @@ def load_calibration(body: Path) -> "Calibration":
 
 def calibration_as_values(found: "Calibration") -> dict[str, Any]:
     """As plain values, in m, rad and px: {"cameras", "trackers", "markers",
-    "zeros", "scales", "earlier"}; None: not identifiable.
+    "zeros", "scales", "compliances", "earlier"}; None: not identifiable.
 
-    earlier: where cameras and markers were before they moved between logs.
+    compliances: by how much joints give way to gravity, rad/(N m) or m/N · earlier: where cameras and
+    markers were before they moved between logs.
     """
     cameras = zip(found.cameras, found.lenses, strict=True)
     return {
@@ -47,6 +48,7 @@ def calibration_as_values(found: "Calibration") -> dict[str, Any]:
         "markers": {one.name: _placement_as_values(one) for one in found.markers},
         "zeros": offsets_as_values(found.zeros),
         "scales": offsets_as_values(found.scales),
+        "compliances": offsets_as_values(found.compliances),
         "earlier": {one.name: _placement_as_values(one) for one in found.earlier},
     }
 
@@ -120,7 +122,7 @@ def calibration_lines(found: "Calibration") -> Iterator[str]:
             yield f"  {transform_command(tracker, tracker.name)}"
     for marker in (*found.markers, *found.earlier):
         yield from placement_lines(marker)
-    yield from zero_lines((*found.zeros, *found.scales))
+    yield from zero_lines((*found.zeros, *found.scales, *found.compliances))
 
 
 def placement_lines(one: "Placement") -> Iterator[str]:
@@ -165,17 +167,15 @@ def _values_with_std(values: Any, stds: Any, digits: int) -> str:
 
 
 def zero_lines(found: "Sequence[Offset]") -> Iterator[str]:
-    """Yield each joint's zero in degrees or mm, each
-    scale in percent, or what it cannot be separated from.
+    """Yield each joint's zero in degrees or mm, each scale in percent, each
+    compliance in mrad/(N m), or what it cannot be separated from.
     """
     width = max((len(one.joint) for one in found), default=0)
     for one in found:
-        shown = (
-            one.shown
-            if one.identifiable
-            else f"not identifiable: {' and '.join(one.confused) or 'not seen'}"
-        )
-        yield f"{one.joint:<{width}}  {'scale ' if one.noun == 'scale' else ''}{shown}"
+        told = "cannot be told" if one.noun == "compliance" else "not identifiable"
+        why = " and ".join(one.confused) or "not seen"
+        shown = one.shown if one.identifiable else f"{told}: {why}"
+        yield f"{one.joint:<{width}}  {'' if one.noun == 'zero' else f'{one.noun} '}{shown}"
 
 
 def transform_command(camera: "Placement", frame: str) -> str:

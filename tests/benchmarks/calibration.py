@@ -18,6 +18,7 @@ from scipy.optimize import least_squares
 
 from bodylog import pipeline
 from bodylog.body.kinematic.placements import Calibration
+from bodylog.body.kinematic.sag import collect_weights
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import Chain, chain_between
 from bodylog.kinematics.rotations import invert_transform, make_transform
@@ -64,17 +65,25 @@ class Split:
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Camera in its link and marker in its link (4,4) m · lens fx, fy, cx, cy, k1, k2 · zeros (M,) rad."""
+    """Camera in its link and marker in its link (4,4) m · lens fx, fy, cx, cy, k1, k2 · zeros (M,) rad.
+
+    bend: of angles (N,M) rad, how far gravity turns the joints; None where nothing is known of it.
+    """
 
     camera: Array
     marker: Array
     lens: Array
     zeros: Array
+    bend: Callable[[Array], Array] | None = None
+
+    def angles(self, q: Array) -> Array:
+        """Angles (N,M) rad for readings q (N,M)."""
+        return q + self.zeros + (0.0 if self.bend is None else self.bend(q))
 
 
 def project(split: Split, found: Solution, q: Array) -> Array:
     """Points (N,C,2) px at joints q (N,M) rad."""
-    arm = split.chain.at(q + found.zeros)
+    arm = split.chain.at(found.angles(q))
     points = split.points @ found.marker[:3, :3].T + found.marker[:3, 3]
     linked = points @ arm.rotation.transpose(0, 2, 1) + arm.place[:, None]
     seen = (linked - found.camera[:3, 3]) @ found.camera[:3, :3]
@@ -166,9 +175,13 @@ def ours(split: Split) -> Solution:
     lens = found.lenses[0]
     zeros = {one.joint: one.value for one in found.zeros if one.identifiable}
     joints = np.array([zeros.get(name, 0.0) for name in split.chain.joints])
+    given = {one.joint: one.value for one in found.compliances if one.identifiable}
+    compliance = np.array([given.get(name, 0.0) for name in split.chain.joints])
+    weights = collect_weights(urdf.load_urdf(Path(split.settings.kinematics.urdf)), split.chain.joints, {})
     return Solution(
-        found.cameras[0].pose, found.markers[0].pose, np.array([*lens.focal, *lens.centre, *lens.distortion]), joints
-    )
+        found.cameras[0].pose, found.markers[0].pose, np.array([*lens.focal, *lens.centre, *lens.distortion]), joints,
+        lambda q: compliance * weights.torques(q),
+    )  # fmt: skip
 
 
 METHODS: Mapping[str, Callable[[Split], Solution]] = {
@@ -188,7 +201,7 @@ def scatter_mm(split: Split, found: Solution) -> float:
     """RMS distance, mm, of the board's places in its link from their mean, over the withheld images."""
     fx, fy, cx, cy, k1, k2 = found.lens
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-    arm = split.chain.at(split.test.q + found.zeros)
+    arm = split.chain.at(found.angles(split.test.q))
     places = []
     for row, image in enumerate(split.test.image):
         seen = np.isfinite(image[:, 0])

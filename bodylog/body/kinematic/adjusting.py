@@ -17,6 +17,7 @@ from ...types import Array, Features, Series
 from ..data.pairs import Pairs
 from ..senses import encoder_function
 from .placements import Calibration, calibration_of, printed_unknowns
+from .sag import Sag
 from .sightings import ThingSightings
 
 STRETCHES = 30
@@ -75,12 +76,14 @@ def adjust_calibration(
     beside: Surroundings,
     theta: Array,
     covariance: Array,
+    sag: Sag | None = None,
 ) -> tuple[Calibration, Adjusted, Adjusted]:
     """The calibration of least error, the adjustment behind it,
     and that of the body's own unknowns, as printed.
 
     parts: the sightings, one for each sight.
-    theta (P,), covariance (P,P): of the rig of `links` beside a process of residuals.
+    theta (P,), covariance (P,P): of the rig of `links` beside a process of residuals. With sag its
+    own θ and covariance take their place, and each joint's compliance is one more unknown.
     """
     rig = links.calibrated.rig
     start = links.calibrated.theta
@@ -92,9 +95,18 @@ def adjust_calibration(
     # zeros of further joints stand after the others, before the scales
     moved = np.where(rows < links.calibrated.rig.of_scales.start, rows, rows + len(names))
     known = Known(moved, theta, covariance)
+    if sag is not None:
+        doubt = np.concatenate(
+            [np.full(len(sag.compliance), sag.doubt), np.full(len(names), _FIXED)]
+        )
+        rig = replace(rig, sag_doubt=doubt)
+        start = np.concatenate([start, np.zeros(len(doubt))])
+        sagging = rig.of_sag.start + np.arange(len(sag.compliance))
+        mean = np.concatenate([sag.theta, sag.compliance])
+        known = Known(np.concatenate([moved, sagging]), mean, sag.covariance)
     groups = _groups([one.whole for one in parts.values()], beside.logs)
     data = [
-        _posed(one, group, names, beside.logs)
+        _posed(one, group, names, beside.logs, sag)
         for one, group in zip(parts.values(), groups, strict=True)
     ]
     found = adjust(rig, data, start, links.calibrated.noise, known)
@@ -104,7 +116,13 @@ def adjust_calibration(
     if names:
         zeros = dict(zip(rig.joints, given[rig.of_joints], strict=True))
         narrow = _with_resting_zeros(narrow, zeros, beside.resting)
-    printed = Adjusted(narrow, given[moved], found.covariance[own], found.curvature[own])
+    printed = replace(
+        found,
+        rig=narrow,
+        theta=given[moved],
+        covariance=found.covariance[own],
+        curvature=found.curvature[own],
+    )
     return calibration_of(found), found, printed
 
 
@@ -154,14 +172,21 @@ _FIXED = 1e-9
 
 
 def _posed(
-    one: ThingSightings, group: Array, names: Sequence[str], logs: Sequence[Recording]
+    one: ThingSightings,
+    group: Array,
+    names: Sequence[str],
+    logs: Sequence[Recording],
+    sag: Sag | None,
 ) -> Posed:
-    """Sightings for the adjustment, with the readings of further joints."""
+    """Sightings for the adjustment, with the readings of further joints, and with the torques."""
     further = np.zeros((len(one.whole.x), len(names)))
     for log in np.unique(one.whole.log):
         rows = np.flatnonzero(one.whole.log == log)
         further[rows] = _readings(logs[log], names, one.whole.t[rows])
-    sighted = replace(one.sighted, q=np.concatenate([one.whole.x, further], axis=1))
+    readings = [one.whole.x, further]
+    if sag is not None:
+        readings += [sag.weights.torques(one.whole.x), np.zeros(further.shape)]
+    sighted = replace(one.sighted, q=np.concatenate(readings, axis=1))
     variance = np.concatenate([one.whole.variance, np.zeros(further.shape)], axis=1)
     return Posed(sighted, variance, one.whole.log, group)
 

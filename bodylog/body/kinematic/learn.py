@@ -9,6 +9,7 @@ import numpy as np
 
 from ...body_model import WITHOUT_URDF
 from ...errors import ModelError
+from ...kinematics.identifiability import GIVEN
 from ...kinematics.links import CameraHint, FoundLinks, MarkerHint, MarkerTrack, find_links
 from ...kinematics.robot import Robot, reason_implausible
 from ...runtime.blas_threads import one_thread
@@ -24,8 +25,9 @@ from .lengths import find_stretched_link
 from .model import KinematicGP
 from .move_findings import move_findings
 from .moves import Move, find_moves
-from .placements import KEPT, kept_calibration
+from .placements import KEPT, SAG, kept_calibration
 from .residuals import RESIDUAL, Together, fit_residual_kernel, forward_models, solve_together
+from .sag import Sag, collect_weights, describe_sag, left_out_share, solve_with_sag
 from .scores import kinematic_findings, kinematic_scores, kinematics_gain_nats, zero_scores
 from .sightings import ThingSightings, gather_sightings
 
@@ -257,6 +259,14 @@ def learn_residuals(
     calibration, adjusted, printed = adjust_calibration(
         links, shown, beside, both.theta, covariance
     )
+    sag = _find_sag(links, both, beside)
+    remarks = dict[str, str]()
+    if sag is not None:
+        sagging, bent, _ = adjust_calibration(links, shown, beside, both.theta, covariance, sag)
+        share = left_out_share(adjusted, bent)
+        remarks[SAG] = describe_sag(share, sagging)
+        if share < 1.0:
+            calibration = sagging
     offsets = (*calibration.zeros, *calibration.scales)
     senses = {
         name: forward_models(rig, k, both, name, printed) for k, name in enumerate(both.parts)
@@ -271,7 +281,7 @@ def learn_residuals(
     found = _with_residual_models(found, senses, both)
     centres = [one.points.mean(axis=0) for one in shown.values()]
     movements = [*move_findings(adjusted.rig, adjusted.theta, adjusted.covariance, moves, centres)]
-    provenance = {**found.model.provenance, KEPT: kept_calibration(calibration)}
+    provenance = {**found.model.provenance, KEPT: kept_calibration(calibration), **remarks}
     found = replace(found, model=replace(found.model, provenance=provenance))
     observed = {track: model for of in senses.values() for track, model in of.items()}
     reported = exploration_report.exploration_scores(found.joints, observed, found.model.noise)
@@ -288,6 +298,16 @@ def learn_residuals(
             exploration_report.faint_findings(found.joints, {**rest, **observed}, found.model.noise)
         ),
     )
+
+
+def _find_sag(links: FoundLinks, both: Together, beside: Surroundings) -> Sag | None:
+    """Sag beside the process; None where the URDF has no masses, or zeros are given."""
+    resting = beside.resting
+    rig = links.calibrated.rig
+    if resting is None or resting.doubt <= GIVEN:
+        return None
+    weights = collect_weights(resting.robot, rig.joints, resting.still)
+    return solve_with_sag(rig, both.theta, both.parts, weights) if weights.parts else None
 
 
 def _remove_tracks(found: LearnedBody, tracks: set[str]) -> LearnedBody:

@@ -24,6 +24,8 @@ WORST_PLACE_M = 0.1
 WORST_TURN_RAD = float(np.radians(10.0))
 """Largest std of an orientation that is identifiable."""
 IMAGE_SIZES = "image_sizes"
+SAG = "sag"
+"""Name in a body's provenance of what is said about gravity sag, where its URDF has masses."""
 """In the provenance: {camera: [width, height]} px."""
 KEPT = "calibration"
 """In the provenance: the calibration, as `kept_calibration` makes it plain."""
@@ -112,6 +114,7 @@ class Calibration:
     image_sizes: Mapping[str, tuple[int, int]]
     earlier: tuple[Placement, ...] = ()
     trackers: tuple[Placement, ...] = ()
+    compliances: tuple[Offset, ...] = ()
 
 
 CALIBRATION = "a calibration"
@@ -139,11 +142,14 @@ def calibration_of_body(model: BodyModel) -> Calibration:
         *map(_without_row_time, cameras),
         *_unidentified_findings((*cameras, *trackers), markers, (*zeros, *scales)),
     ]
+    if SAG in model.provenance:
+        findings.append(Finding("info", model.provenance[SAG]))
     if not zeros:
         findings.append(_without_zeros(model.joints))
     sizes = {f"camera {name}".strip(): size for name, size in image_sizes(model).items()}
+    sagging = tuple(_offset_from(one) for one in kept.get("compliances", ()))
     return Calibration(
-        cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier, trackers
+        cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier, trackers, sagging
     )
 
 
@@ -200,6 +206,7 @@ def calibration_of(found: Adjusted) -> Calibration:
         {},
         tuple(_earlier_placements(given)),
         tuple(trackers.values()),
+        identifiability.joint_compliances(given.rig, given.theta, found.covariance),
     )
 
 
@@ -215,6 +222,11 @@ def kept_calibration(found: Calibration) -> dict[str, Any]:
         "scales": [asdict(one) | {"confused": list(one.confused)} for one in found.scales],
         "earlier": [one.plain for one in found.earlier],
         "trackers": [one.plain for one in found.trackers],
+        "compliances": [
+            asdict(one) | {"confused": list(one.confused)}
+            for one in found.compliances
+            if one.beforehand > identifiability.GIVEN
+        ],
     }
 
 

@@ -4,6 +4,7 @@ and θ learned together with their Gaussian process.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import numpy as np
 
@@ -80,6 +81,14 @@ class ResidualPart:
 
 
 @dataclass(frozen=True, eq=False)
+class Beside:
+    """Unknowns beside θ: mean (S,) · covariance (P+S,P+S) of θ, in prior deviations, and them."""
+
+    mean: Array
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
 class Together:
     """θ (P,) of greatest posterior, its root (P,P) in prior
     deviations, each thing's rows and posterior there.
@@ -89,6 +98,7 @@ class Together:
     root: Array
     parts: Mapping[str, ResidualPart]
     condensed: Mapping[str, Condensed]
+    beside: Beside
 
 
 def fit_residual_kernel(
@@ -154,12 +164,17 @@ def spread_of(part: Pairs, slope: Array, known: Coupling) -> Spread:
     return propagate_input_noise(data, Slopes(), (slice(0, part.y.shape[1]),))[0]  # type: ignore[arg-type]
 
 
-def solve_together(rig: Rig, theta: Array, parts: Mapping[str, ResidualPart]) -> Together:
+def solve_together(
+    rig: Rig,
+    theta: Array,
+    parts: Mapping[str, ResidualPart],
+    bends: Mapping[str, Array] = MappingProxyType({}),
+) -> Together:
     """θ given all tracks' residuals, by Gauss-Newton from
     a near start, and the residuals' posteriors there.
 
     Each joint's periodic error (`with_periodic_errors`)
-    is marginalised, so that θ's covariance contains it.
+    is marginalised, so that θ's covariance contains it; so are `bends` (`with_bends`), by name.
     """
     mean, std = rig.prior
     bases = {
@@ -171,6 +186,11 @@ def solve_together(rig: Rig, theta: Array, parts: Mapping[str, ResidualPart]) ->
             with_periodic_errors(rig, _relinearise_residuals(rig, k, theta, part), part)
             for k, part in enumerate(parts.values())
         ]
+        if bends:
+            rows = [
+                with_bends(rig, one, part, bends[name])
+                for one, (name, part) in zip(rows, parts.items(), strict=True)
+            ]
         found = [
             condense_posterior(bases[name], one) for name, one in zip(parts, rows, strict=True)
         ]
@@ -181,6 +201,9 @@ def solve_together(rig: Rig, theta: Array, parts: Mapping[str, ResidualPart]) ->
         theta = theta + step
         if (np.abs(step / std) < _SETTLED * np.sqrt(np.diag(spread))).all():
             break
+    more = len(rig.joints) if bends else 0
+    chosen = np.r_[np.arange(len(theta)), np.arange(len(z) - more, len(z))]
+    beside = Beside(z[len(z) - more :], root[chosen] @ root[chosen].T)
     values, vectors = np.linalg.eigh(spread)
     there = {}
     solved = {}
@@ -189,7 +212,15 @@ def solve_together(rig: Rig, theta: Array, parts: Mapping[str, ResidualPart]) ->
         known = there[name].rows
         left = known.residual + known.design @ ((mean - theta) / std)
         solved[name] = condense_posterior(bases[name], replace(known, residual=left))
-    return Together(theta, vectors * np.sqrt(np.maximum(values, 0.0)), there, solved)
+    return Together(theta, vectors * np.sqrt(np.maximum(values, 0.0)), there, solved, beside)
+
+
+def with_bends(rig: Rig, rows: ResidualRows, part: ResidualPart, bends: Array) -> ResidualRows:
+    """Rows with one more unknown for each joint, by which it is off by bends (N,M) rad or m."""
+    columns = np.arange(rig.of_joints.start, rig.of_joints.stop)
+    by_angle = rows.design[..., columns] / rig.prior[1][columns]
+    design = by_angle * bends[part.view.picture][:, None]
+    return replace(rows, design=np.concatenate([rows.design, design], axis=-1))
 
 
 def with_periodic_errors(rig: Rig, rows: ResidualRows, part: ResidualPart) -> ResidualRows:

@@ -1,0 +1,100 @@
+"""Gravity sag: each joint gives way to the weight that it carries, by its torque times a compliance.
+
+The torques are those of the URDF's masses, with the z axis of its root upright. Sag and a joint's
+zero look alike where the torque hardly changes; then the two are not told apart, and the zero's
+error bar contains that.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...kinematics.adjustment import Adjusted
+from ...kinematics.chain import Chain, chain_between
+from ...kinematics.rig import Rig
+from ...kinematics.robot import Robot
+from ...types import Array
+from .placements import Calibration
+from .residuals import ResidualPart, solve_together
+
+GRAVITY = 9.81
+MOST_RAD = float(np.radians(1.0))
+"""Prior standard deviation of the sag under the largest torque of a log."""
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """What a robot's joints carry: mass, kg · centre (3,), m, of a link · chain to it."""
+
+    parts: tuple[tuple[float, Array, Chain], ...]
+
+    def torques(self, q: Array) -> Array:
+        """Gravity's torque (N,M) about each joint, N m (N where it slides), at q (N,M)."""
+        found = np.zeros(q.shape)
+        for mass, centre, chain in self.parts:
+            poses = chain.at(q)
+            place = poses.place + poses.rotation @ centre
+            # minus the derivative of the height
+            found -= mass * GRAVITY * chain.slopes(poses, place[:, None])[:, 0, 2]
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Sag:
+    """Sag that the sightings ask for: weights · doubt: prior std of each joint's compliance, rad/N m
+    · theta (P,), compliance (M,) and covariance (P+M,P+M) of both, beside a process of residuals.
+    """
+
+    weights: Weights
+    doubt: float
+    theta: Array
+    compliance: Array
+    covariance: Array
+
+
+def collect_weights(robot: Robot, joints: Sequence[str], still: Mapping[str, float]) -> Weights:
+    """The weights beyond the joints; other joints are held at `still` (rad or m), or at 0."""
+    found = []
+    for link, (mass, centre) in robot.masses.items():
+        chain = chain_between(robot, robot.root, link)
+        if mass > 0.0 and set(chain.joints) & set(joints):
+            held = {name: still.get(name, 0.0) for name in chain.joints if name not in joints}
+            found.append((mass, centre, chain.holding(held).over(tuple(joints))))
+    return Weights(tuple(found))
+
+
+def solve_with_sag(
+    rig: Rig, theta: Array, parts: Mapping[str, ResidualPart], weights: Weights
+) -> Sag | None:
+    """θ and compliances beside a process of residuals; None where no joint carries anything.
+
+    theta (P,): near the solution.
+    """
+    torques = {name: weights.torques(part.view.q) for name, part in parts.items()}
+    largest = max(float(np.abs(one).max(initial=0.0)) for one in torques.values())
+    if largest == 0.0:
+        return None
+    doubt = MOST_RAD / largest
+    both = solve_together(rig, theta, parts, {n: doubt * one for n, one in torques.items()})
+    units = np.concatenate([rig.prior[1], np.full(len(rig.joints), doubt)])
+    covariance = both.beside.covariance * units * units[:, None]
+    return Sag(weights, doubt, both.theta, doubt * both.beside.mean, covariance)
+
+
+def left_out_share(without: Adjusted, with_sag: Adjusted) -> float:
+    """RMS error of groups of images that are left out, as a share of that without sag."""
+    return float(np.sqrt(with_sag.left_out.mean() / without.left_out.mean()))
+
+
+def describe_sag(share: float, found: Calibration) -> str:
+    """What is said about sag by `left_out_share`, and whether the images could tell it."""
+    text = f"gravity sag: with it images left out have {share:.0%} of their error"
+    if share < 1.0:
+        return f"{text}; zeros are those without weight"
+    if any(one.identifiable for one in found.compliances):
+        return f"{text}, so there is none; zeros contain what there is"
+    return (
+        "gravity sag: cannot be told, over these postures it looks like the joints' zeros, which "
+        "contain it"
+    )
