@@ -177,8 +177,8 @@ def test_tracker_on_the_base_is_found_among_false_points():
     best = found.calibrated
     assert (best.rig.cameras[0].link, best.rig.carriers[0].link) == ("base", "hand") and best.rig.cameras[0].tracks_space
     assert found.margin is not None and found.margin > 20 and 0.15 < np.sqrt(best.noise[SPACE]) < 0.25
-    pose = best.rig.camera_pose(0, best.theta)
-    np.testing.assert_allclose(pose @ np.array([0.0, 0.0, 1.0, 1.0]), robots.camera_pose() @ np.array([0.0, 0.0, 1.0, 1.0]), atol=2e-3)
+    above = np.array([0.0, 0.0, 1.0, 1.0])
+    np.testing.assert_allclose(best.rig.camera_pose(0, best.theta) @ above, robots.camera_pose() @ above, atol=2e-3)
 
 
 def test_pose_that_aligns_points_in_space():
