@@ -46,7 +46,7 @@ def test_topic_in_a_frame_is_a_track_of_its_tracker(tmp_path, kind, field):
     np.testing.assert_allclose(track.values, 1e3 * POINTS_M)
 
 
-def test_topic_in_millimetres_is_said_to_be(tmp_path):
+def test_topic_in_millimetres_is_recognised(tmp_path):
     path = write_log(tmp_path / "log.mcap", scale=1e3)
     track, texts = read_track(path, TopicSource("/mocap", frame="world"))
     np.testing.assert_allclose(track.values, 1e3 * POINTS_M)
