@@ -62,7 +62,8 @@ def _fault_figures(found: Estimate) -> Iterator[Score]:
     cameras = [name.rpartition("/")[0] or CAMERA for name in tracks]
     for name in dict.fromkeys(cameras):
         own = [fault for fault in found.faults if (fault.kind, fault.name) == (DISPLACED, name)]
-        yield Score(f"fault/{DISPLACED}/{name}", _greatest_fault_size(own), "px")
+        unit = own[0].unit if own else "px"
+        yield Score(f"fault/{DISPLACED}/{name}", _greatest_fault_size(own), unit)
 
 
 def _greatest_fault_size(faults: Sequence[Fault]) -> float:

@@ -177,6 +177,8 @@ _WORDS: Mapping[tuple[str, str], Callable[[Fault, str, str, bool], str]] = {
     ("vision", "frozen"): lambda f, size, since, known: f"{f.name}: its images are frozen {since}",
     ("vision", "displaced"): lambda f, size, since, known: (
         f"{f.name}: camera moved {since}, by {size} in the image"
+        if f.unit == "px"
+        else f"{f.name}: tracker moved {since}, by {size}"
     ),
     ("vision", "moved"): _moved_sentence,
 }
