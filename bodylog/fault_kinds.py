@@ -87,6 +87,7 @@ FORMS: Mapping[tuple[str, FaultKind], FaultForm] = {
     ),
 }
 _FROM_START = FaultForm("encoder is off from the start, by {size}", "encoder is off from the start")
+_TRACKER = FaultForm("tracker moved {since}, by {size}")
 _TURNED = FaultForm("turned since the body was learned, by {size}")
 
 
@@ -146,6 +147,8 @@ def fault_sentence(fault: Fault) -> str:
         form = _FROM_START
     elif fault.kind == FaultKind.MOVED and fault.unit == "rad" and fault.sized:
         form = _TURNED
+    elif fault.kind == FaultKind.DISPLACED and fault.unit == "m":
+        form = _TRACKER
     words = form.words if fault.sized or form.words_unsized is None else form.words_unsized
     momentary = fault.kind == FaultKind.GLITCH and fault.until is None
     at = f"{fault.since:.1f} s"

@@ -1,13 +1,8 @@
-"""The selected inverse of a block-tridiagonal matrix, in linear time, forward
-substitution, and medians of squared distances.
-"""
+"""The selected inverse of a block-tridiagonal matrix, in linear time, and forward substitution."""
 
 import numpy as np
 
 from .types import Array
-
-CHI_SQUARE_MEDIANS = {2: float(2.0 * np.log(2.0)), 3: 2.3659738843753377}
-"""The median of a sum of so many squares of standard normal numbers."""
 
 
 def selected_inverse(diagonal: Array, upper: Array) -> tuple[Array, Array]:

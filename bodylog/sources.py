@@ -117,7 +117,7 @@ class TableSource:
     table: str = declare_key(MISSING, "File of the table.", noun="file")
     columns: tuple[str, ...] | None = declare_key(
         None,
-        "Columns of u and v.",
+        "Columns of u and v, or of x, y and z.",
         accepts=lambda names: len(names) > 1 and all(names),
         unset="NAME_u, NAME_v",
         form="names of two or more columns",

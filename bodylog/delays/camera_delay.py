@@ -25,6 +25,13 @@ MAX_ERROR_RATIO = 0.95
 correction; above it, the delay was the arm's shape.
 """
 
+COARSE_NOISE_SHARE = 0.005
+"""Noise of points in space, over their motion, with which a delay is measured first: that of images.
+
+A process that knows points to a thousandth of their motion takes their lateness for the arm's
+shape: of 40 ms it finds 6. With 0.003, 0.01 and 0.03 it finds 39.5, 40.0 and 40.1.
+"""
+
 Delays = Mapping[str, float]
 
 
@@ -32,12 +39,15 @@ Delays = Mapping[str, float]
 class _Turn:
     """A body learned from logs delayed by `late`, the
     delays left in each log, and the delays the body keeps.
+
+    started: cameras whose delay was corrected.
     """
 
     found: "LearnedBody"
     late: Sequence[Delays]
     residuals: "Sequence[Mapping[str, Delay]]"
     own: Delays
+    started: frozenset[str] = frozenset()
 
 
 def learn_with_delays(
@@ -62,7 +72,7 @@ def learn_with_delays(
         return body.with_kinematics(features, settings, found, robot, known)
     cameras = correction.list_track_cameras([name for found in features for name in found.tracks])
     fixed = correction.fixed_delays(settings.time.delay, cameras)
-    turn, started = _alternate_until_converged(features, settings, provenance, known, keep, fixed)
+    turn = _alternate_until_converged(features, settings, provenance, known, keep, fixed)
     timely = [
         correction.shift_features(found, delays)
         for found, delays in zip(features, turn.late, strict=True)
@@ -73,7 +83,7 @@ def learn_with_delays(
     # a late camera makes its tracks vague: the finding on the delay says so
     learned = replace(turn.found, vague={}) if still_late else turn.found
     found = body.with_kinematics(timely, settings, learned, robot, known)
-    return replace(found, findings=(*_delay_findings(turn, fixed, started), *found.findings))
+    return replace(found, findings=(*_delay_findings(turn, fixed), *found.findings))
 
 
 def measure_log_delays(
@@ -89,19 +99,19 @@ def measure_log_delays(
 
     start = _coarse_delays(features)
     try:
-        turn, started = _alternate_until_converged(
+        turn = _alternate_until_converged(
             [correction.shift_features(features, start)], settings, {}, None, "explained", {}
         )
     except EvidenceError:
         if not any(start.values()):
             raise
         start = {}
-        turn, started = _alternate_until_converged([features], settings, {}, None, "explained", {})
+        turn = _alternate_until_converged([features], settings, {}, None, "explained", {})
     found = dict[str, Delay]()
     unclear = dict[str, Delay]()
     for name, rest in turn.residuals[0].items():
         late = start.get(name, 0.0) + turn.late[0].get(name, 0.0) + rest.seconds
-        clear = name in started or not correction.is_significant(rest)
+        clear = name in turn.started or not correction.is_significant(rest)
         (found if clear else unclear)[name] = Delay(late, rest.std_error)
     return found, unclear
 
@@ -135,10 +145,43 @@ def _alternate_until_converged(
     known: BodyModel | None,
     keep: "Keep",
     fixed: Delays,
-) -> tuple[_Turn, set[str]]:
-    """The last turn of learning and correcting by
-    turns, and the cameras whose delay was corrected.
+) -> _Turn:
+    """The last turn of learning and correcting by turns."""
+    blurred = [_blur_points(found) for found in features]
+    if all(one is found for one, found in zip(blurred, features, strict=True)):
+        return _alternate_from(None, features, settings, provenance, known, keep, fixed)
+    coarse = _alternate_from(None, blurred, settings, provenance, known, keep, fixed)
+    return _alternate_from(coarse, features, settings, provenance, known, keep, fixed)
+
+
+def _blur_points(found: Features) -> Features:
+    """The features, their points in space with COARSE_NOISE_SHARE;
+    the same ones where there are no such points.
     """
+    import numpy as np
+
+    tracks = dict(found.tracks)
+    for name, track in found.tracks.items():
+        seen = track.values[np.isfinite(track.values).all(axis=1)]
+        if track.unit == "mm" and len(seen):
+            noise = COARSE_NOISE_SHARE * float(np.sqrt(seen.var(axis=0).sum()))
+            known = 0.0 if track.std is None else np.nan_to_num(track.std)
+            std = np.broadcast_to(np.hypot(known, noise), track.values.shape)
+            tracks[name] = replace(track, std=std)
+    same = all(one is found.tracks[name] for name, one in tracks.items())
+    return found if same else replace(found, tracks=tracks)
+
+
+def _alternate_from(
+    begin: _Turn | None,
+    features: Sequence[Features],
+    settings: Settings,
+    provenance: Mapping[str, Any],
+    known: BodyModel | None,
+    keep: "Keep",
+    fixed: Delays,
+) -> _Turn:
+    """The last turn of learning and correcting by turns, from the delays of another one."""
     from .. import body
     from ..estimation.timing import correction
 
@@ -159,9 +202,13 @@ def _alternate_until_converged(
         if known is None
         else {k: v for k, v in correction.learned_delays(known).items() if k not in fixed}
     )
-    started = set[str]()
+    started = set[str]() if begin is None else set(begin.started)
     given = {name: delay for name, delay in fixed.items() if delay}
-    turn = turned([{**own, **fixed} for _ in features], {**own, **given})
+    turn = (
+        turned([{**own, **fixed} for _ in features], {**own, **given})
+        if begin is None
+        else turned(begin.late, begin.own)
+    )
     for _ in range(MAX_TURNS - 1):
         surest = _surest_logs(turn.residuals, fixed, started)
         if not surest:
@@ -172,17 +219,17 @@ def _alternate_until_converged(
             break
         turn = after
         started = started | set(surest)
-    return turn, started
+    return replace(turn, started=frozenset(started))
 
 
-def _delay_findings(turn: _Turn, fixed: Delays, started: set[str]) -> Iterator[Finding]:
+def _delay_findings(turn: _Turn, fixed: Delays) -> Iterator[Finding]:
     """Yield remarks on the delays corrected in each
     log, and on `fixed` ones that the log contradicts.
     """
     from ..estimation.timing import correction
 
     for k, (delays, residual) in enumerate(zip(turn.late, turn.residuals, strict=True)):
-        sure = {name: residual[name].std_error for name in started if name in residual}
+        sure = {name: residual[name].std_error for name in turn.started if name in residual}
         for finding in correction.delay_findings(delays, sure, residual, fixed):
             yield (
                 replace(finding, text=f"log {k + 1}: {finding.text}")

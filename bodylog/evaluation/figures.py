@@ -58,7 +58,7 @@ def _fault_figures(found: Estimate) -> Iterator[Score]:
     displaced = FaultKind.DISPLACED
     for name in dict.fromkeys(cameras):
         own = [fault for fault in found.faults if (fault.kind, fault.name) == (displaced, name)]
-        unit = FORMS["vision", displaced].unit
+        unit = own[0].unit if own else FORMS["vision", displaced].unit
         yield Score(f"fault/{displaced}/{name}", _greatest_fault_size(own), unit)
 
 

@@ -24,6 +24,8 @@ from .lab import Lab
 from .records import Experiment, ExperimentReadings, TextTable, Trial, figure_column
 
 NAO_COLUMNS = ("published_u", "published_v")
+MOTOMAN_TRACKER_COLUMNS = ("leica_x", "leica_y", "leica_z")
+"""What a laser tracker measured beside the images, which are judged alone."""
 BOARD = CharucoSource("10x14", 0.07, 0.04, "4x4_1000", True)
 """The Panda's."""
 MIN_TRACK_SIGHTINGS = 35
@@ -75,9 +77,10 @@ def measure_motoman(data: Path, work: Path) -> dict[str, float]:
     """Every third of 216 poses withheld: RMS error
     (px) per axis over the tracks that are seen often.
     """
-    head, *rows = (
-        (data / "motoman" / "leica_left_hand_6x6x6.csv").read_text(encoding="utf-8").splitlines()
-    )
+    images = work / "motoman.csv"
+    table = data / "motoman" / "leica_left_hand_6x6x6.csv"
+    _write_without_columns(table, images, MOTOMAN_TRACKER_COLUMNS)
+    head, *rows = images.read_text(encoding="utf-8").splitlines()
     for name, part in {
         "train": [r for k, r in enumerate(rows) if k % 3 != 2],
         "test": rows[2::3],

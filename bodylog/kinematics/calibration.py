@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..linear_algebra import CHI_SQUARE_MEDIANS
 from ..types import Array
 from .rig import IMAGES, SPACE, Rig
 
@@ -23,6 +22,8 @@ _FALSE = 1e-3
 """Prior share of false sightings."""
 _ANYWHERE = 600.0
 """px or mm: false sightings are uniform in a square or a cube of this side."""
+CHI_SQUARE_MEDIANS = {2: float(2.0 * np.log(2.0)), 3: 2.3659738843753377}
+"""The median of a sum of so many squares of standard normal numbers."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -96,8 +96,8 @@ def _position_columns(
     wanted = source.columns or _columns_by_feature_name(table, name, axes)
     if len(wanted) not in (size, size + 1, 2 * size):
         raise ConfigError(
-            f"{path}: [features] {name}: found {len(wanted)} columns; possible: "
-            f"{' and '.join(axes)}, and one or {size} more for their std"
+            f"{path}: [features] {name}: columns must name {' and '.join(axes)}, and one or "
+            f"{size} more for their std"
         )
     if missing := [column for column in wanted if column not in table.numbers]:
         have = ", ".join(table.numbers) or "none"

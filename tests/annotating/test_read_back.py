@@ -45,6 +45,39 @@ def test_read_estimate_returns_what_was_written(tmp_path, seed):
         assert getattr(again, name) == getattr(estimate, name)
 
 
+def test_points_in_space_are_in_metres_in_the_log_and_in_mm_when_read(tmp_path):
+    features, estimate = found(0)
+    seen, expected = features.tracks["effector"], estimate.predicted["effector"]
+    draw = np.random.default_rng(3)
+
+    def in_space(series):
+        size = (len(series.t), 3)
+        return replace(series, values=draw.normal(0, 500, size), std=draw.uniform(0.1, 1, size), names=("x", "y", "z"), unit="mm")
+
+    root = draw.normal(0, 1, (len(expected.t), 3, 3))
+    point, belief = in_space(seen), in_space(expected)
+    features = replace(features, tracks={**features.tracks, "tracker/ball": point})
+    cov = root @ root.transpose(0, 2, 1)
+    belief = replace(belief, std=np.sqrt(np.einsum("ndd->nd", cov)))
+    estimate = replace(
+        estimate,
+        predicted={**estimate.predicted, "tracker/ball": belief},
+        predicted_cov={**estimate.predicted_cov, "tracker/ball": cov},
+        kinematic={"tracker/ball": replace(belief, std=None)},
+    )
+    path = log_of(tmp_path / "log.mcap", features, estimate)
+    with open_log(path) as log:
+        again = read_features(log, START).tracks["tracker/ball"]
+        assert not any(topic.name.startswith("/bodylog/annotations/tracker") for topic in log.topics)
+    back = read_estimate(path, START)
+    pairs = ((again, point), (back.predicted["tracker/ball"], belief), (back.kinematic["tracker/ball"], belief))
+    for theirs, ours in pairs:
+        assert (theirs.names, theirs.unit) == (ours.names, ours.unit)
+        np.testing.assert_allclose(theirs.values, ours.values, rtol=1e-12)
+    np.testing.assert_allclose(again.std, point.std, rtol=1e-12)
+    np.testing.assert_allclose(back.predicted_cov["tracker/ball"], cov, rtol=1e-9, atol=1e-9)
+
+
 def test_read_estimate_reads_faults_without_std(tmp_path, monkeypatch):
     from bodylog.annotating import messages
     from bodylog.logs.encode import schemas

@@ -68,6 +68,13 @@ def board() -> Rig:
     return Rig((camera,), (carrier,), (sight,), JOINTS, one.doubt)
 
 
+def tracker(text: str = ARM) -> Rig:
+    """A tracker of unknown place before the arm, and a point on the tool."""
+    one = rig(known=False, text=text)
+    pose = RigCamera("tracker", "base", camera_pose(), np.zeros(0), np.full(6, 10.0))
+    return replace(one, cameras=(pose,))
+
+
 def camera_pose() -> np.ndarray:
     """The base in the camera (4,4): 1.8 m away, the camera upright and level."""
     turn = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])

@@ -8,9 +8,15 @@ import pytest
 from bodylog.kinematics import identifiability, urdf
 from bodylog.kinematics.calibration import Sighted, calibrate_rig
 from bodylog.kinematics.links import CameraHint, MarkerTrack, find_links
-from bodylog.kinematics.rig import IMAGES, Carrier, Rig, RigCamera, Sight
+from bodylog.kinematics.rig import IMAGES, SPACE, Carrier, Rig, RigCamera, Sight
 from bodylog.kinematics.rotations import make_transform, rotation_from_vector
-from bodylog.kinematics.starts import find_starts, hand_eye, planar_board_pose, resect_pose
+from bodylog.kinematics.starts import (
+    align_points,
+    find_starts,
+    hand_eye,
+    planar_board_pose,
+    resect_pose,
+)
 from tests.kinematics import robots
 from tests.kinematics.robots import ARM, JOINTS, board
 
@@ -156,3 +162,30 @@ def test_starts_are_exact_without_noise():
     links = [make_transform(rotation_from_vector(draw.normal(size=3)), draw.normal(size=3)) for _ in range(8)]
     found = hand_eye([x @ link @ z for link in links], links)
     np.testing.assert_allclose(found, (x, z), atol=1e-6)
+
+
+def test_tracker_on_the_base_is_found_among_false_points():
+    """A tenth of the points are false; the tracker's link, its frame and the noise are found all the same."""
+    rig = robots.tracker()
+    theta = rig.prior[0].copy()
+    theta[rig.of_carrier(0)] = [0.02, -0.03, 0.02]
+    data = robots.seen(rig, theta, robots.angles(60), 0.2)
+    draw = np.random.default_rng(6)
+    data.image[draw.random(60) < 0.1] += draw.normal(0.0, 100.0, 3)
+    track = MarkerTrack("tracker", "ball", data)
+    found = find_links(urdf.parse_urdf(ARM, "arm.urdf"), JOINTS, {}, {"tracker/ball": track}, {}, 5 * DEGREE)
+    best = found.calibrated
+    assert (best.rig.cameras[0].link, best.rig.carriers[0].link) == ("base", "hand") and best.rig.cameras[0].tracks_space
+    assert found.margin is not None and found.margin > 20 and 0.15 < np.sqrt(best.noise[SPACE]) < 0.25
+    above = np.array([0.0, 0.0, 1.0, 1.0])
+    np.testing.assert_allclose(best.rig.camera_pose(0, best.theta) @ above, robots.camera_pose() @ above, atol=2e-3)
+
+
+def test_pose_that_aligns_points_in_space():
+    draw = np.random.default_rng(1)
+    points = draw.normal(0.0, 0.5, (30, 3))
+    pose = make_transform(rotation_from_vector(np.array([0.4, 2.0, -1.0])), np.array([3.0, -1.0, 0.5]))
+    seen = points @ pose[:3, :3].T + pose[:3, 3]
+    seen[3] += 5.0  # a false point
+    np.testing.assert_allclose(align_points(points, seen), pose, atol=0.02)
+    assert align_points(points[:5], seen[:5]) is None

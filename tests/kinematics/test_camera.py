@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -62,7 +63,7 @@ def test_projection_is_a_pinholes_and_its_slopes_finite_differences():
 
 def test_one_posture_equals_many():
     boarded = board()
-    for rig, point in ((robots.rig(), 0), (boarded, 5)):
+    for rig, point in ((robots.rig(), 0), (boarded, 5), (robots.tracker(), 0)):
         theta = robots.truth(rig, {"lift": 0.1})
         theta[3:6] += [0.1, -0.2, 0.3]
         theta[rig.of_carrier(0)] += 0.05
@@ -75,8 +76,8 @@ def test_one_posture_equals_many():
                 np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-7)
 
 
-def test_rig_slopes_are_finite_differences():
-    rig = robots.rig()
+@pytest.mark.parametrize("rig", [robots.rig(), robots.tracker()], ids=["camera", "tracker"])
+def test_rig_slopes_are_finite_differences(rig):
     theta, q, sight = robots.truth(rig, {"lift": 0.1}), robots.angles(5), rig.sights[0]
     found = rig.see(sight, theta, q)
     steps = STEP * np.eye(len(theta))

@@ -93,6 +93,21 @@ def test_poses_skip_columns_that_are_not_joints(tmp_path):
     assert found.notes[-1].startswith("columns not used: id, frame_index, base_qx")
 
 
+def test_points_in_space_are_tracks_of_a_tracker_in_metres(tmp_path):
+    """Columns in mm by their span; a name with a frame keeps it; two axes of three are said to be none."""
+    header = "pan,ball_x,ball_y,ball_z,ball_sigma,world/nest_x,world/nest_y,world/nest_z,half_x,half_z"
+    path = _csv(tmp_path, header, "0.1,-300,20,1000,0.1,1,2,3,4,5", "0.2,500,30,,0.1,1.5,2,3,4,5", "0.3,400,30,900,0.1,1,2,4,4,5")
+    found = assign_column_roles(read_table_file(path, "csv"), str(path))
+    np.testing.assert_allclose(found.tracks["tracker/ball"], [[-0.3, 0.02, 1.0], [np.nan] * 3, [0.4, 0.03, 0.9]])
+    np.testing.assert_allclose(found.std["tracker/ball"], 1e-4)
+    np.testing.assert_allclose(found.tracks["world/nest"][0], [1.0, 2.0, 3.0])
+    assert "tracker/ball: points that span 700 cannot be in m; they are taken in mm" in found.notes
+    assert found.odd == ("half_x and half_z without half_y are no point in space",)
+    track = recording.read_recording(path, Settings()).features.tracks["tracker/ball"]
+    assert (track.names, track.unit) == (("x", "y", "z"), "mm")
+    np.testing.assert_allclose(track.values[0], [-300.0, 20.0, 1000.0])
+
+
 def test_open_reports_and_converts_degrees(tmp_path):
     path = _csv(tmp_path, "pan", "-90", "0", "90")
     assert 'type: [body] unit = "deg"' in _texts(path)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
 from ...linear_algebra import forward_substituted
-from ...types import Array, Fault, FaultKind, Hypothesis
+from ...types import TRACK_AXES, Array, Fault, FaultKind, Hypothesis
 from ..inference.initial_path import OFFSET_STD
 from ..measurements.gather import camera_of_track
 from ..measurements.records import Encoders, Evidence, Sighting
@@ -23,14 +23,16 @@ from ..measurements.track_curve import Curve, interpolate_curve, track_curve
 from .encoder_offset import RANDOM_WALKS
 from .threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
+TRACKED = tuple(axes for axes, _ in TRACK_AXES.values())
+"""Outputs of tracks in images, and of points in space."""
 MAX_READING_MEANS = 160
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraDisplacement:
-    """A displacement (2,) px since t (s), its covariance
-    (2,2), and the nats won against all other explanations.
+    """A displacement (2,) px, or (3,) mm, since t (s), its
+    covariance, and the nats won against all other explanations.
     """
 
     t: float
@@ -102,7 +104,7 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     faults = list[Fault]()
     hypotheses = list[Hypothesis]()
     tracks = [
-        k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs == ("u", "v")
+        k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs in TRACKED
     ]
     for name in dict.fromkeys(camera_of_track(sightings[k].name) for k in tracks):
         own = [k for k in tracks if camera_of_track(sightings[k].name) == name]
@@ -125,9 +127,10 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
 
 
 def _displacement_fault(name: str, found: CameraDisplacement) -> Fault:
-    size = float(np.hypot(*found.size))
+    size = float(np.linalg.norm(found.size))
     std = float(np.sqrt(found.size @ found.cov @ found.size)) / size
-    return Fault("vision", name, FaultKind.DISPLACED, found.t, size, "px", std)
+    unit = TRACK_AXES[len(found.size)][1]
+    return Fault("vision", name, FaultKind.DISPLACED, found.t, size, unit, std)
 
 
 def subtract_displacement(sighting: Sighting, moved: CameraDisplacement) -> Sighting:
@@ -181,7 +184,7 @@ def _best_displacement(rows: _DisplacementRows) -> CameraDisplacement:
     """The most likely displacement, and the nats it wins."""
     # a priori as large as an encoder's offset shows, or 1e-3 px if joints do not move the track
     wide = max(PRIOR_STD_RAD * float(np.sqrt(np.square(rows.jac).mean())), 1e-3)
-    found = _best_step(rows, np.eye(2)[rows.output], wide)
+    found = _best_step(rows, np.eye(1 + rows.output.max())[rows.output], wide)
     return replace(found, nats=rows.cost - found.nats)
 
 
@@ -220,7 +223,7 @@ def _build_displacement_rows(found: Sequence[tuple[Sighting, Curve]]) -> _Displa
         correlation = np.exp(
             -0.5 * sum(np.square(np.subtract.outer(column, column)) for column in x.T)
         )
-        for d in range(2):
+        for d in range(off.shape[1]):
             model = np.sqrt(curve.model[sound, d])
             own.append(np.outer(model, model) * correlation + curve.noise[d] * np.eye(len(model)))
             columns = (

@@ -13,7 +13,7 @@ from math import isqrt
 
 import numpy as np
 
-from ...linear_algebra import CHI_SQUARE_MEDIANS
+from ...kinematics.calibration import CHI_SQUARE_MEDIANS
 from ...types import Array
 from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS

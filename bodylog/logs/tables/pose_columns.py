@@ -43,7 +43,8 @@ class PoseColumns:
     """joints (names) · tracks {name: positions (N,2) px, or points (N,3)
     m} · std {name: the same} · images {column: files} · t (N,) s.
 
-    `time`: the column of times, None if rows are numbered · notes on the roles of the columns.
+    `time`: the column of times, None if rows are numbered · notes on the roles of the columns ·
+    odd: names of which an axis is missing.
     lens {LENS and others: number}: of the camera; empty without its columns.
     """
 
@@ -55,6 +56,7 @@ class PoseColumns:
     time: str | None
     notes: tuple[str, ...]
     lens: Mapping[str, float]
+    odd: tuple[str, ...] = ()
 
 
 def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
@@ -71,7 +73,6 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
         tracks[name] = tracks[name] * scale
         std |= {name: std[name] * scale} if name in std else {}
     notes += [millimetres_note(name, points[name]) for name in points if scales[name] != 1.0]
-    notes += halves
     lens = _take_lens_columns(left, path)
     labels = [name for name in left if is_label_column(name)]
     spaces = list(
@@ -104,7 +105,7 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     notes += [f"the camera's lens: {', '.join(lens)}"] if lens else []
     if unused:
         notes.append(f"columns not used: {', '.join(unused)}")
-    return PoseColumns(joints, tracks, std, images, t, time, tuple(notes), lens)
+    return PoseColumns(joints, tracks, std, images, t, time, tuple(notes), lens, tuple(halves))
 
 
 def _name_image_files(files: Array) -> bool:

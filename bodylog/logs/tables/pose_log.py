@@ -47,7 +47,7 @@ class PoseLog:
         self._mpx = limits.max_image_mpx
         found = assign_column_roles(table, str(path))
         self._add("info", *found.notes)
-        self._add("warning", *table.odd)
+        self._add("warning", *table.odd, *found.odd)
         self._add("lost", *table.lost)
         if far := in_degrees(found.joints):
             text = (

@@ -1,0 +1,77 @@
+"""Points in space along a motion: late ones are learned without a wrong zero, and other logs are judged by them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog import pipeline
+from bodylog.body.kinematic.placements import calibration_of_body
+from bodylog.delays.camera_delay import learn_with_delays
+from bodylog.kinematics.rotations import make_transform, rotation_from_vector
+from bodylog.settings import Settings
+from bodylog.types import Features, Series
+from tests.body.kinematic_arms import given
+from tests.body.tracked_arms import measure_points, points_series
+from tests.kinematics.robots import JOINTS
+
+LATE_S = 0.04
+NOISE_M = 3e-4
+END_S = 24.0
+SEEN_FROM = make_transform(rotation_from_vector(np.array([0.3, -0.5, 2.0])), np.array([-2.0, 1.0, 0.4]))
+TOOL = np.array([0.03, -0.02, 0.08])
+
+
+def moving_arm(seed: int, offset=(0.0, 0.0, 0.0, 0.0), shift_m: float = 0.0) -> Features:
+    """An arm in slow waves; its readings lack an offset (M,) rad, and the tracker moves by shift_m half-way."""
+    draw = np.random.default_rng(seed)
+    speed, phase = draw.uniform(0.3, 1.3, (3, 4)), draw.uniform(0.0, 6.0, (3, 4))
+
+    def angles(t):
+        waves = sum(np.sin(speed[k] * t[:, None] + phase[k]) for k in range(3))
+        return np.array([0.0, -0.6, 0.9, 0.2]) + 0.25 * waves
+
+    t = np.arange(0.0, END_S, 0.02)
+    joints = Series(t, angles(t) - offset + draw.normal(0.0, 2e-4, (len(t), 4)), JOINTS, "rad", (t * 1e9).astype(np.int64))
+    at = np.arange(0.3, END_S - 0.3, 0.04)
+    points = measure_points(angles(at), TOOL, SEEN_FROM) + draw.normal(0.0, NOISE_M, (len(at), 3))
+    points[at > END_S / 2] += np.array([shift_m, 0.0, 0.0])
+    return Features(joints, {"tracker/ball": points_series(at + LATE_S, points)}, None, (), (), {})
+
+
+@pytest.fixture(scope="module")
+def learned():
+    return learn_with_delays([moving_arm(1)], Settings(), {}, None, given())
+
+
+def test_late_points_are_learned_on_time(learned):
+    assert learned.model.provenance["delay"]["tracker"] == pytest.approx(LATE_S, abs=0.002)
+    zeros = {one.joint: one for one in calibration_of_body(learned.model).zeros}
+    for joint in ("lift", "elbow"):
+        assert abs(zeros[joint].value) < 3.0 * zeros[joint].std and zeros[joint].std < np.radians(0.2)
+
+
+def test_other_logs_are_judged_by_points(learned):
+    sound = pipeline.infer(moving_arm(2), learned.model, Settings())
+    assert not sound.faults and sound.settings["delay"]["tracker"] == pytest.approx(LATE_S, abs=0.002)
+    turned = pipeline.infer(moving_arm(3, (0.0, np.radians(1.0), 0.0, 0.0)), learned.model, Settings())
+    (fault,) = turned.faults
+    assert (fault.name, fault.sense) == ("lift", "encoders") and abs(fault.size) == pytest.approx(np.radians(1.0), rel=0.05)
+    moved = pipeline.infer(moving_arm(4, shift_m=0.02), learned.model, Settings())
+    (fault,) = moved.faults
+    assert (fault.name, fault.kind, fault.unit) == ("tracker", "displaced", "mm")
+    assert fault.size == pytest.approx(20.0, abs=4.0 * fault.std) and fault.since == pytest.approx(END_S / 2, abs=0.2)
+
+
+def test_points_alone_tell_the_posture_that_they_determine(learned):
+    """Without one encoder its joint is known by the points, with error bars that hold."""
+    log = moving_arm(5)
+    blind = log.joints.values.copy()
+    blind[25:, 1] = np.nan  # silent after half a second
+    found = pipeline.infer(replace(log, joints=replace(log.joints, values=blind)), learned.model, Settings())
+    m = found.joints.names.index("lift")
+    rows = (found.joints.t > 1.0) & (found.joints.t < END_S - 1.0)
+    truth = np.interp(found.joints.t, log.joints.t, log.joints.values[:, 1])
+    off = (found.joints.values[:, m] - truth)[rows]
+    assert np.sqrt(np.mean(off**2)) < 0.003
+    assert np.mean(off**2 / found.cov[rows, m, m]) < 3.0
