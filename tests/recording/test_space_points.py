@@ -28,7 +28,7 @@ def write_log(path, kind="geometry_msgs/msg/PointStamped", field="point", scale=
 
 def read_track(path, source, name="world/ball"):
     recording = read_recording(path, Settings(features={"ball": source}))
-    return recording.tracks[name], [one.text for one in recording.findings]
+    return recording.signals.tracks[name], [one.text for one in recording.facts.findings]
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from bodylog.surface import calibration, estimate, tracks
 from bodylog.surface.body import learn_surface_body
 from bodylog.surface.estimate import CameraJudgement
 from bodylog.types import Array, Fault, Recording
+from tests.changed_recordings import change_recording
 
 G1 = Path(__file__).parents[3] / "shared" / "real" / "g1"
 EPISODES = (1, 2, 4, 5, 7, 8, 10, 11)
@@ -58,8 +59,8 @@ def body_without(pair: tuple[int, ...]) -> BodyModel:
 @cache
 def motion_of(number: int, joints: tuple[str, ...]) -> JointCurve:
     read = episode(number)
-    assert read.joints is not None
-    return calibration.smoothed_motion(read.joints, joints)
+    assert read.signals.joints is not None
+    return calibration.smoothed_motion(read.signals.joints, joints)
 
 
 def judge(number: int, learned: BodyModel, joint: str) -> CameraJudgement:
@@ -126,12 +127,13 @@ def half_delays(number: int, learned: BodyModel) -> Array:
     """Delay (s) and std of both halves (2,2) of an episode, by a body."""
     assert learned.surface is not None
     read = episode(number)
-    assert read.frames is not None
+    assert read.cameras.frames is not None
     camera = learned.surface.cameras[0]
     middle = 0.5 * read.duration_s
     found = []
     for first in (True, False):
-        part = replace(read, frames=lambda first=first: (one for one in read.frames() if (one.t < middle) == first))
+        film = read.cameras.frames
+        part = change_recording(read, frames=lambda first=first: (one for one in film() if (one.t < middle) == first))
         motion = motion_of(number, learned.joints)
         judged = estimate.judge_by_camera(Path(f"{G1}#{number}"), part, learned.surface, camera, motion)
         found.append(judged.delay)
