@@ -132,8 +132,9 @@ def half_delays(number: int, learned: BodyModel) -> Array:
     middle = 0.5 * read.duration_s
     found = []
     for first in (True, False):
-        film = read.cameras.frames
-        part = change_recording(read, frames=lambda first=first: (one for one in film() if (one.t < middle) == first))
+        part = change_recording(
+            read, frames=lambda first=first: (one for one in read.cameras.frames() if (one.t < middle) == first)
+        )
         motion = motion_of(number, learned.joints)
         judged = estimate.judge_by_camera(Path(f"{G1}#{number}"), part, learned.surface, camera, motion)
         found.append(judged.delay)
