@@ -50,7 +50,7 @@ class Posed:
 @dataclass(frozen=True, eq=False)
 class Adjusted:
     """theta (P,) of least error, and its covariance (P,P) ·
-    curvature (P,P): the loss's inverse second derivative · left_out (G,) px²: squared error of each
+    curvature (P,P): the loss's inverse second derivative · left_out (G,) px² or mm²: squared error of each
     group, predicted by θ of least error without it.
     """
 
@@ -93,7 +93,7 @@ def adjust(rig: Rig, data: Sequence[Posed], theta: Array, noise: Array, known: K
     mean, std = rig.prior
     prior = _Prior(mean, np.eye(len(std)))
     found = _adjusted(rig, data, theta, noise, prior)
-    left_out = found.noise * _left_out_losses(found.normal)
+    left_out = float(found.noise[list(rig.kinds)].mean()) * _left_out_losses(found.normal)
     for part, most in ((_known_zeros(rig, known), ZERO_SIGMA), (known, MOST_SIGMA)):
         weight = _least_weight(found, part, most, std)
         if weight > 0.0:
