@@ -50,8 +50,8 @@ class Posed:
 @dataclass(frozen=True, eq=False)
 class Adjusted:
     """theta (P,) of least error, and its covariance (P,P) ·
-    curvature (P,P): the loss's inverse second derivative · left_out (G,) px² or mm²: squared error of each
-    group, predicted by θ of least error without it.
+    curvature (P,P): the loss's inverse second derivative · left_out (G,) px² or mm²: squared error
+    of each group, predicted by θ of least error without it.
     """
 
     rig: Rig
