@@ -311,14 +311,12 @@ class Capabilities:
 
     causal: it uses nothing from after the time of an estimate · moves: between measurements the
     belief moves on with its rate · density: its free energy is the negative logarithm of a
-    normalised density of all measurements · learns_noise: from the log · repairs: it takes out what
-    faulty encoders measured · from_paper: the paper has it.
+    normalised density of all measurements · repairs: it takes out what faulty encoders measured · from_paper: the paper has it.
     """
 
     causal: bool = True
     moves: bool = True
     density: bool = True
-    learns_noise: bool = True
     repairs: bool = True
     from_paper: bool = False
 

@@ -126,21 +126,6 @@ def find_misfit(
     return _unexplained_misfit(log, plain.off)
 
 
-def share_of_sightings_off(
-    features: Features,
-    body: BodyModel,
-    settings: EstimationSettings,
-    delay: str | Mapping[str, float],
-) -> float:
-    """The share of sightings more than 3 standard deviations
-    off without any fault; NaN where too little is seen.
-    """
-    log = select_sightings(
-        correction.shift_features(features, _known_delays(features, body, delay)), body, settings
-    )
-    return float("nan") if log is None else fit_unknowns(log, usual_offsets(log)).off
-
-
 def from_many_faults(
     found: Estimate,
     features: Features,
