@@ -215,7 +215,7 @@ class RecordedSignals:
     tracks: Mapping[str, Series] = field(default_factory=dict)
 
 
-Film = Callable[[], Iterator[LazyImage]]
+Frames = Callable[[], Iterator[LazyImage]]
 """Images in time order, from the first one at each call."""
 
 
@@ -226,8 +226,8 @@ class RecordedCameras:
     camera's frames, if a consumer got them during reading.
     """
 
-    frames: Film | None = None
-    views: Mapping[str, Film] = field(default_factory=dict)
+    frames: Frames | None = None
+    views: Mapping[str, Frames] = field(default_factory=dict)
     consumed: ConsumedFrames | None = None
 
 

@@ -16,8 +16,8 @@ from ..sources import TableSource, TopicSource
 from ..types import (
     ConsumedFrames,
     Features,
-    Film,
     FrameConsumer,
+    Frames,
     Health,
     LogFacts,
     RecordedCameras,
@@ -155,7 +155,7 @@ def _frames_of_cameras(
     sidecars: Mapping[str, video_file.Sidecar],
     settings: Settings,
     start_ns: int,
-) -> dict[str, Film]:
+) -> dict[str, Frames]:
     """The images of every camera, by its role."""
     start = settings.topics.start
     first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9
