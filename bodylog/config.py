@@ -23,11 +23,6 @@ from .io.toml_keys import (
 from .settings import EstimationSettings, Settings
 from .sources import parse_source, source_as_value
 
-RENAMED: Mapping[tuple[str, str], str] = {
-    ("colours", "shapes"): "[colours] markers = {NAME = COLOUR}"
-}
-"""Keys that had another name, and what to type."""
-
 
 @with_text_paths
 def load_settings(
@@ -69,11 +64,6 @@ def merge_settings(settings: Settings, given: Mapping[str, Any], where: str) -> 
 
 
 def _merge_section(current: Any, section: str, values: Mapping[str, Any], where: str) -> Any:
-    for key in values:
-        if (section, key) in RENAMED:
-            raise ConfigError(
-                f"{where}: {section}.{key} has a new name; type: {RENAMED[section, key]}"
-            )
     changed = check_values(type(current), values, where, section)
     if (
         section == "estimate"

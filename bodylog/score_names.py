@@ -3,7 +3,6 @@ of each figure, and the names they had before.
 """
 
 from collections.abc import Mapping
-from fnmatch import fnmatchcase
 
 FIGURES: Mapping[str, str] = {
     "rmse/joint": "rad",
@@ -87,21 +86,6 @@ FIGURES: Mapping[str, str] = {
     "rmse/surface": "px",
 }
 """Unit of each figure; a linear joint's offset is in m, a fault's size in its own unit."""
-RENAMED: Mapping[str, str] = {
-    "joint_rmse": "rmse/joint",
-    "encoder_rmse": "rmse/encoders",
-    "nees": "nees/joint",
-    "coverage_2sigma": "coverage_2sigma/joint",
-    "error_squared": "nis",
-    "encoder_std": "std/encoders",
-    "process": "process_noise/acceleration",
-    "held_out": "log_density/held_out",
-} | {
-    f"effector_{old}_{figure}": f"{figure}/effector_{new}"
-    for old, new in (("position", "position"), ("turn", "rotation"))
-    for figure in ("rmse", "nees", "coverage_2sigma")
-}
-"""What a figure was called before, and is called now."""
 _LONGEST_FIRST = sorted(FIGURES, key=len, reverse=True)
 
 
@@ -117,16 +101,3 @@ def split_score_name(name: str) -> tuple[str, str]:
 def score_unit(name: str) -> str:
     """The unit of a score, "" where its name does not give it."""
     return FIGURES.get(split_score_name(name)[0], "")
-
-
-def current_score_name(name: str) -> str | None:
-    """What a score of an earlier version is called
-    now; None for a name of today, or no name at all.
-    """
-    figure, part = split_score_name(name)
-    if figure in FIGURES or any(fnmatchcase(one, name) for one in FIGURES):
-        return None
-    if figure in RENAMED:
-        return "/".join(filter(None, (RENAMED[figure], part)))
-    track = name.removesuffix("_rmse")
-    return f"rmse/innovation/{track}" if track != name else None

@@ -228,7 +228,7 @@ class RecordedSignals:
     tracks: Mapping[str, Series] = field(default_factory=dict)
 
 
-Film = Callable[[], Iterator[LazyImage]]
+Frames = Callable[[], Iterator[LazyImage]]
 """Images in time order, from the first one at each call."""
 
 
@@ -239,8 +239,8 @@ class RecordedCameras:
     camera's frames, if a consumer got them during reading.
     """
 
-    frames: Film | None = None
-    views: Mapping[str, Film] = field(default_factory=dict)
+    frames: Frames | None = None
+    views: Mapping[str, Frames] = field(default_factory=dict)
     consumed: ConsumedFrames | None = None
 
 
@@ -293,14 +293,12 @@ class Capabilities:
 
     causal: it uses nothing from after the time of an estimate · moves: between measurements the
     belief moves on with its rate · density: its free energy is the negative logarithm of a
-    normalised density of all measurements · learns_noise: from the log · repairs: it takes out what
-    faulty encoders measured · from_paper: the paper has it.
+    normalised density of all measurements · repairs: it takes out what faulty encoders measured · from_paper: the paper has it.
     """
 
     causal: bool = True
     moves: bool = True
     density: bool = True
-    learns_noise: bool = True
     repairs: bool = True
     from_paper: bool = False
 

@@ -30,28 +30,9 @@ if TYPE_CHECKING:
     metavar="LOG",
     help="Learn the body from this log first.",
 )
-@click.option(
-    "--jobs",
-    "workers",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Logs at a time.",
-)
+@options.jobs_option("Logs")
 @click.option("--memory", metavar="SIZE", help="Memory for all of them together, e.g. 4G.")
-@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, tcp://HOST:PORT, or local.")
-@click.option(
-    "--shard",
-    metavar="I/N",
-    default="1/1",
-    show_default=True,
-    help="Every N-th log, from the I-th.",
-)
-@click.option(
-    "--resume",
-    is_flag=True,
-    help="Skip what an earlier run did with the same input, settings and version.",
-)
+@options.share_options("log")
 @click.option("--keep-going", is_flag=True, help="Go on to further logs even after a bug of ours.")
 @options.episode_option("logs")
 @options.fail_option

@@ -13,7 +13,7 @@ from .output import VERBOSITY
 from .places import guard_command
 
 GROUPS: Mapping[str, Mapping[str, str]] = {
-    "Record": {"record": "record", "simulate": "record", "ingest": "ingest", "convert": "convert"},
+    "Record": {"record": "record", "ingest": "ingest", "convert": "convert"},
     "Look": {
         **{"info": "info", "doctor": "doctor", "features": "features", "colours": "features"},
         **{"plot": "plot", "view": "view"},

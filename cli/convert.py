@@ -7,7 +7,7 @@ import click
 
 from bodylog import choices
 
-from .options import Common, OutputLog, common_options, logs_argument, require_finite_option
+from .options import Common, OutputLog, common_options, logs_argument, window_options
 from .setting_options import NearestChoice, split_list
 
 
@@ -40,20 +40,7 @@ from .setting_options import NearestChoice, split_list
 )
 @click.option("--task", metavar="TEXT", help="What the robot does, for a dataset.")
 @click.option("--topics", metavar="TOPICS", help="Only these, with commas between; for an MCAP.")
-@click.option(
-    "--start",
-    type=float,
-    callback=require_finite_option,
-    metavar="S",
-    help="Leave out what came before (s since start).",
-)
-@click.option(
-    "--end",
-    type=float,
-    callback=require_finite_option,
-    metavar="S",
-    help="Leave out what came after.",
-)
+@window_options
 @common_options
 def convert(
     logs: tuple[Path, ...],

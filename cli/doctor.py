@@ -38,27 +38,8 @@ _OUT = "Of a dataset: a page (.html), or a folder for the page, rows and junit.x
     help="Of a dataset: a row per episode, .csv or .parquet.",
 )
 @options.episodes_option
-@click.option(
-    "--jobs",
-    "workers",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Episodes at a time.",
-)
-@click.option("--scheduler", metavar="ADDRESS", help="A Dask scheduler, tcp://HOST:PORT, or local.")
-@click.option(
-    "--shard",
-    metavar="I/N",
-    default="1/1",
-    show_default=True,
-    help="Every N-th episode, from the I-th.",
-)
-@click.option(
-    "--resume",
-    is_flag=True,
-    help="Skip what an earlier run did with the same input, settings and version.",
-)
+@options.jobs_option("Episodes")
+@options.share_options("episode")
 @options.fail_option
 @delay_option
 @common_options

@@ -38,14 +38,7 @@ _URDF = "Measure delays by the robot's own surface."
 @click.option(
     "--checked", type=options.PATH, metavar="DIR", help="Rows of doctor -o DIR are used again."
 )
-@click.option(
-    "--jobs",
-    "workers",
-    type=click.IntRange(min=1),
-    default=1,
-    show_default=True,
-    help="Episodes at a time.",
-)
+@options.jobs_option("Episodes")
 @setting_option("kinematics", "urdf", metavar="ROBOT.urdf|log", help=_URDF)
 @common_options
 def fix(

@@ -4,26 +4,13 @@ from pathlib import Path
 
 import click
 
-from .options import FOLDER, Common, common_options, log_argument, out_option, require_finite_option
+from .options import FOLDER, Common, common_options, log_argument, out_option, window_options
 
 
 @click.command(epilog="Example: bodylog ingest run.bag -o tidy.mcap --start 2 --end 30")
 @log_argument
 @out_option("The tidy MCAP to write.")
-@click.option(
-    "--start",
-    type=float,
-    callback=require_finite_option,
-    metavar="S",
-    help="Leave out what came before (s since start).",
-)
-@click.option(
-    "--end",
-    type=float,
-    callback=require_finite_option,
-    metavar="S",
-    help="Leave out what came after.",
-)
+@window_options
 @click.option(
     "--csv", type=FOLDER, metavar="DIR", help="Also write the signals there, a CSV file per role."
 )

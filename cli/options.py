@@ -300,3 +300,50 @@ def all_option(function: Command) -> Command:
     return click.option("--all", "full", is_flag=True, help="Print every score with its unit too.")(
         function
     )
+
+
+def window_options(function: Command) -> Command:
+    """Options start and end: which part of a log (s since its start)."""
+    add_end = click.option(
+        "--end",
+        type=float,
+        callback=require_finite_option,
+        metavar="S",
+        help="Leave out what came after.",
+    )
+    add_start = click.option(
+        "--start",
+        type=float,
+        callback=require_finite_option,
+        metavar="S",
+        help="Leave out what came before (s since start).",
+    )
+    return add_start(add_end(function))
+
+
+def jobs_option(items: str) -> Callable[[Command], Command]:
+    """Option workers: how many `items`, as Logs, are worked on at a time."""
+    return click.option(
+        "--jobs",
+        "workers",
+        type=click.IntRange(min=1),
+        default=1,
+        show_default=True,
+        help=f"{items} at a time.",
+    )
+
+
+def share_options(item: str) -> Callable[[Command], Command]:
+    """Options scheduler, shard and resume: who works on which `item`, as log."""
+
+    def add_options(function: Command) -> Command:
+        again = "Skip what an earlier run did with the same input, settings and version."
+        function = click.option("--resume", is_flag=True, help=again)(function)
+        part = f"Every N-th {item}, from the I-th."
+        function = click.option(
+            "--shard", metavar="I/N", default="1/1", show_default=True, help=part
+        )(function)
+        who = "A Dask scheduler, tcp://HOST:PORT, or local."
+        return click.option("--scheduler", metavar="ADDRESS", help=who)(function)
+
+    return add_options

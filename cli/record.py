@@ -104,16 +104,6 @@ def record(scenario: str, out: Path, size: str, as_json: bool, **options: Any) -
     return print_result(result, scenario, as_json)
 
 
-simulate = click.Command(
-    "simulate",
-    callback=record.callback,
-    params=[*record.params],
-    help="The same as record.",
-    epilog="Example: bodylog simulate babble -o explore.mcap --seed 1",
-)
-"""The name that people who know `ros2 bag record` expect."""
-
-
 def _parse_image_size(text: str) -> tuple[int, int]:
     width, _, height = text.partition("x")
     if not (

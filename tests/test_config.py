@@ -52,7 +52,6 @@ def test_colours_are_names_or_hsv_ranges(tmp_path):
         ("[topics]\ncamera = []", r"topics.camera is \[\]; possible: topic, or \[topic, …\] without repeats"),
         ("[topics]\ncamera = ['/a', '/a']", "without repeats"),
         ("[topics]\ncamera = ''", "topics.camera is ''; possible: topic"),
-        ("[colours]\nshapes = {elbow = 'blue'}", r"has a new name; type: \[colours\] markers"),
         ("[colours]\nmarkers = {'side/elbow' = 'blue'}", "names without /"),
         ("[colours]\nmarkers = {elbow = 'puce'}", "possible: {NAME = COLOUR}"),
         ("[body]\njoints = [3]", r"possible: \[joint, …\]"),

@@ -4,7 +4,7 @@ import ast
 import re
 from pathlib import Path
 
-from bodylog.score_names import FIGURES, RENAMED, score_unit, split_score_name
+from bodylog.score_names import FIGURES, score_unit, split_score_name
 
 ROOT = Path(__file__).parents[1]
 ROWS = dict(re.findall(r"^\| `([^`]+)` \|([^|]*)\|", (ROOT / "docs" / "metrics.md").read_text(), re.MULTILINE))
@@ -42,7 +42,3 @@ def test_split_separates_the_figure_despite_slashes() -> None:
     assert split_score_name("rmse/innovation/side/effector") == ("rmse/innovation", "side/effector")
     assert split_score_name("nis/held_out/tip") == ("nis/held_out", "tip") and split_score_name("nis/tip") == ("nis", "tip")
     assert split_score_name("rmse/joint") == ("rmse/joint", "") and split_score_name("fault/dead/elbow") == ("fault", "dead/elbow")
-
-
-def test_renamed_figures_map_to_current_ones() -> None:
-    assert set(RENAMED.values()) <= set(FIGURES) and not set(RENAMED) & set(FIGURES)

@@ -55,14 +55,16 @@ class Copy:
         sha256 = hashlib.sha256()
         read = 0
         with ExitStack() as opened:
+            hashing = opened.enter_context(ThreadPoolExecutor(1))
             parts = (self._source,) if self._target else files_of(self._source)
             target = opened.enter_context(_CopyTarget(self._target)) if self._target else None
             for piece in chain.from_iterable(map(read_pieces, parts)):
                 if self._stopped.is_set():
                     raise CancelledError
-                sha256.update(piece)
+                digested = hashing.submit(sha256.update, piece)
                 if target is not None:
                     target.write(piece[: max(0, self._end - read)], read)
+                digested.result()
                 read += len(piece)
         if self._target is not None:
             now = self._source.stat().st_size

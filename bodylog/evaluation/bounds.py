@@ -11,7 +11,7 @@ from fnmatch import fnmatchcase
 
 from ..errors import BoundError, UsageError
 from ..io.toml_keys import find_nearest_name
-from ..score_names import FIGURES, current_score_name, split_score_name
+from ..score_names import FIGURES, split_score_name
 from ..types import Score
 
 COMPARE: Mapping[str, Callable[[float, float], bool]] = {
@@ -36,12 +36,8 @@ class ScoreBound:
 
 
 def parse_bound(text: str) -> ScoreBound:
-    """A bound as typed; UsageError unless it is a name of today, a sign and a number."""
+    """A bound as typed; UsageError unless it is a name, a sign and a number."""
     found = re.fullmatch(r"\s*([^\s<>=]+)\s*(>=|<=|>|<)\s*([-+0-9.eE]+)\s*", text)
-    if found and (now := current_score_name(found[1])):
-        raise UsageError(
-            f"--fail-if {text!r}: {found[1]} is called {now} now; type {now}{found[2]}{found[3]}"
-        )
     if found and not _may_name_score(found[1]):
         near = _nearest_figure(found[1].partition("*")[0] or found[1])
         raise UsageError(

@@ -15,7 +15,7 @@ from . import temporary
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """Errors of writing that no reading raises."""
 
-_PIECE = 1 << 20
+_PIECE = 4 << 20
 
 
 @contextmanager

@@ -1,12 +1,13 @@
 """A recording's images and skin as features: tracks, touches, strokes and their synchrony."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
+from ..logs.protocol import Progress
 from ..settings import Colour, Settings, list_configured_sources, list_sought_sources
 from ..sources import ColourSource, PointSource, Source, board_points, track_names
-from ..types import Board, Features, Finding, Health, LazyImage, Recording, Series, Stroke
+from ..types import Board, Features, Finding, Frames, Health, Recording, Series, Stroke
 from . import tracking
 from .colours import colour_tracker
 from .points import points
@@ -25,10 +26,6 @@ __all__ = [
     "rigid_groups",
     "survey_features",
 ]
-
-Progress = Callable[[int], None]
-"""Called with the number of further images done."""
-Frames = Callable[[], Iterator[LazyImage]]
 
 
 def frame_searcher(settings: Settings, progress: Progress | None = None) -> FrameSearcher:

@@ -17,7 +17,7 @@ from ..logs.joint_units import SOURCE_UNIT, UNIT, joint_unit
 from ..logs.library import OpenLog
 from ..logs.topic_names import PREFIX
 from ..settings import Settings
-from ..types import Array, Finding, LazyImage, Recording, Topic
+from ..types import Array, Finding, Frames, LazyImage, Recording, Topic
 from . import dataset_metadata, roles
 from .cameras import camera_name_of_source
 from .recording import read_recording
@@ -298,12 +298,7 @@ def _camera_feature_name(name: str, recording: Recording) -> str:
 
 
 def _view_of_camera(
-    path: Path,
-    name: str,
-    film: Callable[[], Iterator[LazyImage]],
-    taken: Array,
-    ns: Array,
-    findings: list[Finding],
+    path: Path, name: str, film: Frames, taken: Array, ns: Array, findings: list[Finding]
 ) -> DatasetCamera | None:
     """A camera with an image for each row; None, and a finding, without readable images."""
     size = next((found for frame in film() if (found := _frame_size(frame)) is not None), None)
@@ -330,7 +325,7 @@ def _frame_size(frame: LazyImage) -> tuple[int, int] | None:
 
 
 def _images_of_rows(
-    film: Callable[[], Iterator[LazyImage]], which: Array, size: tuple[int, int], unread: set[int]
+    film: Frames, which: Array, size: tuple[int, int], unread: set[int]
 ) -> Iterator[Array]:
     """An image for each row; an unreadable one repeats the previous image, black for the first."""
     frames = enumerate(film())

@@ -15,7 +15,7 @@ from ..logs.images import messages
 from ..logs.limits import Input
 from ..logs.protocol import Log
 from ..logs.storage.mmapped import is_mapped
-from ..types import Array, Batch, ConsumedFrames, FrameConsumer, LazyImage, Topic
+from ..types import Array, Batch, ConsumedFrames, FrameConsumer, Frames, LazyImage, Topic
 from .clocks import seconds_since
 
 
@@ -73,7 +73,7 @@ def read_frames_lazily(
     rows: Array,
     t_ns: Array,
     start_ns: int,
-) -> Callable[[], Iterator[LazyImage]]:
+) -> Frames:
     """A function that reads the log again and yields the
     frames at t_ns (m,), which are the messages rows (m,).
 

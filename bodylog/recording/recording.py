@@ -16,9 +16,9 @@ from ..sources import TableSource, TopicSource, track_names
 from ..types import (
     ConsumedFrames,
     Features,
-    Film,
     Finding,
     FrameConsumer,
+    Frames,
     Health,
     LogFacts,
     RecordedCameras,
@@ -156,7 +156,7 @@ def _frames_of_cameras(
     sidecars: Mapping[str, video_file.Sidecar],
     settings: Settings,
     start_ns: int,
-) -> dict[str, Film]:
+) -> dict[str, Frames]:
     """The images of every camera, by its role."""
     start = settings.topics.start
     first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9

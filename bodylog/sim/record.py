@@ -4,7 +4,6 @@ and the ground truth, as an ordinary ROS 2 MCAP.
 
 import heapq
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from ..errors import UsageError
 from ..io import atomic_files
 from ..logs.conversion.transcode import LIBRARY, PROFILE
 from ..logs.mcap.writer import Contents, McapRecordWriter
+from ..logs.protocol import Progress
 from .arms import ARMS
 from .film import camera_items, side_items
 from .hardware import parse_hardware
@@ -27,7 +27,7 @@ from .streams import encoder_items, event_items, other_items, skin_items
 
 
 def record_scenario(
-    scenario: str, out: Path, *, progress: Callable[[int], None] | None = None, **options: Any
+    scenario: str, out: Path, *, progress: Progress | None = None, **options: Any
 ) -> None:
     """Write `scenario` to `out`, the same bytes for the
     same `options` (see Options), or raise UsageError.
@@ -75,7 +75,7 @@ def _plan_scenario(scenario: str, options: Options) -> tuple[ScenarioPlan, float
     return entry.plan(request), length
 
 
-def _write_recording(path: Path, stage: Stage, progress: Callable[[int], None] | None) -> None:
+def _write_recording(path: Path, stage: Stage, progress: Progress | None) -> None:
     with path.open("wb") as stream:
         writer = McapRecordWriter(stream, Contents())
         writer.begin(PROFILE, LIBRARY)
@@ -84,9 +84,7 @@ def _write_recording(path: Path, stage: Stage, progress: Callable[[int], None] |
         writer.finish()
 
 
-def _write_streams(
-    writer: McapRecordWriter, stage: Stage, progress: Callable[[int], None] | None
-) -> None:
+def _write_streams(writer: McapRecordWriter, stage: Stage, progress: Progress | None) -> None:
     from .messages import message_definition, type_store
 
     channels: dict[str, int] = {}

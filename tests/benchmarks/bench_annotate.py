@@ -42,7 +42,7 @@ what, log, out = sys.argv[1], Path(sys.argv[2]), Path(sys.argv[3])
 if what == "ingest":
     write_tidy_log(log, out, Settings())
 elif what == "read":
-    frames = read_recording(log, Settings()).frames
+    frames = read_recording(log, Settings()).cameras.frames
     assert sum(frame.source_ns > 0 for frame in frames())
 else:
     annotate_log(log, estimate(10.0), {}, out)

@@ -57,10 +57,3 @@ def test_tolerance_refuses_other_texts_than_percentages(text):
 def test_tolerance_refuses_an_ambiguous_number():
     with pytest.raises(UsageError, match="type --tolerance 5%"):
         parse_tolerance("5")
-
-
-def test_scores_of_an_earlier_version_are_refused(tmp_path) -> None:
-    path = tmp_path / "results.jsonl"
-    path.write_text('{"name": "run.mcap", "scores": {"joint_rmse": 0.01}}\n')
-    with pytest.raises(InputError, match="joint_rmse is called rmse/joint now"):
-        load_baseline(path)

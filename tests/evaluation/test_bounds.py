@@ -4,28 +4,6 @@ from bodylog.errors import BoundError, UsageError
 from bodylog.evaluation.bounds import check_bounds, parse_bound
 from bodylog.types import Score
 
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("joint_rmse>1", "rmse/joint>1"),
-        ("joint_rmse/elbow>1", "rmse/joint/elbow>1"),
-        ("nees/elbow<2", "nees/joint/elbow<2"),
-        ("error_squared/side/tip>=2", "nis/side/tip>=2"),
-        ("effector_turn_nees>1", "nees/effector_rotation>1"),
-        ("tip_rmse>3", "rmse/innovation/tip>3"),
-    ],
-)
-def test_parse_of_an_old_name_gives_the_new_one(old: str, new: str) -> None:
-    with pytest.raises(UsageError, match=f"type {new}$"):
-        parse_bound(old)
-
-
-@pytest.mark.parametrize("name", ["nees/*", "nis/tip", "rmse/joint", "fault/*/elbow"])
-def test_parse_does_not_confuse_other_names_with_old_ones(name: str) -> None:
-    assert parse_bound(f"{name}>1").name == name
-
-
 SCORES = {"run.mcap": (Score("rmse/joint", 0.03, "rad"), Score("nees/joint", float("nan"), ""))}
 
 

@@ -222,7 +222,7 @@ def test_read_is_the_same_in_three_containers():
     bag, rosbag2 = (read_recording(LOGS / "arm" / name, Settings()) for name in ("reach.bag", "reach_rosbag2"))
     assert (bag.start_ns, bag.duration_s) == (rosbag2.start_ns, rosbag2.duration_s)
     for role in ("joints", "skin", "truth"):
-        one, other = getattr(bag, role), getattr(rosbag2, role)
+        one, other = getattr(bag.signals, role), getattr(rosbag2.signals, role)
         np.testing.assert_array_equal(one.t, other.t)
         np.testing.assert_array_equal(one.values, other.values)
         assert (one.names, one.unit) == (other.names, other.unit)

@@ -34,9 +34,7 @@ METHODS: Mapping[str, Method] = {
     "ekf": Method(filtering.estimate_by_filter, Capabilities()),
     "kalman": Method(
         kalman.estimate_by_kalman_filter,
-        Capabilities(
-            moves=False, density=False, learns_noise=False, repairs=False, from_paper=True
-        ),
+        Capabilities(moves=False, density=False, repairs=False, from_paper=True),
         senses=frozenset({"encoders"}),
         heeds=frozenset(),
     ),

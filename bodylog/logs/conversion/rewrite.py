@@ -13,6 +13,7 @@ from ..mcap.chunks import MESSAGE_HEAD
 from ..mcap.encode import encode_attachment
 from ..mcap.reader import McapLog
 from ..mcap.records import HEAD
+from ..mcap.verification import verify_message_count
 from ..mcap.writer import Contents, McapRecordWriter
 from ..protocol import Log
 from ..records import Finding
@@ -39,7 +40,7 @@ def rewrite_sound_messages(path: Path, out: Path, limits: Input = LIMITS) -> tup
                 f"{path}: nothing in it can be saved; "
                 f"{log.findings[-1].text.removeprefix(f'{path}: ')}"
             )
-        _confirm_message_count(beside, written)
+        verify_message_count(beside, written, out)
         return log.findings
 
 
@@ -94,13 +95,3 @@ def _rewrite_other_log(log: Log, stream: BinaryIO) -> int:
             count += 1
     writer.finish()
     return count
-
-
-def _confirm_message_count(beside: Path, written: int) -> None:
-    with open_log(beside, strict=True) as log:
-        found = sum(len(batch.log_ns) for batch in log.batches())
-    if found != written:
-        raise LogError(
-            f"{beside}: {written} messages were written, {found} can be read back; is the "
-            "disk full?"
-        )

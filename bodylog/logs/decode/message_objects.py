@@ -1,6 +1,5 @@
 """Decode CDR and ROS 1 payloads to rosbags' message objects, one by one."""
 
-import struct
 from collections.abc import Callable
 from typing import Any
 
@@ -8,17 +7,8 @@ from ...errors import FormatError
 from ..records import Topic
 from .columns import definition_of, is_ros1, is_ros1_payload
 from .definitions import PRIMITIVES, TEXTS, Definition, Field
+from .ros1_to_cdr import ROSBAGS_ERRORS
 
-_TROUBLE = (
-    struct.error,
-    ValueError,
-    KeyError,
-    IndexError,
-    AssertionError,
-    TypeError,
-    AttributeError,
-)
-"""Exceptions of rosbags, besides its own, for a payload that contradicts its definition."""
 _TIMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
 
 Decode = Callable[[bytes], Any]
@@ -56,7 +46,7 @@ def _make_cdr_decoder(topic: Topic, definition: Definition) -> Decode:
     store = get_typestore(Stores.EMPTY)
     try:
         store.register(_rosbags_types(definition))
-    except (TypesysError, *_TROUBLE) as problem:
+    except (TypesysError, *ROSBAGS_ERRORS) as problem:
         raise FormatError(
             f"{topic.name}: the definition of {topic.type} cannot be read: {problem}"
         ) from None
@@ -91,7 +81,7 @@ def _wrap_read_errors(topic: Topic, store: Any) -> Decode:
     def read(payload: bytes) -> Any:
         try:
             return store.deserialize_cdr(payload, topic.type)
-        except (SerdeError, *_TROUBLE) as problem:
+        except (SerdeError, *ROSBAGS_ERRORS) as problem:
             raise FormatError(f"{topic.name}: {problem}") from None
 
     return read

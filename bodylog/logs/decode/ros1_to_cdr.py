@@ -16,7 +16,7 @@ _SMALL_CONSTANT = re.compile(r"^[ \t]*[\w/]+[ \t]+\w*[a-z]\w*[ \t]*=.*\n?", re.M
 it, ROS 2 and rosbags do not; it takes no bytes.
 """
 
-_TROUBLE = (
+ROSBAGS_ERRORS = (
     struct.error,
     ValueError,
     KeyError,
@@ -25,6 +25,7 @@ _TROUBLE = (
     TypeError,
     AttributeError,
 )
+"""Exceptions of rosbags, besides its own, for what contradicts its definition."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ class Converter:
 
         try:
             return self.store.ros1_to_cdr(payload, self.topic.type)  # type: ignore[no-any-return]
-        except (SerdeError, *_TROUBLE) as problem:
+        except (SerdeError, *ROSBAGS_ERRORS) as problem:
             raise FormatError(f"topic {self.topic.name}: {problem}") from None
 
     def convert_same_layout(self, rows: Array) -> tuple[Array, Array]:
@@ -96,7 +97,7 @@ def _ros2_typestore(topic: Topic, text: str) -> Any:
         types[_HEADER] = get_typestore(Stores.ROS2_HUMBLE).fielddefs[_HEADER]
         store.register(types)
         store.get_msgdef(topic.type)
-    except (TypesysError, *_TROUBLE) as problem:
+    except (TypesysError, *ROSBAGS_ERRORS) as problem:
         raise FormatError(
             f"topic {topic.name}: the definition of {topic.type} is invalid ({problem})"
         ) from None

@@ -8,14 +8,9 @@ import numpy as np
 from ...errors import FormatError
 from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
-from ..records import Array, Batch, Finding, Topic
-from ..storage.mmapped import (
-    advise_sequential,
-    check_untruncated,
-    drop_pages,
-    ensure_local,
-    map_file,
-)
+from ..mapped_log import MappedLog
+from ..records import Array, Batch, Topic
+from ..storage.mmapped import advise_sequential, drop_pages, ensure_local
 from ..storage.packed_files import decompress_messages
 from ..topics import TopicTable, log_time_span, split_by_topic_id
 from .chunks import (
@@ -34,7 +29,7 @@ from .time_ranges import spans_of
 from .uncompressed import group_uncompressed_chunks, read_uncompressed_run
 
 
-class McapLog:
+class McapLog(MappedLog):
     """One memory-mapped MCAP file; see protocol.Log."""
 
     format = "mcap"
@@ -47,17 +42,10 @@ class McapLog:
         """
         from .scan import survey_mcap
 
-        self.path = path
-        self._diagnostics = Diagnostics(path, strict, limits)
-        self._data = map_file(source or path)
+        super().__init__(path, strict, source, limits)
         self.survey = survey_mcap(self._data, self._diagnostics)
         self.topics, self._topic_of = _topics_by_channel(self.survey, self._diagnostics)
         self.start_ns, self.end_ns = log_time_span(self.survey.times, self._diagnostics)
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """Problems found so far; further reading may add to them."""
-        return self._diagnostics.findings
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all) in file
@@ -131,20 +119,6 @@ class McapLog:
         ):
             if found == opcode:
                 yield parse_record(opcode, self._data[at + HEAD.size : at + HEAD.size + length], at)
-
-    def close(self) -> None:
-        """Close the file; batches still held keep their bytes."""
-        self._data = memoryview(b"")
-
-    def __enter__(self) -> "McapLog":
-        """Return the log."""
-        return self
-
-    def __exit__(self, _kind: object, problem: BaseException | None, _trace: object) -> None:
-        """Close the file; LogError when it was truncated meanwhile."""
-        data = self._data
-        self.close()
-        check_untruncated(data, self.path, problem)
 
 
 def _may_hold_channels(part: Chunk | LooseRecords, wanted: frozenset[int] | None) -> bool:

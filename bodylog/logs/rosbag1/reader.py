@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from ..diagnostics import Diagnostics
 from ..limits import LIMITS, Input
-from ..records import Array, Batch, Finding, Topic
+from ..mapped_log import MappedLog
+from ..records import Array, Batch, Topic
 from ..storage.compression import Buffer
-from ..storage.mmapped import check_untruncated, drop_pages, map_file
+from ..storage.mmapped import drop_pages
 from ..topics import TopicTable, log_time_span, split_by_topic_id
 from .chunks import BagMessages, BagRun, list_bag_messages, load_bag_chunk, scan_messages
 from .survey import BagSurvey
 
 
-class BagLog:
+class BagLog(MappedLog):
     """One memory-mapped ROS 1 bag; see protocol.Log."""
 
     format = "bag"
@@ -30,17 +30,10 @@ class BagLog:
         """
         from .scan import survey_bag
 
-        self.path = path
-        self._diagnostics = Diagnostics(path, strict, limits)
-        self._data = map_file(source or path)
+        super().__init__(path, strict, source, limits)
         self._survey = survey_bag(self._data, self._diagnostics)
         self.topics, self._topic_of = _bag_topics(self._survey)
         self.start_ns, self.end_ns = log_time_span(self._survey.times, self._diagnostics)
-
-    @property
-    def findings(self) -> tuple[Finding, ...]:
-        """Problems found so far; further reading may add to them."""
-        return self._diagnostics.findings
 
     def batches(self, ids: Collection[int] | None = None) -> Iterator[Batch]:
         """Messages of the topics `ids` (None: all) in
@@ -72,20 +65,6 @@ class BagLog:
     def spans(self) -> dict[int, tuple[int, int]]:
         """Empty: a bag's indexes give the times of chunks, not of topics."""
         return {}
-
-    def close(self) -> None:
-        """Close the file; batches still held keep their bytes."""
-        self._data = memoryview(b"")
-
-    def __enter__(self) -> "BagLog":
-        """Return the log."""
-        return self
-
-    def __exit__(self, _kind: object, problem: BaseException | None, _trace: object) -> None:
-        """Close the file; LogError when it was truncated meanwhile."""
-        data = self._data
-        self.close()
-        check_untruncated(data, self.path, problem)
 
 
 def _bag_topics(survey: BagSurvey) -> tuple[tuple[Topic, ...], dict[int, int]]:

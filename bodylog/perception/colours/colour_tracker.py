@@ -2,15 +2,16 @@
 of all images, and which other colours were seen.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from itertools import islice
 
 import numpy as np
 
 from ...errors import InputError
+from ...logs.protocol import Progress
 from ...settings import Colour
-from ...types import Array, ConsumedFrames, Finding, Health, LazyImage, Series
+from ...types import Array, ConsumedFrames, Finding, Frames, Health, LazyImage, Series
 from ..tracking import target_selection
 from ..tracking.contract import Tracker
 from ..tracking.frame_search import FrameSearcher, SearchedFrames
@@ -31,7 +32,7 @@ Tracks = tuple[dict[str, Series], dict[str, Health], tuple[Finding, ...]]
 
 def colour_searcher(
     colours: Mapping[str, Colour],
-    progress: Callable[[int], None] | None,
+    progress: Progress | None,
     fast: bool,
     trackers: Sequence[Tracker] = (),
 ) -> FrameSearcher:
@@ -45,9 +46,9 @@ def colour_searcher(
 
 
 def search_colours(
-    frames: Callable[[], Iterator[LazyImage]],
+    frames: Frames,
     colours: Mapping[str, Colour],
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     fast: bool = False,
     trackers: Sequence[Tracker] = (),
 ) -> SearchedFrames:
@@ -64,9 +65,9 @@ def search_colours(
 
 
 def track_colours(
-    frames: Callable[[], Iterator[LazyImage]],
+    frames: Frames,
     colours: Mapping[str, Colour],
-    progress: Callable[[int], None] | None = None,
+    progress: Progress | None = None,
     fast: bool = False,
 ) -> Tracks:
     """The `colour_tracks` of a `search_colours`."""
@@ -75,7 +76,7 @@ def track_colours(
 
 def colour_tracks(
     seen: SearchedFrames,
-    frames: Callable[[], Iterator[LazyImage]],
+    frames: Frames,
     colours: Mapping[str, Colour],
     joints: Series | None = None,
 ) -> Tracks:
@@ -122,12 +123,7 @@ def colour_tracks(
 
 
 def _choose_target(
-    t: Array,
-    found: Array,
-    width: float,
-    frames: Callable[[], Iterator[LazyImage]],
-    colour: HsvRange,
-    joints: Series | None,
+    t: Array, found: Array, width: float, frames: Frames, colour: HsvRange, joints: Series | None
 ) -> tuple[Array, Array]:
     """u, v, std_u, std_v (N,4) px of the target among
     blobs found (N,PLACES,FIELDS), and why not (N,) str.

@@ -2,13 +2,13 @@
 always compared with the first, and found again.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 
 from ...errors import EvidenceError, InputError
 from ...sources import PointSource
-from ...types import Array, LazyImage
+from ...types import Array, Frames
 from ..colours.coarse_search import convert_to_gray
 from ..tracking.contract import HIDDEN, UNDECODABLE, Tracked
 from . import patch
@@ -34,9 +34,7 @@ RIVAL = "two candidates"
 
 
 def track_points(
-    frames: Callable[[], Iterator[LazyImage]],
-    points: Mapping[str, PointSource],
-    where: str = "image",
+    frames: Frames, points: Mapping[str, PointSource], where: str = "image"
 ) -> list[Tracked]:
     """Track each point through all frames, which are read
     twice; EvidenceError where one cannot be tracked.
@@ -175,9 +173,7 @@ def _best_matches(image: Array, shown: Array) -> tuple[Array, Array]:
     return np.array(places), np.array(values)
 
 
-def _patch_about_point(
-    frames: Callable[[], Iterator[LazyImage]], point: PointSource, key: str
-) -> tuple[Patch, Array]:
+def _patch_about_point(frames: Frames, point: PointSource, key: str) -> tuple[Patch, Array]:
     """The patch about a point in the frame nearest its time."""
     frame = min(frames(), key=lambda frame: abs(frame.t - point.at), default=None)
     if frame is None or abs(frame.t - point.at) > _LATE:

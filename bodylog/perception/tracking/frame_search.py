@@ -3,7 +3,7 @@ few images in order, searches them and frees them.
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from threading import Condition
@@ -12,6 +12,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from ...errors import InputError
+from ...logs.protocol import Progress
 from ...runtime.blas_threads import lower_priority, one_opencv
 from ...types import Array, ConsumedFrames, LazyImage
 from ..colours import blob_measurement as blobs
@@ -72,7 +73,7 @@ class FrameSearcher:
     def __init__(
         self,
         ranges: Sequence[HsvRange],
-        progress: Callable[[int], None] | None,
+        progress: Progress | None,
         fast: bool,
         threads: int,
         trackers: Sequence[Tracker] = (),

@@ -4,7 +4,7 @@ on images, the belief with its band, errors, events.
 The timeline is `message_log_time`, as of Rerun's messages from an MCAP.
 """
 
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 
 from ...errors import FormatError
 from ...overlay_style import BELIEF, PREDICTED, TRUTH, ellipse_corners, measurement_ink
-from ...types import Array, Estimate, Features, LazyImage, Series
+from ...types import Array, Estimate, Features, Frames, LazyImage, Series
 
 ROOT = "bodylog"
 """Root entity beside the log's own topics; joints are below /bodylog/belief and /bodylog/errors."""
@@ -39,7 +39,7 @@ class RerunCamera:
 
     topic: str
     frame_id: str
-    frames: Callable[[], Iterator[LazyImage]] | None = None
+    frames: Frames | None = None
 
     @property
     def entity(self) -> str:
