@@ -53,7 +53,6 @@ LAYERS = (
     {"dataset"},
     {"batch", "experiments"},
 )
-STAGES = {"annotating", "body", "estimation", "evaluation", "logs", "perception", "recording", "report", "sim"}
 PAGE = (ROOT / "docs" / "architecture.md").read_text()
 
 

@@ -4,6 +4,7 @@ import ast
 import re
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -43,18 +44,24 @@ def _called(node):
     return getattr(node.func, "attr", getattr(node.func, "id", ""))
 
 
+@cache
+def _modules_of(path):
+    """What a file imports, wherever in it."""
+    modules = set()
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            modules |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            modules.add(node.module.split(".")[0])
+        elif isinstance(node, ast.Call) and _called(node) in ("import_module", "importorskip", "require_module"):
+            modules |= {arg.value.split(".")[0] for arg in node.args[:1] if isinstance(arg, ast.Constant)}
+    return modules
+
+
 def _imported(*folders):
     """Distributions of what the files of these folders import, wherever in a file."""
-    modules = set()
-    for path in (path for folder in folders for path in (ROOT / folder).rglob("*.py")):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.Import):
-                modules |= {alias.name.split(".")[0] for alias in node.names}
-            elif isinstance(node, ast.ImportFrom) and not node.level:
-                modules.add(node.module.split(".")[0])
-            elif isinstance(node, ast.Call) and _called(node) in ("import_module", "importorskip", "require_module"):
-                modules |= {arg.value.split(".")[0] for arg in node.args[:1] if isinstance(arg, ast.Constant)}
-    third = modules - set(sys.stdlib_module_names) - OURS
+    paths = (path for folder in folders for path in (ROOT / folder).rglob("*.py"))
+    third = set().union(*map(_modules_of, paths)) - set(sys.stdlib_module_names) - OURS
     return {DISTRIBUTIONS.get(module, module) for module in third}
 
 

@@ -38,6 +38,7 @@ def annotate_log(
     topics are kept. Topics of an earlier run are replaced. Findings name topics not carried over
     whole. UsageError if `out` is the source, LogError if the copy fails verification.
     """
+    guard_outputs([source], [Output(out)])
     with open_annotation(source, out, whole=only is None) as under_way:
         findings = under_way.add(outgoing, only)
         under_way.about(metadata)
@@ -48,12 +49,11 @@ def annotate_log(
 def open_annotation(
     source: Path, out: Path, whole: bool = True, limits: Input = LIMITS
 ) -> Iterator["Annotation"]:
-    """`annotate_log` in steps: the source is read and,
-    if unchanged, copied while the messages are made.
+    """`annotate_log` in steps: the source is read and, if unchanged, copied while the messages are
+    made. `out` must not be the source.
 
     Call `add` and `about` once each. An exception leaves no `out`.
     """
-    guard_outputs([source], [Output(out)])
     with replace_atomically(out) as beside:
         base = _find_reusable_prefix(source) if whole else None
         with Copy(source) if base is None else Copy(source, beside, base.end) as copy:

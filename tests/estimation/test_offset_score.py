@@ -1,7 +1,7 @@
 """The score test for offsets, against the evidence of the filter with an offset."""
 
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from bodylog.estimation.faults.offset_score import _score_offsets, offset_score
 from bodylog.estimation.inference.gauss_newton import solve_by_gauss_newton
 from bodylog.estimation.methods import filtering
 from bodylog.settings import EstimationSettings, Settings
+from tests.estimation.conftest import draw
 from tests.seeds import seeds
 
 WALK = encoder_offset.RANDOM_WALKS[0]
@@ -61,13 +62,16 @@ def test_offset_score_without_images_is_zero(world):
     assert not offset_score(problem, found, WALK)[0].any()
 
 
-@pytest.fixture
-def learned(world):
+@cache
+def body_of_images(seed):
     """A body learned from images, with model error."""
-    explored = world(
-        1, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3
-    )
+    explored = draw(seed, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
     return body.learn_body([explored.features], Settings(), {}).model
+
+
+@pytest.fixture
+def learned():
+    return body_of_images(1)
 
 
 def _never(*_, **__):
@@ -166,10 +170,7 @@ def test_encoder_step_leaves_the_filters_error_as_it_is_without(world, seed):
 )
 @pytest.mark.parametrize("method", ["laplace", "smoother"])
 def test_large_encoder_step_is_a_step_and_no_drift(world, seed, method):
-    explored = world(
-        5000 + seed, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3
-    )
-    model, drawn = body.learn_body([explored.features], Settings(), {}).model, world(7000 + seed)
+    model, drawn = body_of_images(5000 + seed), world(7000 + seed)
     found = estimate_from_features(lying(drawn, 0.3), model, EstimationSettings(method=method))
     assert [(fault.name, fault.kind) for fault in found.faults] == [("pan", "jumping")]
     assert error(found, drawn) < {"laplace": 0.0075, "smoother": 0.004}[method]
@@ -178,9 +179,6 @@ def test_large_encoder_step_is_a_step_and_no_drift(world, seed, method):
 @pytest.mark.parametrize(("size", "silence"), [(0.1, 2.0), (0.1, 5.0), (1.0, 0.2)])
 @pytest.mark.parametrize("seed", seeds(1, 6))
 def test_step_after_a_silence_of_all_encoders_is_named(world, seed, size, silence):
-    explored = world(
-        5000, duration=40.0, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3
-    )
     drawn = world(9000 + seed, encoder_std=0.005)
     features = lying(drawn, size)
     read = (features.joints.t < 8.0) | (features.joints.t >= 8.0 + silence)
@@ -191,9 +189,7 @@ def test_step_after_a_silence_of_all_encoders_is_named(world, seed, size, silenc
     features = replace(
         features, joints=replace(features.joints, t=t, values=values, source_ns=source_ns)
     )
-    found = estimate_from_features(
-        features, body.learn_body([explored.features], Settings(), {}).model, EstimationSettings()
-    )
+    found = estimate_from_features(features, body_of_images(5000), EstimationSettings())
     assert [fault.name for fault in found.faults] == ["pan"]
     assert found.faults[0].size == pytest.approx(size, abs=0.01)
     assert error(found, drawn, since=8.0 + silence) < 0.006

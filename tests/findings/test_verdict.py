@@ -64,9 +64,9 @@ def test_a_moved_board_has_the_displacement_of_its_centre_and_its_turn() -> None
 
 def test_words_of_a_fault_stand_in_one_table(monkeypatch: pytest.MonkeyPatch) -> None:
     kind = ("encoders", FaultKind.FROZEN)
-    monkeypatch.setitem(FORMS, kind, FORMS[kind]._replace(words="encoder rests {since}"))
+    monkeypatch.setitem(FORMS, kind, FORMS[kind]._replace(words="encoder sleeps {since}"))
     fault = Fault("encoders", JOINTS[0], FaultKind.FROZEN, 5.0, 0.0, "rad")
-    assert verdict_of_estimate(replace(SOUND, faults=(fault,)), ())[0] == f"{JOINTS[0]}: encoder rests since 5.0 s"
+    assert verdict_of_estimate(replace(SOUND, faults=(fault,)), ())[0] == f"{JOINTS[0]}: encoder sleeps since 5.0 s"
 
 
 def test_verdict_admits_ambiguity_between_two_joints() -> None:

@@ -97,7 +97,6 @@ def rosbag2(version: int, storage: StoragePlugin, mode: CompressionMode = Compre
 
 NOTHING_REPEATED = {"repeat_channels": False, "repeat_schemas": False, "use_statistics": False,
                     "use_summary_offsets": False}  # fmt: skip
-ONE_SCHEMA = (StoragePlugin.SQLITE3, StoragePlugin.MCAP)
 SITUATIONS: dict[str, tuple[str, Write]] = {
     **{f"mcap {kind.name.lower()}": ("ros2", mcap(compression=kind)) for kind in CompressionType},
     **{f"mcap of ros1 {kind.name.lower()}": ("ros1", mcap("ros1", compression=kind)) for kind in CompressionType},

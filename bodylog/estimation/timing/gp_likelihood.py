@@ -37,13 +37,13 @@ def measure_delay_by_likelihood(
         if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None
     ]
 
-    def step_at(late: float) -> tuple[float, float, None] | None:
+    def likelihood_step(late: float) -> tuple[float, float, None] | None:
         parts = [_delay_sums(curve, mean, cov, late) for curve, mean, cov in curves]
         # tracks beside the same encoders have correlated errors
         pull, weight = np.sum(parts, axis=0) / len(parts) if parts else (0.0, 0.0)
         return None if weight <= 0.0 else (-float(pull / weight), weight**-0.5, None)
 
-    found = climb_profile(step_at)
+    found = climb_profile(likelihood_step)
     return None if found is None else found[0]
 
 

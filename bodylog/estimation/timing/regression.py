@@ -67,7 +67,9 @@ def _regress_delay(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay,
         if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None
     ]
 
-    def step_at(late: float) -> tuple[float, float, tuple[RegressionRows, Array, Array]] | None:
+    def regression_step(
+        late: float,
+    ) -> tuple[float, float, tuple[RegressionRows, Array, Array]] | None:
         each = [regression_rows(curve, late) for curve in curves]
         if sum(len(one.t) for one in each) < MIN_READINGS:
             return None
@@ -83,17 +85,17 @@ def _regress_delay(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay,
         own = np.sqrt(spread * _pull_variance(rows, weight[:, None] * (rows.slopes @ lean)))
         return step, float(own), (rows, weight, lean)
 
-    found = climb_profile(step_at)
+    found = climb_profile(regression_step)
     if found is None:
         return None
     delay, (rows, weight, lean) = found
     information = np.square(rows.slopes @ lean).sum(axis=1)
     parts = isqrt(min(len(curve.t) for curve in curves))
-    error = max(delay.std_error, _jackknife_error(rows, weight, parts))
+    error = max(delay.std_error, _error_of_parts(rows, weight, parts))
     return Delay(delay.seconds, error), float(weight @ information / information.sum())
 
 
-def _jackknife_error(rows: RegressionRows, weight: Array, parts: int) -> float:
+def _error_of_parts(rows: RegressionRows, weight: Array, parts: int) -> float:
     """Standard error (s) of the delay by a jackknife over parts of the log."""
     bounds = np.linspace(0, len(rows.t), parts + 1).astype(int)
     sums = [
