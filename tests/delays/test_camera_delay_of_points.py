@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog import pipeline
+from bodylog import Estimator, pipeline
 from bodylog.body.kinematic.placements import calibration_of_body
 from bodylog.delays.camera_delay import learn_with_delays
 from bodylog.delays.tracker_delay import measure_tracker_delays
+from bodylog.errors import UsageError
 from bodylog.kinematics.rotations import make_transform, rotation_from_vector
 from bodylog.settings import Settings
 from bodylog.types import Features, Series
@@ -87,3 +88,20 @@ def test_points_alone_tell_the_posture_that_they_determine(learned):
     off = (found.joints.values[:, m] - truth)[rows]
     assert np.sqrt(np.mean(off**2)) < 0.003
     assert np.mean(off**2 / found.cov[rows, m, m]) < 3.0
+
+
+def test_live_filter_takes_points_in_metres(learned):
+    log = moving_arm(8)
+    track = log.tracks["tracker/ball"]
+    live = Estimator(learned.model)
+    belief = None
+    for k in range(100):
+        live.step(float(log.joints.t[k]), log.joints.values[k])
+    for k in range(len(track.t)):
+        if track.t[k] < log.joints.t[99]:
+            belief = live.step(float(track.t[k]), **{"tracker/ball": tuple(track.values[k] / 1e3)})
+    assert belief is not None and "tracker/ball" in belief.errors
+    truth = [np.interp(belief.t, log.joints.t, column) for column in log.joints.values.T]
+    np.testing.assert_allclose(belief.x, truth, atol=0.003)
+    with pytest.raises(UsageError, match=r"\(x, y, z\) or \(x, y, z, std_x, std_y, std_z\) in m"):
+        live.step(3.0, **{"tracker/ball": (1.0, 2.0)})
