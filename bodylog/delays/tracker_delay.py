@@ -5,6 +5,7 @@ kinematics cannot. Points at t − τ are predicted by h(q(t), θ) + J q̇ τ to
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -40,6 +41,7 @@ def measure_tracker_delays(
     a rig does not explain their points, or does not settle.
     """
     from ..body.data.pairs import has_moved, smooth_all_joints
+    from ..body.data.trainable import FEWEST
     from ..body.kinematic.learn import find_links_given, still_joint_angles, track_of_sightings
     from ..body.kinematic.sightings import gather_sightings
     from ..estimation.measurements.gather import camera_of_track
@@ -53,6 +55,10 @@ def measure_tracker_delays(
     if len(moving) < len(joints):
         return [{} for _ in features]
     parts = gather_sightings(features, tracks, joints, 1, MOST_POINTS)
+    tracks = [name for name, part in parts.items() if len(part.whole.x) >= FEWEST]
+    if not tracks:
+        return [{} for _ in features]
+    parts = {name: parts[name] for name in tracks}
     seen = {name: track_of_sightings(name, one) for name, one in parts.items()}
     held = still_joint_angles(features, moving)
     found = find_links_given(robot, moving, held, seen, robot.hints).calibrated
@@ -61,7 +67,7 @@ def measure_tracker_delays(
         timely = [correction.shift_features(f, d) for f, d in zip(features, late, strict=True)]
         parts = gather_sightings(timely, tracks, joints, 1, MOST_POINTS)
         system = _DelaySystem(found.rig, list(parts.values()), joints, names, len(features))
-        step, error = system.solve(theta)
+        step, error = system.solve_step(theta)
         theta = theta + step[: len(theta)]
         steps = step[len(theta) :].reshape(len(features), len(names))
         for delays, own in zip(late, steps.tolist(), strict=True):
@@ -81,38 +87,32 @@ def measure_tracker_delays(
     return [{} for _ in features]
 
 
+@dataclass(frozen=True, eq=False)
 class _DelaySystem:
-    """Normal equations of a rig's unknowns and of each log's delays of each tracker."""
+    """Normal equations of a rig's unknowns and of each log's delays of the trackers `names` (K,).
 
-    def __init__(
-        self,
-        rig: "Rig",
-        parts: "Sequence[ThingSightings]",
-        joints: "Sequence[SmoothedJoint]",
-        names: Sequence[str],
-        logs: int,
-    ) -> None:
-        """Sightings of each sight of the rig, in its order."""
-        self.rig = rig
-        self.parts = parts
-        self.joints = joints
-        self.names = list(names)
-        self.logs = logs
+    parts: sightings of each sight of the rig, in its order · logs: how many there are (L).
+    """
 
-    def solve(self, theta: Array) -> tuple[Array, Array]:
+    rig: "Rig"
+    parts: "Sequence[ThingSightings]"
+    joints: "Sequence[SmoothedJoint]"
+    names: Sequence[str]
+    logs: int
+
+    def solve_step(self, theta: Array) -> tuple[Array, Array]:
         """A step (P+LK,) of θ and of the delays, and the standard errors (L,K) of these."""
         mean, std = self.rig.prior
         size = len(theta)
         count = size + self.logs * len(self.names)
-        blocks = [self._products(k, theta, count) for k in range(len(self.parts))]
-        shares = np.concatenate([own for own, _ in blocks])
-        pulls = np.concatenate([pull for _, pull in blocks])
+        blocks = [self._sum_by_stretch(k, theta, count) for k in range(len(self.parts))]
+        shares, pulls = (np.sum(part, axis=0) for part in zip(*blocks, strict=True))
         matrix = shares.sum(axis=0)
         pull = pulls.sum(axis=0)
         prior = np.zeros(count)
         prior[:size] = std**-2.0
         # a log without points of a tracker says nothing of its delay
-        prior[size:] = np.where(np.diag(matrix)[size:] > 0.0, 0.0, 1.0)
+        prior[size:] = MAX_DELAY_S**-2.0
         pull[:size] += (mean - theta) / std**2
         scale = 1.0 / np.sqrt(np.diag(matrix) + prior)
         whole = (matrix + np.diag(prior)) * scale * scale[:, None]
@@ -124,7 +124,7 @@ class _DelaySystem:
         error = np.sqrt(np.square(moved[:, size:]).sum(axis=0) * (groups - 1) / groups)
         return step, error.reshape(self.logs, len(self.names))
 
-    def _products(self, index: int, theta: Array, count: int) -> tuple[Array, Array]:
+    def _sum_by_stretch(self, index: int, theta: Array, count: int) -> tuple[Array, Array]:
         """Shares (G,P,P) and (G,P) of the stretches of the logs in the normal equations."""
         part = self.parts[index]
         whole = part.whole
@@ -145,7 +145,7 @@ class _DelaySystem:
         group = np.zeros(len(whole.t), np.int64)
         for log in np.unique(whole.log):
             rows = np.flatnonzero(whole.log == log)
-            # as many points in each stretch: they are in order of time
+            rows = rows[np.argsort(whole.t[rows], kind="stable")]
             group[rows] = log * STRETCHES + np.arange(len(rows)) * STRETCHES // len(rows)
         shares = np.zeros((self.logs * STRETCHES, count, count))
         pulls = np.zeros((self.logs * STRETCHES, count))

@@ -50,6 +50,8 @@ def test_each_log_has_its_own_delay():
     for delays, true in zip(found, (LATE_S, 0.0), strict=False):
         assert abs(delays["tracker"].seconds - true) < 4.0 * delays["tracker"].std_error < 0.001
     assert found[2] == {}
+    hidden = points_series(late.tracks["tracker/ball"].t, np.full((len(late.tracks["tracker/ball"].t), 3), np.nan))
+    assert measure_tracker_delays([replace(late, tracks={"tracker/ball": hidden})], Settings(), given(), ["tracker"]) == [{}]
 
 
 @pytest.fixture(scope="module")
