@@ -103,8 +103,8 @@ def _sights_to_add(log: Path, read: Recording) -> str:
         return ""
     if read.signals.poses:
         return (
-            ": add columns NAME_u and NAME_v (px) of a marker, or of names of image files beside "
-            "the table"
+            ": add columns NAME_u and NAME_v (px) of a marker, NAME_x, NAME_y and NAME_z (m) of a "
+            "point in space, or of names of image files beside the table"
         )
     if packed := next((topic.name for topic in read.facts.topics if is_packets(topic)), None):
         return f"; {packed} holds {PACKETS}"

@@ -126,7 +126,7 @@ def read_estimate(path: Path, start_ns: int | None = None) -> Estimate:
         faults=table.faults(),
         findings=stored.findings,
         effector=table.effector(),
-        kinematic=table.kinematic(),
+        kinematic=table.kinematic_predictions(),
         can=stored.can,
     )
 
@@ -238,7 +238,7 @@ class _Table:
             cov[name][:, right, above] = between
         return series, cov
 
-    def kinematic(self) -> dict[str, Series]:
+    def kinematic_predictions(self) -> dict[str, Series]:
         """Predictions of kinematics alone (K,2) px or (K,3) mm."""
         found = self.under(KINEMATIC, "")
         for name, series in found.items():

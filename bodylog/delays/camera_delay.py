@@ -26,7 +26,7 @@ correction; above it, the delay was the arm's shape.
 """
 
 COARSE_NOISE_SHARE = 0.005
-"""Noise of points in space, over their motion, with which a delay is measured first: that of images.
+"""Noise of points in space, over their motion, with which a delay is measured first without a URDF.
 
 A process that knows points to a thousandth of their motion takes their lateness for the arm's
 shape: of 40 ms it finds 6. With 0.003, 0.01 and 0.03 it finds 39.5, 40.0 and 40.1.
@@ -72,7 +72,17 @@ def learn_with_delays(
         return body.with_kinematics(features, settings, found, robot, known)
     cameras = correction.list_track_cameras([name for found in features for name in found.tracks])
     fixed = correction.fixed_delays(settings.time.delay, cameras)
-    turn = _alternate_until_converged(features, settings, provenance, known, keep, fixed)
+    measured = _measure_trackers(features, settings, robot, fixed)
+    fixed_here = {**fixed, **{name: 0.0 for delays in measured for name in delays}}
+    tracked = [
+        {name: one for name, one in delays.items() if correction.is_significant(one)}
+        for delays in measured
+    ]
+    features = [
+        correction.shift_features(found, {name: one.seconds for name, one in delays.items()})
+        for found, delays in zip(features, tracked, strict=True)
+    ]
+    turn = _alternate_until_converged(features, settings, provenance, known, keep, fixed_here)
     timely = [
         correction.shift_features(found, delays)
         for found, delays in zip(features, turn.late, strict=True)
@@ -82,8 +92,54 @@ def learn_with_delays(
     )
     # a late camera makes its tracks vague: the finding on the delay says so
     learned = replace(turn.found, vague={}) if still_late else turn.found
+    learned = _with_tracker_delays(learned, tracked)
     found = body.with_kinematics(timely, settings, learned, robot, known)
-    return replace(found, findings=(*_delay_findings(turn, fixed), *found.findings))
+    findings = (*_tracker_findings(tracked), *_delay_findings(turn, fixed))
+    return replace(found, findings=(*findings, *found.findings))
+
+
+def _measure_trackers(
+    features: Sequence[Features], settings: Settings, robot: "Robotics | None", fixed: Delays
+) -> "list[dict[str, Delay]]":
+    """Delays of trackers in each log, by kinematics; none without a URDF."""
+    from ..estimation.measurements.gather import camera_of_track
+    from .tracker_delay import measure_tracker_delays
+
+    tracks = [(name, one.unit) for found in features for name, one in found.tracks.items()]
+    names = dict.fromkeys(camera_of_track(name) for name, unit in tracks if unit == "mm")
+    free = [name for name in names if name not in fixed]
+    if robot is None or not free:
+        return [{} for _ in features]
+    return measure_tracker_delays(features, settings, robot, free)
+
+
+def _with_tracker_delays(
+    found: "LearnedBody", tracked: "Sequence[Mapping[str, Delay]]"
+) -> "LearnedBody":
+    """The body with each tracker's delay of the log with the smallest error."""
+    surest: dict[str, Delay] = {}
+    for delays in tracked:
+        for name, one in delays.items():
+            if name not in surest or one.std_error < surest[name].std_error:
+                surest[name] = one
+    if not surest:
+        return found
+    known = found.model.provenance.get("delay", {})
+    late = {**known, **{name: round(one.seconds, 6) for name, one in surest.items()}}
+    model = replace(found.model, provenance={**found.model.provenance, "delay": late})
+    return replace(found, model=model)
+
+
+def _tracker_findings(tracked: "Sequence[Mapping[str, Delay]]") -> Iterator[Finding]:
+    """Yield a remark on each tracker's delay in each log."""
+    from ..estimation.timing import correction
+
+    for k, delays in enumerate(tracked):
+        late = {name: one.seconds for name, one in delays.items()}
+        errors = {name: one.std_error for name, one in delays.items()}
+        for finding in correction.delay_findings(late, errors, {}, {}):
+            log = f"log {k + 1}: " if len(tracked) > 1 else ""
+            yield replace(finding, text=f"{log}{finding.text}")
 
 
 def measure_log_delays(

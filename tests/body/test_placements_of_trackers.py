@@ -151,6 +151,15 @@ def test_points_that_no_joint_moves_are_refused(arm):
     assert any(one.text.startswith("tracker/rock: left out") and " mm " in one.text for one in found.findings)
 
 
+def test_points_that_a_controller_computed_are_doubted(arm, learned):
+    """Forward kinematics of the readings themselves agree with them as no tracker does."""
+    q = arm.features.joints.values
+    computed = points_series(arm.features.joints.t, measure_points(q, arm.tools[0], np.eye(4)))
+    found = learn(replace(arm.features, tracks={"tracker/tcp": computed}))
+    assert any("more exactly than trackers measure" in one.text for one in found.findings)
+    assert not any("more exactly" in one.text for one in learned.findings)
+
+
 def test_kinematic_scores_are_in_mm(learned):
     units = {score.unit for score in learned.scores if score.name.startswith(("rmse/", "std/noise/tracker"))}
     assert units == {"mm"}

@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog import pipeline
+from bodylog import Estimator, pipeline
 from bodylog.body.kinematic.placements import calibration_of_body
 from bodylog.delays.camera_delay import learn_with_delays
+from bodylog.delays.tracker_delay import measure_tracker_delays
+from bodylog.errors import UsageError
 from bodylog.kinematics.rotations import make_transform, rotation_from_vector
 from bodylog.settings import Settings
 from bodylog.types import Features, Series
@@ -39,6 +41,19 @@ def moving_arm(seed: int, offset=(0.0, 0.0, 0.0, 0.0), shift_m: float = 0.0) -> 
     return Features(joints, {"tracker/ball": points_series(at + LATE_S, points)}, None, (), (), {})
 
 
+def test_each_log_has_its_own_delay():
+    """Two logs of the same arm, one of them on time; a third without points says nothing."""
+    late, timely = moving_arm(6), moving_arm(7)
+    tracks = {name: replace(one, t=one.t - LATE_S) for name, one in timely.tracks.items()}
+    logs = [late, replace(timely, tracks=tracks), replace(timely, tracks={})]
+    found = measure_tracker_delays(logs, Settings(), given(), ["tracker"])
+    for delays, true in zip(found, (LATE_S, 0.0), strict=False):
+        assert abs(delays["tracker"].seconds - true) < 4.0 * delays["tracker"].std_error < 0.001
+    assert found[2] == {}
+    hidden = points_series(late.tracks["tracker/ball"].t, np.full((len(late.tracks["tracker/ball"].t), 3), np.nan))
+    assert measure_tracker_delays([replace(late, tracks={"tracker/ball": hidden})], Settings(), given(), ["tracker"]) == [{}]
+
+
 @pytest.fixture(scope="module")
 def learned():
     return learn_with_delays([moving_arm(1)], Settings(), {}, None, given())
@@ -57,10 +72,10 @@ def test_other_logs_are_judged_by_points(learned):
     turned = pipeline.infer(moving_arm(3, (0.0, np.radians(1.0), 0.0, 0.0)), learned.model, Settings())
     (fault,) = turned.faults
     assert (fault.name, fault.sense) == ("lift", "encoders") and abs(fault.size) == pytest.approx(np.radians(1.0), rel=0.05)
-    moved = pipeline.infer(moving_arm(4, shift_m=0.02), learned.model, Settings())
+    moved = pipeline.infer(moving_arm(4, shift_m=0.005), learned.model, Settings())
     (fault,) = moved.faults
     assert (fault.name, fault.kind, fault.unit) == ("tracker", "displaced", "mm")
-    assert fault.size == pytest.approx(20.0, abs=4.0 * fault.std) and fault.since == pytest.approx(END_S / 2, abs=0.2)
+    assert fault.size == pytest.approx(5.0, abs=4.0 * fault.std) and fault.since == pytest.approx(END_S / 2, abs=0.2)
 
 
 def test_points_alone_tell_the_posture_that_they_determine(learned):
@@ -75,3 +90,20 @@ def test_points_alone_tell_the_posture_that_they_determine(learned):
     off = (found.joints.values[:, m] - truth)[rows]
     assert np.sqrt(np.mean(off**2)) < 0.003
     assert np.mean(off**2 / found.cov[rows, m, m]) < 3.0
+
+
+def test_live_filter_takes_points_in_metres(learned):
+    log = moving_arm(8)
+    track = log.tracks["tracker/ball"]
+    live = Estimator(learned.model)
+    belief = None
+    for k in range(100):
+        live.step(float(log.joints.t[k]), log.joints.values[k])
+    for k in range(len(track.t)):
+        if track.t[k] < log.joints.t[99]:
+            belief = live.step(float(track.t[k]), **{"tracker/ball": tuple(track.values[k] / 1e3)})
+    assert belief is not None and "tracker/ball" in belief.errors
+    truth = [np.interp(belief.t, log.joints.t, column) for column in log.joints.values.T]
+    np.testing.assert_allclose(belief.x, truth, atol=0.003)
+    with pytest.raises(UsageError, match=r"\(x, y, z\) or \(x, y, z, std_x, std_y, std_z\) in m"):
+        live.step(3.0, **{"tracker/ball": (1.0, 2.0)})

@@ -91,7 +91,7 @@ def learn_kinematics(
     left_out = dict[str, str]()
     for _ in range(len(parts)):
         seen = {name: track_of_sightings(name, one) for name, one in parts.items()}
-        links = _find_links_given(given, names, held, seen, given.hints)
+        links = find_links_given(given, names, held, seen, given.hints)
         links, moves = find_moves(links, parts, found.joints, settings.fit.seed)
         if (
             any(find_unexplained_tracks(links, parts))
@@ -132,7 +132,7 @@ def _linked_by_one_log(
     log = int(np.argmax(np.bincount(numbers)))
     alone = {name: one.rows(np.flatnonzero(one.whole.log == log)) for name, one in parts.items()}
     first = {name: track_of_sightings(name, one) for name, one in alone.items() if len(one.whole.x)}
-    found = _find_links_given(given, names, held, first, given.hints)
+    found = find_links_given(given, names, held, first, given.hints)
     rig = found.calibrated.rig
     hints = dict(given.hints)
     carried = dict[str, str]()
@@ -143,10 +143,10 @@ def _linked_by_one_log(
         )
         carried[one.marker] = rig.carriers[sight.carrier].link
     seen = {name: track_of_sightings(name, one) for name, one in parts.items()}
-    return _find_links_given(given, names, held, seen, hints, carried)
+    return find_links_given(given, names, held, seen, hints, carried)
 
 
-def _find_links_given(
+def find_links_given(
     given: Robotics,
     names: Sequence[str],
     held: Mapping[str, float],

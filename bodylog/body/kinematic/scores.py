@@ -7,7 +7,7 @@ import numpy as np
 
 from ...kinematics.identifiability import Offset, describe_unidentified
 from ...kinematics.links import FoundLinks
-from ...kinematics.rig import Rig
+from ...kinematics.rig import SPACE, Rig
 from ...types import Finding, Score
 from ..data.pairs import Pairs, SmoothedJoint, correlate_angle_errors
 from ..gp.fit import Coupling
@@ -17,6 +17,9 @@ from .explicit import hold_out_blocks, solve_linear_unknowns
 from .model import KinematicGP
 from .residuals import MOST, ResidualPart, Together, linearise_residuals, spread_of
 from .sightings import ThingSightings, average_points
+
+COMPUTED_MM = 0.005
+"""Laser trackers measure to some 0.01 mm, and arms repeat to as much at best."""
 
 
 def kinematics_gain_nats(
@@ -120,6 +123,11 @@ def kinematic_findings(
         yield Finding(
             "info", f"{sight.name.strip('/')}: {word} on {camera.link}, marker on {marker}{sure}"
         )
+    exact = float(links.calibrated.noise[SPACE]) ** 0.5
+    if SPACE in rig.kinds and exact < COMPUTED_MM:
+        what = f"points agree with the joints to {exact:.2g} mm, more exactly than trackers measure"
+        todo = "if they were computed from the joints, they tell no zeros; type --without NAME"
+        yield Finding("warning", f"{what}; {todo}")
     for name in links.lacking:
         text = f"{name}: between camera and marker, but without readings; assumed at zero"
         yield Finding("warning", text)

@@ -11,7 +11,7 @@ import numpy as np
 from ...body_model import BodyModel, ForwardModel
 from ...errors import ModelError, UsageError
 from ...settings import EstimationSettings
-from ...types import Array, Health
+from ...types import MM_PER_M, TRACK_AXES, Array, Health
 from ..measurements.gather import choose_senses
 from ..measurements.track import pixel_variance
 from ..noise import typed
@@ -19,7 +19,9 @@ from ..noise import typed
 Angles = Sequence[float] | Array | Mapping[str, float]
 """rad, in the body's order, or by joint; NaN, or a joint left out, is a missing reading."""
 Place = Sequence[float] | Array
-"""(u, v) or (u, v, std_u, std_v) px; NaN is not seen."""
+"""(u, v) or (u, v, std_u, std_v) px; of a point in space
+(x, y, z), or these and their std, m; NaN is not seen.
+"""
 
 ToAngles = Callable[[Array], Array]
 """Converts readings (M,) to angles (M,) rad."""
@@ -28,7 +30,7 @@ ToAngles = Callable[[Array], Array]
 @dataclass(frozen=True, eq=False)
 class Observation:
     """Angles (M,) rad, NaN where missing, or None ·
-    places {track: (u, v) px and its variance (2,) px²}.
+    places {track: (u, v) px and its variance (2,) px², or (x, y, z) mm and mm²}.
     """
 
     angles: Array | None
@@ -80,16 +82,25 @@ class Inputs:
                 f"{name}: the body has no such sense; it has "
                 f"{', '.join(self.models) or 'joints alone'}"
             )
-        sizes, possible = ((4,), "") if name == "touch" else ((2, 4), "(u, v) or ")
-        found = _parse_numbers(name, given, sizes, f"{possible}(u, v, std_u, std_v) in px")
-        place = found[:2]
-        std = found[2:] if len(found) == 4 else None
+        axes = self.models[name].outputs
+        count = len(axes)
+        alone, both = (count,), (2 * count,)
+        words = f"({', '.join(axes)}, {', '.join(f'std_{axis}' for axis in axes)})"
+        unit = "m" if TRACK_AXES[count][1] == "mm" else "px"
+        sizes, possible = (
+            (both, f"{words} in {unit}")
+            if name == "touch"
+            else ((*alone, *both), f"({', '.join(axes)}) or {words} in {unit}")
+        )
+        found = _parse_numbers(name, given, sizes, possible) * (MM_PER_M if unit == "m" else 1.0)
+        place = found[:count]
+        std = found[count:] if len(found) == 2 * count else None
         if (given_var := self._variance[name]) is not None:
-            return place, np.full(2, given_var)
+            return place, np.full(count, given_var)
         if name == "touch" and std is not None:
             return place, np.square(std)
         return place, pixel_variance(
-            std, self.models[name], np.array(self._noise.get(name, (1.0, 1.0)), float)
+            std, self.models[name], np.array(self._noise.get(name, (1.0,) * count), float)
         )
 
     def accept(self, t: float, given: Observation, late: bool) -> Observation:

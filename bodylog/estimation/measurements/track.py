@@ -29,7 +29,7 @@ def _read_track(name: str, track: Series, body: BodyModel) -> Measured:
         len(track.t), (rising & seen).sum(), reasons, find_longest_gap(track.t[rising & seen])
     )
     model = body.senses[name]
-    noise = np.asarray(body.noise.senses.get(name, (1.0, 1.0)), float)
+    noise = np.asarray(body.noise.senses.get(name, (1.0,)), float)
     var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
     values = np.where(seen[:, None], track.values, np.nan)
     kept = index_true_rows(rising)

@@ -1,0 +1,167 @@
+"""Delays of points in space by kinematics: each log's delay is one more unknown of the rig.
+
+A process that learns points to a thousandth of their motion takes lateness for the arm's shape;
+kinematics cannot. Points at t − τ are predicted by h(q(t), θ) + J q̇ τ to the first order.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..estimation.timing import correction
+from ..estimation.timing.regression import MAX_DELAY_S, Delay
+from ..kinematics.calibration import CHI_SQUARE_MEDIANS
+from ..settings import Settings
+from ..types import Array, Features
+
+if TYPE_CHECKING:
+    from ..body.data.pairs import SmoothedJoint
+    from ..body.kinematic.learn import Robotics
+    from ..body.kinematic.sightings import ThingSightings
+    from ..kinematics.rig import Rig
+
+TURNS = 30
+"""Most Gauss-Newton steps."""
+CONVERGED_S = 1e-5
+MOST_POINTS = 400
+"""Most points of a track: a delay needs no more."""
+STRETCHES = 30
+"""Parts of a log that the jackknife leaves out: neighbours have the same errors."""
+_STEP_S = 1e-3
+_HALF_WEIGHT = 9.0
+"""Squared residuals over their variance that have half weight."""
+
+
+def measure_tracker_delays(
+    features: Sequence[Features], settings: Settings, robot: "Robotics", names: Sequence[str]
+) -> "list[dict[str, Delay]]":
+    """The delays of trackers by name in each log; empty where
+    a rig does not explain their points, or does not settle.
+    """
+    from ..body.data.pairs import has_moved, smooth_all_joints
+    from ..body.data.trainable import FEWEST
+    from ..body.kinematic.learn import find_links_given, still_joint_angles, track_of_sightings
+    from ..body.kinematic.sightings import gather_sightings
+    from ..estimation.measurements.gather import camera_of_track
+
+    tracks = sorted({n for f in features for n in f.tracks if camera_of_track(n) in names})
+    joints = [
+        joint for joint in smooth_all_joints(features, settings.body.joints) if has_moved(joint)
+    ]
+    moving = [joint.name for joint in joints if joint.name in robot.robot.by_name]
+    late = [dict.fromkeys(names, 0.0) for _ in features]
+    if len(moving) < len(joints):
+        return [{} for _ in features]
+    parts = gather_sightings(features, tracks, joints, 1, MOST_POINTS)
+    tracks = [name for name, part in parts.items() if len(part.whole.x) >= FEWEST]
+    if not tracks:
+        return [{} for _ in features]
+    parts = {name: parts[name] for name in tracks}
+    seen = {name: track_of_sightings(name, one) for name, one in parts.items()}
+    held = still_joint_angles(features, moving)
+    found = find_links_given(robot, moving, held, seen, robot.hints).calibrated
+    theta = found.theta
+    for _ in range(TURNS):
+        timely = [correction.shift_features(f, d) for f, d in zip(features, late, strict=True)]
+        parts = gather_sightings(timely, tracks, joints, 1, MOST_POINTS)
+        system = _DelaySystem(found.rig, list(parts.values()), joints, names, len(features))
+        step, error = system.solve_step(theta)
+        theta = theta + step[: len(theta)]
+        steps = step[len(theta) :].reshape(len(features), len(names))
+        for delays, own in zip(late, steps.tolist(), strict=True):
+            for name, seconds in zip(names, own, strict=True):
+                delays[name] += seconds
+        if max(abs(delay) for delays in late for delay in delays.values()) > MAX_DELAY_S:
+            break
+        if np.abs(steps).max() < CONVERGED_S:
+            return [
+                {
+                    name: Delay(delays[name], float(own[k]))
+                    for k, name in enumerate(names)
+                    if own[k] > 0.0
+                }
+                for delays, own in zip(late, error, strict=True)
+            ]
+    return [{} for _ in features]
+
+
+@dataclass(frozen=True, eq=False)
+class _DelaySystem:
+    """Normal equations of a rig's unknowns and of each log's delays of the trackers `names` (K,).
+
+    parts: sightings of each sight of the rig, in its order · logs: how many there are (L).
+    """
+
+    rig: "Rig"
+    parts: "Sequence[ThingSightings]"
+    joints: "Sequence[SmoothedJoint]"
+    names: Sequence[str]
+    logs: int
+
+    def solve_step(self, theta: Array) -> tuple[Array, Array]:
+        """A step (P+LK,) of θ and of the delays, and the standard errors (L,K) of these."""
+        mean, std = self.rig.prior
+        size = len(theta)
+        count = size + self.logs * len(self.names)
+        blocks = [self._sum_by_stretch(k, theta, count) for k in range(len(self.parts))]
+        shares, pulls = (np.sum(part, axis=0) for part in zip(*blocks, strict=True))
+        matrix = shares.sum(axis=0)
+        pull = pulls.sum(axis=0)
+        prior = np.zeros(count)
+        prior[:size] = std**-2.0
+        # a log without points of a tracker says nothing of its delay
+        prior[size:] = MAX_DELAY_S**-2.0
+        pull[:size] += (mean - theta) / std**2
+        scale = 1.0 / np.sqrt(np.diag(matrix) + prior)
+        whole = (matrix + np.diag(prior)) * scale * scale[:, None]
+        step = scale * np.linalg.solve(whole, scale * pull)
+        without = whole - shares * scale * scale[:, None]
+        rest = pulls - np.einsum("gij,j->gi", shares, step)
+        moved = scale * np.linalg.solve(without, (scale * rest)[..., None])[..., 0]
+        groups = len(moved)
+        error = np.sqrt(np.square(moved[:, size:]).sum(axis=0) * (groups - 1) / groups)
+        return step, error.reshape(self.logs, len(self.names))
+
+    def _sum_by_stretch(self, index: int, theta: Array, count: int) -> tuple[Array, Array]:
+        """Shares (G,P,P) and (G,P) of the stretches of the logs in the normal equations."""
+        part = self.parts[index]
+        whole = part.whole
+        sight = self.rig.sights[index]
+        seen = self.rig.see(sight, theta, whole.x)
+        residual = part.image[:, 0] - seen.image[:, 0]
+        speed = self._joint_speeds(whole.log, whole.t)
+        column = np.einsum("ndm,nm->nd", seen.slope[:, 0], speed)
+        place = len(theta) + whole.log * len(self.names)
+        place = place + self.names.index(self.rig.cameras[sight.camera].name)
+        design = np.zeros((*residual.shape, count))
+        design[..., : len(theta)] = seen.design[:, 0]
+        # the point was at t − τ where the arm is now said to be: it lags by J q̇ τ
+        design[np.arange(len(place)), :, place] = -column
+        square = np.square(residual).sum(axis=1)
+        noise = float(np.median(square)) / CHI_SQUARE_MEDIANS[residual.shape[1]]
+        weight = 1.0 / (noise * (1.0 + square / (_HALF_WEIGHT * noise)))
+        group = np.zeros(len(whole.t), np.int64)
+        for log in np.unique(whole.log):
+            rows = np.flatnonzero(whole.log == log)
+            rows = rows[np.argsort(whole.t[rows], kind="stable")]
+            group[rows] = log * STRETCHES + np.arange(len(rows)) * STRETCHES // len(rows)
+        shares = np.zeros((self.logs * STRETCHES, count, count))
+        pulls = np.zeros((self.logs * STRETCHES, count))
+        heavy = design * weight[:, None, None]
+        np.add.at(shares, group, heavy.transpose(0, 2, 1) @ design)
+        np.add.at(pulls, group, np.einsum("ndp,nd->np", heavy, residual))
+        return shares, pulls
+
+    def _joint_speeds(self, log: Array, t: Array) -> Array:
+        """Speeds (N,M) of the joints at times t (N,) s of logs (N,)."""
+        speed = np.zeros((len(t), len(self.joints)))
+        for number in np.unique(log):
+            rows = np.flatnonzero(log == number)
+            for m, joint in enumerate(self.joints):
+                after, before = (
+                    joint.angles[number].at(t[rows] + way)[0] for way in (_STEP_S, -_STEP_S)
+                )
+                speed[rows, m] = (after - before) / (2.0 * _STEP_S)
+        return speed
