@@ -117,7 +117,7 @@ def test_noise_that_is_set_is_left_as_it_is():
 
 
 def test_a_log_whose_explanation_has_no_solution_gets_wider_error_bars_and_the_reason(monkeypatch):
-    def fail(_problem):
+    def fail(*_given):
         raise np.linalg.LinAlgError("singular matrix")
 
     monkeypatch.setattr(explained, "explain_log", fail)
