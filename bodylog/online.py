@@ -10,7 +10,7 @@ from .body_model import BodyModel
 from .estimation.inference.reacquisition import LONG_SILENCE_S
 from .estimation.live import estimator
 from .estimation.live.inputs import Angles, Place, require_finite_time
-from .estimation.measurements.gather import camera_of_track
+from .estimation.measurements.track import camera_of_track
 from .estimation.timing import correction
 from .settings import EstimationSettings
 

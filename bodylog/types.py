@@ -306,7 +306,7 @@ class Capabilities:
 HARDWARE_ERRORS = "hardware_errors"
 """Key of an estimate's settings for errors of joints and encoders that it allows for: nats over
 white noise alone; play {joint: rad, std}; lasting: std (rad), seconds, nats, at encoder or link, or
-None; row_time: seconds, std, or None; late {camera: seconds, std, nats}: what is left of its delay.
+None; load: weight, nats, rad {joint}, or None; late {camera: seconds, std, nats}: its rest of delay.
 """
 
 SURFACE_VIEWS = "surface"

@@ -13,8 +13,9 @@ from ..types import Array, Features, Finding
 if TYPE_CHECKING:
     from ..body.kinematic.learn import Robotics
     from ..body.learning import Keep, LearnedBody
+    from ..estimation.measurements.arm_errors import ArmErrors
     from ..estimation.timing.delay_profile import Delay
-    from ..estimation.timing.gp_likelihood import Prior
+    from ..estimation.timing.gp_likelihood import ExploredLog, Prior
 
 MAX_TURNS = 5
 """Most bodies learned, each from images corrected by the delays of the last one."""
@@ -37,16 +38,19 @@ Delays = Mapping[str, float]
 
 @dataclass(frozen=True, eq=False)
 class _Turn:
-    """A body learned from logs delayed by `late`, the
-    delays left in each log, and the delays the body keeps.
+    """A body learned from logs delayed by `late`, the delays left
+    in each log, and the delays and errors the body keeps.
 
-    started: cameras whose delay was corrected.
+    rest: what the logs show of errors: play in all, and what is left of row times · started:
+    cameras whose delay was corrected.
     """
 
     found: "LearnedBody"
     late: Sequence[Delays]
     residuals: "Sequence[Mapping[str, Delay]]"
     own: Delays
+    errors: "ArmErrors"
+    rest: "ArmErrors"
     started: frozenset[str] = frozenset()
 
 
@@ -84,7 +88,7 @@ def learn_with_delays(
     ]
     turn = _alternate_until_converged(features, settings, provenance, known, keep, fixed_here)
     timely = [
-        correction.shift_features(found, delays)
+        correction.shift_features(found, delays, turn.errors)
         for found, delays in zip(features, turn.late, strict=True)
     ]
     still_late = any(
@@ -94,15 +98,19 @@ def learn_with_delays(
     learned = replace(turn.found, vague={}) if still_late else turn.found
     learned = _with_tracker_delays(learned, tracked)
     found = body.with_kinematics(timely, settings, learned, robot, known)
-    findings = (*_tracker_findings(tracked), *_delay_findings(turn, fixed))
-    return replace(found, findings=(*findings, *found.findings))
+    about_errors = (*_delay_findings(turn, fixed), *_error_findings(turn.errors))
+    if turn.errors:
+        origin = {**found.model.provenance, **turn.errors.as_provenance()}
+        found = replace(found, model=replace(found.model, provenance=origin))
+    findings = (*_tracker_findings(tracked), *about_errors, *found.findings)
+    return replace(found, findings=findings)
 
 
 def _measure_trackers(
     features: Sequence[Features], settings: Settings, robot: "Robotics | None", fixed: Delays
 ) -> "list[dict[str, Delay]]":
     """Delays of trackers in each log, by kinematics; none without a URDF."""
-    from ..estimation.measurements.gather import camera_of_track
+    from ..estimation.measurements.track import camera_of_track
     from .tracker_delay import measure_tracker_delays
 
     tracks = [(name, one.unit) for found in features for name, one in found.tracks.items()]
@@ -176,7 +184,7 @@ def _coarse_delays(features: Features) -> dict[str, float]:
     """Delays (s) by camera to start from, to about 0.05 s; 0 where they are unclear."""
     import numpy as np
 
-    from ..estimation.measurements.gather import camera_of_track
+    from ..estimation.measurements.track import camera_of_track
     from ..perception.tracking import joint_motion
 
     found = dict[str, list[float]]()
@@ -239,11 +247,12 @@ def _alternate_from(
 ) -> _Turn:
     """The last turn of learning and correcting by turns, from the delays of another one."""
     from .. import body
+    from ..estimation.measurements.arm_errors import learned_arm_errors
     from ..estimation.timing import correction
 
-    def turned(late: Sequence[Delays], own: Delays) -> _Turn:
+    def turned(late: Sequence[Delays], own: Delays, errors: "ArmErrors") -> _Turn:
         timely = [
-            correction.shift_features(found, delays)
+            correction.shift_features(found, delays, errors)
             for found, delays in zip(features, late, strict=True)
         ]
         origin = {**provenance, **({"delay": dict(own)} if own else {})}
@@ -251,7 +260,12 @@ def _alternate_from(
         sure = replace(
             found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor}
         )
-        return _Turn(found, late, [_remaining_delays(one, sure, known) for one in timely], own)
+        motors = [
+            replace(one, joints=correction.shift_features(all_of, delays).joints)
+            for one, all_of, delays in zip(timely, features, late, strict=True)
+        ]
+        residuals, rest = _remaining_errors(motors, sure, known)
+        return _Turn(found, late, residuals, own, errors, rest)
 
     own = (
         {}
@@ -261,21 +275,60 @@ def _alternate_from(
     started = set[str]() if begin is None else set(begin.started)
     given = {name: delay for name, delay in fixed.items() if delay}
     turn = (
-        turned([{**own, **fixed} for _ in features], {**own, **given})
+        turned([{**own, **fixed} for _ in features], {**own, **given}, learned_arm_errors(known))
         if begin is None
-        else turned(begin.late, begin.own)
+        else turned(begin.late, begin.own, begin.errors)
     )
     for _ in range(MAX_TURNS - 1):
         surest = _surest_logs(turn.residuals, fixed, started)
-        if not surest:
+        errors = _add_measured_errors(turn.errors, turn.rest)
+        if not surest and errors == turn.errors:
             break
-        after = turned(*_add_measured_delays(turn, surest))
-        least = MAX_ERROR_RATIO if set(surest) - started else 1.0
-        if _held_out_error(after, surest) > least * _held_out_error(turn, surest):
+        after = turned(*_add_measured_delays(turn, surest), errors)
+        grown = set(surest) - started or bool(errors) > bool(turn.errors)
+        cameras = correction.list_track_cameras(after.found.model.senses)
+        judged = surest if errors == turn.errors else cameras
+        least = MAX_ERROR_RATIO if grown else 1.0
+        if _held_out_error(after, judged) > least * _held_out_error(turn, judged):
             break
         turn = after
         started = started | set(surest)
     return replace(turn, started=frozenset(started))
+
+
+def _add_measured_errors(own: "ArmErrors", rest: "ArmErrors") -> "ArmErrors":
+    """The errors that were taken out and what is left of
+    them; the same where that is less than a standard error.
+    """
+    from ..estimation.measurements.arm_errors import ArmErrors
+
+    play = dict(rest.play)
+    if play.keys() == own.play.keys() and all(
+        abs(size - own.play[name][0]) < std for name, (size, std) in play.items()
+    ):
+        play = dict(own.play)
+    rows = dict(own.rows)
+    for name, more in rest.rows.items():
+        before = rows.get(name)
+        if before is None:
+            rows[name] = more
+        elif abs(more.seconds) > more.std:
+            rows[name] = replace(before, seconds=before.seconds + more.seconds, std=more.std)
+    return ArmErrors(play, rows)
+
+
+def _error_findings(errors: "ArmErrors") -> Iterator[Finding]:
+    """Yield remarks on the play and the row times that were taken out."""
+    from math import degrees
+
+    for name, (size, std) in errors.play.items():
+        text = f"{name}: {degrees(size):.2f} ± {degrees(std):.2f}° of play"
+        yield Finding("info", f"{text}; the body is learned over the angles of the links")
+    for name, one in errors.rows.items():
+        apart = f"{1e3 * abs(one.seconds) * one.span:.0f} ± {1e3 * one.std * one.span:.0f} ms"
+        yield Finding(
+            "info", f"{name}: rows {one.span:.0f} px apart are exposed {apart} apart; corrected"
+        )
 
 
 def _delay_findings(turn: _Turn, fixed: Delays) -> Iterator[Finding]:
@@ -308,7 +361,7 @@ def _add_measured_delays(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequen
 
 def _held_out_error(turn: _Turn, cameras: Iterable[str]) -> float:
     """Root mean square held-out error (px) of some cameras' tracks together."""
-    from ..estimation.measurements.gather import camera_of_track
+    from ..estimation.measurements.track import camera_of_track
 
     kinds = (score.name.partition("rmse/held_out/") for score in turn.found.scores)
     seen = [found and camera_of_track(track) in cameras for _, found, track in kinds]
@@ -317,25 +370,42 @@ def _held_out_error(turn: _Turn, cameras: Iterable[str]) -> float:
     )
 
 
-def _remaining_delays(
+def _remaining_errors(
+    timely: Sequence[Features], model: BodyModel, known: BodyModel | None
+) -> "tuple[Sequence[Mapping[str, Delay]], ArmErrors]":
+    """Each log's remaining delays, the play and what is
+    left of row times, by a body learned with the logs.
+
+    timely: with readings of the motors.
+    """
+    from ..estimation.measurements.arm_errors import ArmErrors
+    from ..estimation.timing import gp_likelihood
+
+    explored = [_explored_log(one, model, known) for one in timely]
+    logs = [one for one in explored if one is not None]
+    measured, rest = gp_likelihood.measure_arm_errors(logs, model.joints)
+    if any(one.reference is not None for one in timely):
+        rest = ArmErrors(rows=rest.rows)  # a reference has the angles of the links
+    delays = iter(measured)
+    return [{} if one is None else next(delays) for one in explored], rest
+
+
+def _explored_log(
     timely: Features, model: BodyModel, known: BodyModel | None
-) -> dict[str, "Delay"]:
-    """Each camera's remaining delay by a body learned with it."""
+) -> "ExploredLog | None":
+    """A log's readings, and its tracks with their priors; None if it has no moving joints."""
     from ..body.senses import encoder_function
     from ..estimation.timing import correction, gp_likelihood
 
     tracks = {name: sense for name, sense in model.senses.items() if name != "encoders"}
     angled = encoder_function.with_true_angles(timely, known)
     encoders, seen = correction.sound_measurements(angled, replace(model, senses=tracks))
-    if encoders is None:
-        return {}
-    found = {
-        name: gp_likelihood.measure_delay_by_likelihood(
-            encoders, some, [_process_prior(one.model) for one in some]
-        )
-        for name, some in seen.items()
-    }
-    return {name: delay for name, delay in found.items() if delay is not None}
+    if encoders is None or timely.poses:
+        return None
+    return gp_likelihood.ExploredLog(
+        encoders,
+        {name: [(one, _process_prior(one.model)) for one in some] for name, some in seen.items()},
+    )
 
 
 def _process_prior(model: ForwardModel) -> "Prior":

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..estimation.timing import correction
-from ..estimation.timing.regression import MAX_DELAY_S, Delay
+from ..estimation.timing.delay_profile import MAX_DELAY_S, Delay
 from ..kinematics.calibration import CHI_SQUARE_MEDIANS
 from ..settings import Settings
 from ..types import Array, Features
@@ -44,7 +44,7 @@ def measure_tracker_delays(
     from ..body.data.trainable import FEWEST
     from ..body.kinematic.learn import find_links_given, still_joint_angles, track_of_sightings
     from ..body.kinematic.sightings import gather_sightings
-    from ..estimation.measurements.gather import camera_of_track
+    from ..estimation.measurements.track import camera_of_track
 
     tracks = sorted({n for f in features for n in f.tracks if camera_of_track(n) in names})
     joints = [

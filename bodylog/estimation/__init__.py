@@ -14,6 +14,7 @@ from .common_cause import infer_common_causes
 from .faults.consistency import consistency_findings
 from .inference import kernel
 from .measurements import gather
+from .measurements.arm_errors import learned_arm_errors
 from .methods.finite import report_numerical_errors, require_finite_estimate
 from .methods.table import METHODS, ignored_settings
 from .noise import typed
@@ -77,8 +78,9 @@ def _estimate_with_corrected_times(
         timely = again
         found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
     used = dict(found.settings)
+    if timely.delays or learned_arm_errors(body).rows:
+        found = restore_stamps(found, features)
     if timely.delays:
-        found = restore_stamps(found, features, timely.features)
         used |= {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
     if timely.measured:
         found = add_delay_uncertainty(found, timely)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..body_model import BodyModel
 from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
-from ..estimation.measurements.gather import camera_of_track
+from ..estimation.measurements.track import camera_of_track
 from ..estimation.timing import correction
 from ..evaluation.figures import MISFIT
 from ..runtime.blas_threads import one_thread

@@ -132,7 +132,9 @@ def _delay_sentences(found: Estimate) -> Iterator[str]:
 def _lasting_error_sentences(found: Estimate) -> Iterator[str]:
     """Errors of encoders that last, by which error bars are widened."""
     own = found.settings.get(LASTING_ERROR)
-    if isinstance(own, Mapping):
+    if isinstance(own, Mapping) and not own["nats"]:
+        yield f"encoders: joints have play; error bars are wider by {1e3 * own['std']:.2g} mrad"
+    elif isinstance(own, Mapping):
         size = f"{own['seconds']:.2g} s, {1e3 * own['std']:.2g} mrad"
         narrow = f"NEES about {own['nees_if_white']:.2g} without"
         yield f"encoders: errors last about {size}; error bars are wider for it ({narrow})"
@@ -140,6 +142,8 @@ def _lasting_error_sentences(found: Estimate) -> Iterator[str]:
 
 def _hardware_error_sentences(found: Estimate) -> Iterator[str]:
     """Errors of joints, encoders and cameras that the angles allow for."""
+    from ..estimation.factors.load import load_sentence
+
     errors = found.settings.get(HARDWARE_ERRORS)
     if not isinstance(errors, Mapping):
         return
@@ -149,9 +153,8 @@ def _hardware_error_sentences(found: Estimate) -> Iterator[str]:
     if lasting := errors["lasting"]:
         size = f"{lasting['seconds']:.2g} s, {1e3 * lasting['std']:.2g} mrad"
         yield f"encoders: errors last {size}; angles and error bars allow for it"
-    if rows := errors["row_time"]:
-        span = f"{1e3 * abs(rows['seconds']):.0f} ± {1e3 * rows['std']:.0f} ms"
-        yield f"camera: its rows are {span} apart; corrected"
+    if load := errors["load"]:
+        yield f"{load_sentence(load)}; angles and error bars allow for it"
 
 
 def _agreement_sentence(found: Estimate) -> str:

@@ -74,7 +74,7 @@ def test_error_bars_are_wider_and_angles_stay_where_settings_keep_them(setting, 
 
 
 def test_a_log_whose_explanation_has_no_solution_gets_wider_error_bars_and_the_reason(monkeypatch):
-    def fail(_problem):
+    def fail(*_given):
         raise np.linalg.LinAlgError("singular matrix")
 
     monkeypatch.setattr(explained, "explain_log", fail)

@@ -7,12 +7,13 @@ import pytest
 from scipy.linalg import block_diag
 
 from bodylog.estimation.factors import robust
-from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, Path, follow_slack
+from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, Path
 from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
 from bodylog.estimation.factors.noise import _cost, _to_vector
 from bodylog.estimation.factors.problem import FactorProblem, Noise, linearise
 from bodylog.estimation.factors.solve import filtered, predicted
+from bodylog.estimation.measurements.arm_errors import follow_slack
 from bodylog.estimation.measurements.records import Sighting
 from bodylog.sim.hardware import add_play
 from tests.estimation.conftest import Arm, Linear, motion

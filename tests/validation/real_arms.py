@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bodylog import body, config, pipeline
+from bodylog import config, pipeline
+from bodylog.delays import camera_delay
 from bodylog.evaluation.scores import truth_at_times
 from bodylog.experiments.lab import ObservedLog
 from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR
@@ -63,9 +64,9 @@ def settings():
 
 @cache
 def learned(name):
-    """The body learned from an exploration."""
+    """The body that `fit` learns from an exploration."""
     _, features = pipeline.observe(FOLDER / f"{name}_explore.mcap", settings())
-    return body.learn_body([features], settings(), {}).model
+    return camera_delay.learn_with_delays([features], settings(), {}, None).model
 
 
 @cache

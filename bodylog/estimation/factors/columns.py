@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ...types import Array
-from ..measurements.gather import camera_of_track
+from ..measurements.track import camera_of_track
 
 if TYPE_CHECKING:
     from .images import Images
@@ -64,10 +64,6 @@ class Column:
         """What a unit moves the links by (F,M) rad, as images show them."""
         return self.moves_links(path.at_images(images))
 
-    def shifts_images(self, images: "Images") -> Array:
-        """What a unit shifts images by (F,D), beyond the links' move."""
-        return np.zeros(images.values.shape)
-
     def reads(self, t: Array, path: Path) -> Array:
         """What a unit changes in readings (N,M) at t (N,) s, rad."""
         return np.zeros((len(t), path.angles.shape[1]))
@@ -105,20 +101,6 @@ class Delay(Column):
 
 
 @dataclass(frozen=True)
-class RowTime(Column):
-    """How much later the last row of a picture is exposed
-    than the first, s; by the rows that the log shows.
-    """
-
-    def moves_images(self, images: "Images", path: Path) -> Array:
-        """Minus the rate, by the row of the picture from the middle on."""
-        rows = images.sighting.values[images.frames, -1]
-        spread = float(np.ptp(rows)) if len(rows) else 0.0
-        place = (rows - rows.mean()) / spread if spread > 0.0 else np.zeros(len(rows))
-        return -place[:, None] * path.at_images(images).rates
-
-
-@dataclass(frozen=True)
 class EncoderShift(Column):
     """What an encoder reads too much from `since` s on, rad, or rad/s where it grows."""
 
@@ -132,20 +114,3 @@ class EncoderShift(Column):
         after = t >= self.since
         own[:, self.joint] = np.where(after, t - self.since, 0.0) if self.grows else after
         return own
-
-
-def follow_slack(motors: Array, half: Array, noise: Array) -> Array:
-    """Where links lie within their play (K,M), −1 … 1,
-    while motors (K,M) rad turn; half (M,) rad of the play.
-
-    The link stays until the motor has gone through the play, then trails it (the backlash
-    operator). noise (M,) rad: how far the motors' angles are known. A turn back within it counts
-    for none, as noise alone would drag the link along.
-    """
-    reach = half + noise
-    links = motors[0]
-    found = np.zeros(motors.shape)
-    for k, motor in enumerate(motors):
-        links = np.clip(links, motor - reach, motor + reach)
-        found[k] = links - motor
-    return np.clip(found / half, -1.0, 1.0)

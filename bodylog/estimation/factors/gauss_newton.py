@@ -7,17 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
-from .columns import Path, Play, follow_slack
+from ..measurements.arm_errors import LEAST_PLAY, NOISE_SIGMAS, follow_slack
+from .columns import Path, Play
 from .problem import FactorProblem, Linearised, Noise, build_system, linearise
 from .solve import Eliminated, Marginals, System, eliminate, filtered, smoothed
 
 ROUNDS = 12
-LEAST_PLAY = 5e-4
-"""rad: half of a play that is assumed at least,
-so that noise of the angle does not turn the link.
-"""
-NOISE_SIGMAS = 2.0
-"""Standard deviations of a motor's angle that a turn back must exceed."""
 SETTLED = 1e-3
 """Standard deviations of the angles that a round may move and be the last."""
 

@@ -7,23 +7,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
-from ..measurements.gather import camera_of_track
-from .columns import Column, Delay, Path, Play, RowTime
+from ..measurements.track import camera_of_track
+from ..timing.gp_likelihood import PLAY_STD
+from .columns import Column, Delay, Path, Play
 from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
+from .load import Load
 from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import FactorProblem, Noise
 
 FIRST_STD = 1e-3
 """rad: σ of a lasting error with which the search begins."""
 FIRST_S = 1.0
-PLAY_STD = 0.01
-"""rad: prior standard deviation of half a play, 1.1° of play."""
+DRIFTS_S = 5.0
+"""s: errors that last longer can imitate an encoder that drifts, and a load."""
 DELAY_STD = 0.05
 """s: of what is left of a camera's delay."""
-ROW_TIME_STD = 0.03
-"""s: of a picture's row time; most pictures take less than 1/30 s."""
 
 
 @dataclass(frozen=True)
@@ -65,21 +66,36 @@ class Explanation:
         """Whether errors that last win over none, beside the columns."""
         return self.lasting > EVIDENCE_THRESHOLD_NATS
 
-    @property
-    def settled_columns(self) -> tuple[Column, ...]:
-        """The columns about the sizes that the log gives, as its noise is what the log gives."""
+    def settled_columns(self, causal: bool) -> tuple[Column, ...]:
+        """The columns about the sizes that the log gives: for a filter, which knows play and row
+        times from the first reading on as it knows the noise, within their standard deviations.
+        """
         stds = np.sqrt(np.diag(self.learned.sizes_cov))
         each = zip(self.columns, self.learned.sizes.tolist(), stds.tolist(), strict=True)
-        return tuple(replace(column, mean=size, std=std) for column, size, std in each)
+        return tuple(
+            # sizes of a load are not known one by one
+            replace(
+                column,
+                mean=size,
+                std=std if causal and not isinstance(column, Load) else column.std,
+            )
+            for column, size, std in each
+        )
 
 
 def explain(
-    problem: FactorProblem, noise: Noise, step_s: float, is_of_counts: Callable[[Noise], bool]
+    problem: FactorProblem,
+    noise: Noise,
+    step_s: float,
+    is_of_counts: Callable[[Noise], bool],
+    halves: Array,
+    loads: tuple[Column, ...],
 ) -> Explanation:
     """The most probable explanation of a log: white noise alone, or errors of its hardware.
 
     noise: white noise alone, with the offsets that are known · step_s: the encoders' usual step ·
-    is_of_counts: whether errors that last are those of whole counts.
+    is_of_counts: whether errors that last are those of whole counts · halves (M,) rad: half of
+    each joint's play in the exploration · loads: columns of a load.
     """
     white = _learn(problem, noise, step_s, rounds=2)
     sides = [_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)]
@@ -91,7 +107,7 @@ def explain(
     ):
         return Explanation(problem.columns, white, white, 0.0, 0.0, {})
     gains: dict[str, float] = {}
-    play = tuple(Play("play", PLAY_STD, joint=j) for j in range(len(problem.start)))
+    play = tuple(Play("play", PLAY_STD, half, joint=j) for j, half in enumerate(halves.tolist()))
     late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
     loose = replace(problem, columns=(*problem.columns, *play))
     # a delay that was corrected for play hides the play: both are free where they are compared
@@ -107,12 +123,15 @@ def explain(
         lasting = _learn(loose, loosely.noise, step_s, loosely.path)
     else:
         gains.clear()
-    rolling = replace(problem, columns=(*problem.columns, RowTime("row time", ROW_TIME_STD)))
-    rolled = _learn(rolling, lasting.noise, step_s, lasting.path)
-    if lasting.nats - rolled.nats > EVIDENCE_THRESHOLD_NATS:
-        gains["row time"] = lasting.nats - rolled.nats
-        problem = rolling
-        lasting = rolled
+    loaded = replace(problem, columns=(*problem.columns, *loads))
+    bent = _learn(loaded, lasting.noise, step_s, lasting.path) if loads else lasting
+    gain = lasting.nats - bent.nats
+    # what lasts so long looks like a load, too: error bars hold both
+    least = -EVIDENCE_THRESHOLD_NATS if _is_long(lasting.noise) else EVIDENCE_THRESHOLD_NATS
+    if loads and gain > least:
+        gains["load"] = gain
+        problem = loaded
+        lasting = bent
     found = learn_noise(problem, lasting.noise, lasting.path, step_s, rounds=2)
     gained = white.nats - found.nats
     without = _learn(problem, white.noise, step_s, lasting.path).nats if gains else white.nats
@@ -142,6 +161,12 @@ def _is_short(noise: Noise, step_s: float) -> bool:
     """
     joints = noise.joints
     return bool((joints.seconds[joints.learned] < 2.0 * FEWEST_READINGS * step_s).all())
+
+
+def _is_long(noise: Noise) -> bool:
+    """Whether what lasts can imitate a load, or an encoder that drifts."""
+    joints = noise.joints
+    return bool((joints.seconds[joints.learned] >= DRIFTS_S).any())
 
 
 def _best(found: Sequence[Learned]) -> Learned:

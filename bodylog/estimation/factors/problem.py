@@ -105,23 +105,19 @@ def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
     first = size - problem.model_rows
     for images in problem.images:
         here = path.at_images(images)
-        links, shifts = columns_of_images(problem, images, path)
-        rows.append(image_rows(images, here.links, noise.joints, 1.0, links, shifts, first, size))
+        columns = columns_of_images(problem, images, path)
+        rows.append(image_rows(images, here.links, noise.joints, 1.0, columns, first, size))
         first += images.values.shape[1]
     kappa = correlate_model_errors(problem.sightings, path.links)
     return Linearised(problem, path, problem.place(path), tuple(rows), kappa, noise)
 
 
-def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> tuple[Array, Array]:
-    """What the columns move links by (F,M,C), and images beyond that (F,D,C)."""
-    count, rows = images.values.shape
-    joints = len(problem.start)
-    links = np.zeros((count, joints, len(problem.columns)))
-    shifts = np.zeros((count, rows, len(problem.columns)))
+def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> Array:
+    """What the columns move links by (F,M,C), as images show them."""
+    links = np.zeros((len(images.frames), len(problem.start), len(problem.columns)))
     for c, column in enumerate(problem.columns):
         links[..., c] = column.moves_images(images, path)
-        shifts[..., c] = column.shifts_images(images)
-    return links, shifts
+    return links
 
 
 def build_system(linear: Linearised) -> System:

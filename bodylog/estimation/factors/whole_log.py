@@ -13,7 +13,7 @@ from ..faults.threshold import PRIOR_STD_RAD
 from ..inference.problem import FilterProblem
 from ..measurements.records import Encoders, Sighting, unmix_rows
 from ..noise.quantisation import quantisation_variance
-from .columns import EncoderShift
+from .columns import Column, EncoderShift
 from .encoder_error import LEAST_STD, JointNoise
 from .gauss_newton import Solution, path_of, solve
 from .hypotheses import FIRST_S, Explanation, explain, with_lasting
@@ -106,11 +106,14 @@ class SolvedLog:
     places: Mapping[str, tuple[Array, Array, Array]]
 
 
-def explain_log(problem: FilterProblem) -> ExplainedLog | None:
+def explain_log(
+    problem: FilterProblem, halves: Array, loads: tuple[Column, ...]
+) -> ExplainedLog | None:
     """Explain a log by white noise alone, or by errors of
     its hardware; None where it has no readings or no images.
 
-    problem: with the encoder offsets that were found.
+    problem: with the encoder offsets that were found · halves (M,)
+    rad: half of each joint's play in the exploration · loads: columns of a load.
     """
     encoders = problem.evidence.encoders
     sightings = tuple(
@@ -127,13 +130,17 @@ def explain_log(problem: FilterProblem) -> ExplainedLog | None:
         noise,
         float(np.median(np.diff(encoders.t))),
         partial(_is_of_counts, encoders=encoders),
+        halves,
+        loads,
     )
     return ExplainedLog(fine, found, found.learned.nats + _outliers(coarse))
 
 
 def solve_log(problem: FilterProblem, found: ExplainedLog, causal: bool) -> SolvedLog:
     """The beliefs at each instant by what came before (causal) or by the whole log."""
-    fine = replace(found.fine, columns=found.explanation.settled_columns, nearest=not causal)
+    fine = replace(
+        found.fine, columns=found.explanation.settled_columns(causal), nearest=not causal
+    )
     fine = _weighed(fine, found.noise, rough=False)
     solution = solve(fine, found.noise, causal=causal)
     instants = _at_instants(problem, fine, solution, causal)

@@ -17,8 +17,8 @@ from ...body_model import BodyModel, ForwardModel
 from ...linear_algebra import forward_substituted
 from ...types import TRACK_AXES, Array, Fault, FaultKind, Hypothesis
 from ..inference.initial_path import OFFSET_STD
-from ..measurements.gather import camera_of_track
 from ..measurements.records import Encoders, Evidence, Sighting
+from ..measurements.track import camera_of_track
 from ..measurements.track_curve import Curve, interpolate_curve, track_curve
 from .encoder_offset import RANDOM_WALKS
 from .threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD

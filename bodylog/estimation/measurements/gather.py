@@ -156,11 +156,6 @@ def _select_encoder_rows(
     )
 
 
-def camera_of_track(track: str) -> str:
-    """Name of a track's camera; tracks of the first one, `camera_of_track`, have no prefix."""
-    return track.rpartition("/")[0] or "camera"
-
-
 def joint_columns(joints: Series, names: tuple[str, ...]) -> list[int]:
     """Column numbers of joints in a series; ModelError for a missing joint."""
     missing = [name for name in names if name not in joints.names]

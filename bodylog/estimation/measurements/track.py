@@ -6,6 +6,7 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
 from ...types import Array, Features, Series
+from .arm_errors import RowExposure, learned_arm_errors, shift_by_rows
 from .contract import Measured, build_health
 from .long_arrays import find_finite_rows as seen_rows
 from .long_arrays import index_true_rows
@@ -14,26 +15,33 @@ from .records import Sighting
 
 def read_tracks(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     """Read every track that the body predicts, in the log's order; NaN where it was not seen."""
+    rows = learned_arm_errors(body).rows
     return {
-        name: _read_track(name, track, body)
+        name: _read_track(name, track, body, rows.get(camera_of_track(name)))
         for name, track in features.tracks.items()
         if name in body.senses
     }
 
 
-def _read_track(name: str, track: Series, body: BodyModel) -> Measured:
-    rising = find_ascending_times(track.t)
+def camera_of_track(track: str) -> str:
+    """Name of a track's camera; tracks of the first one, `camera_of_track`, have no prefix."""
+    return track.rpartition("/")[0] or "camera"
+
+
+def _read_track(name: str, track: Series, body: BodyModel, rows: RowExposure | None) -> Measured:
+    times = shift_by_rows(track, rows)
+    rising = find_ascending_times(times)
     seen = seen_rows(track.values)
     reasons = {"time runs backwards": (~rising).sum(), "out of view": (rising & ~seen).sum()}
     counts = build_health(
-        len(track.t), (rising & seen).sum(), reasons, find_longest_gap(track.t[rising & seen])
+        len(track.t), (rising & seen).sum(), reasons, find_longest_gap(times[rising & seen])
     )
     model = body.senses[name]
     noise = np.asarray(body.noise.senses.get(name, (1.0,)), float)
     var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
     values = np.where(seen[:, None], track.values, np.nan)
     kept = index_true_rows(rising)
-    t = track.t[kept]
+    t = times[kept]
     values = values[kept]
     var = var[kept]
     source = track.source_ns[kept]

@@ -2,7 +2,7 @@
 place of those of a filter that knows white noise alone.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -10,11 +10,16 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...settings import EstimationSettings
-from ...types import HARDWARE_ERRORS, Array, Estimate, Finding
-from ..factors.columns import Play, RowTime
+from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, Finding
+from ..factors.columns import Play
+from ..factors.hypotheses import DRIFTS_S, Explanation
+from ..factors.load import LOAD_STD, Load, hand_levers, load_columns, load_sentence
 from ..factors.whole_log import ExplainedLog, Instants, SolvedLog, explain_log, solve_log
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.problem import FilterProblem
+from ..measurements.arm_errors import learned_arm_errors
+from ..noise.lasting_error import LastingError
+from ..timing.gp_likelihood import PLAY_SIGMAS
 from . import results
 from .results import Beliefs, find_evident_error, predict_frames, with_lasting_error
 from .trust import reason_of_disagreement, reason_of_misfit, reason_to_widen
@@ -24,10 +29,8 @@ Place = tuple[Array, Array, Array]
 without their own noise, and the model's variance (F,D).
 """
 
-DRIFTS_S = 5.0
-"""s: errors that last longer can imitate an encoder that drifts."""
-EVIDENT_SIGMAS = 3.0
-"""Standard deviations from zero of a joint's play that is reported."""
+FROM_START_S = 1.0
+"""s: an encoder that is off within so long after the first reading was off before the log."""
 
 
 def explained_estimate(
@@ -45,14 +48,22 @@ def explained_estimate(
     hardware explain, too, are no faults.
     """
     kept = results.build_estimate(method, body, problem.evidence, problem.timeline, beliefs)
+    halves = _known_halves(body)
     lasting = find_evident_error(kept, problem, beliefs.z, settings)
-    if lasting is None:
+    if lasting is None and halves.any() and settings.precision == "auto":
+        lasting = LastingError(float(np.sqrt(np.mean(np.square(halves)))), 0.0, 0.0)
+    doubtful = beliefs.faults and hand_levers(body.senses) is not None
+    if lasting is None and not doubtful and _count_from_start(problem, beliefs.faults) < 2:
         return kept
+    std = LOAD_STD if lasting is None else lasting.std
     try:
-        made = _explain_estimate(method, body, problem, first, beliefs, settings, lasting.std)
+        made = _explain_estimate(method, body, problem, first, beliefs, settings, std, halves)
     except np.linalg.LinAlgError as singular:
         made = f"their explanation has no solution ({singular})"
-    return with_lasting_error(kept, lasting, made) if isinstance(made, str) else made
+    if isinstance(made, Estimate):
+        takes_back = len(made.faults) < len(kept.faults)
+        return made if lasting is not None or takes_back else kept
+    return kept if lasting is None else with_lasting_error(kept, lasting, made)
 
 
 def _explain_estimate(
@@ -63,29 +74,35 @@ def _explain_estimate(
     beliefs: Beliefs,
     settings: EstimationSettings,
     std: float,
+    halves: Array,
 ) -> Estimate | str:
-    """The estimate that allows for errors of about std rad, or why it is not to be trusted."""
+    """The estimate that allows for errors of about std rad, or why it is not to be trusted.
+
+    halves (M,) rad: half of each joint's play in the exploration.
+    """
     why = reason_to_widen(problem, body.joints, std, settings)
     if why is not None:
         return why
-    found = explain_log(problem)
+    assert problem.evidence.encoders is not None  # or bars are widened
+    loads = load_columns(body, problem.evidence.encoders.values)
+    found = explain_log(problem, halves, loads)
     if found is None:
         return "no images show the joints"
     causal = settings.method != "smoother"
-    why = reason_of_disagreement(problem, beliefs, found, causal)
-    if why is not None:
-        return why
+    simpler = None
     if has_offsets(problem, first):
         without = _without_offsets(problem, first)
-        simpler = explain_log(without)
-        if (
-            simpler is not None
-            and _explains_offsets(simpler)
-            and simpler.nats - found.nats <= EVIDENCE_THRESHOLD_NATS
-        ):
-            problem = without
-            found = simpler
-            beliefs = replace(beliefs, faults=())
+        simpler = explain_log(without, halves, loads)
+    if simpler is not None and simpler.nats - found.nats <= _allowance_for_offsets(
+        simpler, problem, beliefs.faults
+    ):
+        problem = without
+        found = simpler
+        beliefs = replace(beliefs, faults=())
+    else:
+        why = reason_of_disagreement(problem, beliefs, found, causal)
+        if why is not None:
+            return why
     if found.explanation.is_sound:
         return "white noise explains the log as well"
     solved = solve_log(problem, found, causal)
@@ -106,19 +123,42 @@ def _explain_estimate(
     )
 
 
+def _known_halves(body: BodyModel) -> Array:
+    """Half of the play (M,) rad that each joint had in the exploration."""
+    play = learned_arm_errors(body).play
+    return np.array([0.5 * play[name][0] if name in play else 0.0 for name in body.joints])
+
+
+def _allowance_for_offsets(
+    found: ExplainedLog, problem: FilterProblem, faults: tuple[Fault, ...]
+) -> float:
+    """Nats by which a log without encoder offsets may be less likely than with them.
+
+    What lasts for long would be an offset itself. Play and one load explain several offsets at
+    once, and one encoder more that is off from the first reading on counts as one fault more. A
+    load in the shape of the hand's levers is a fault as an offset is.
+    """
+    joints = found.noise.joints
+    passing = bool((joints.seconds[joints.learned] < DRIFTS_S).all())
+    if (off := _count_from_start(problem, faults)) > 1:
+        return (off - 1) * EVIDENCE_THRESHOLD_NATS
+    if any(column.name == "payload" for column in found.explanation.columns):
+        return 0.0
+    return EVIDENCE_THRESHOLD_NATS if passing and "play" in found.explanation.gains else -np.inf
+
+
+def _count_from_start(problem: FilterProblem, faults: tuple[Fault, ...]) -> int:
+    """How many encoders have an offset, if all that are named have had it from the start."""
+    begin = problem.timeline.t[0] + FROM_START_S
+    if not faults or problem.precision.drift is None:
+        return 0
+    off = int((problem.precision.drift > 0.0).sum())
+    return off if all(fault.since < begin for fault in faults) else 0
+
+
 def has_offsets(problem: FilterProblem, first: FilterProblem) -> bool:
     """Whether encoder offsets were found since the first problem."""
     return problem.evidence.faults != first.evidence.faults or bool(problem.alternatives)
-
-
-def _explains_offsets(found: ExplainedLog) -> bool:
-    """Whether play explains what looked like an offset: an
-    error that lasts for long would be the offset itself.
-    """
-    joints = found.noise.joints
-    return "play" in found.explanation.gains and bool(
-        (joints.seconds[joints.learned] < DRIFTS_S).all()
-    )
 
 
 def _without_offsets(problem: FilterProblem, first: FilterProblem) -> FilterProblem:
@@ -165,27 +205,22 @@ def _place(problem: FilterProblem, instants: Instants, number: int) -> Place:
 
 def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, Any]:
     """The errors as plain numbers: what lasts, each joint's
-    play, a picture's row time, and nats by which each wins.
+    play, a load, and nats by which each wins.
     """
     explanation = found.explanation
     joints = found.noise.joints
     learned = explanation.learned
     sizes = learned.sizes.tolist()
     stds = np.sqrt(np.diag(learned.sizes_cov)).tolist()
-    errors: dict[str, Any] = {
-        "nats": explanation.nats,
-        "play": {},
-        "row_time": None,
-        "lasting": None,
-    }
+    errors: dict[str, Any] = {"nats": explanation.nats, "play": {}, "lasting": None, "load": None}
     for column, size, std in zip(explanation.columns, sizes, stds, strict=True):
-        if isinstance(column, Play) and size > EVIDENT_SIGMAS * std:
+        if isinstance(column, Play) and size > PLAY_SIGMAS * std:
             errors["play"][names[column.joint]] = {"rad": 2.0 * size, "std": 2.0 * std}
-        elif isinstance(column, RowTime):
-            errors["row_time"] = {"seconds": size, "std": std}
+    if loads := [one for one in explanation.columns if isinstance(one, Load)]:
+        errors["load"] = _describe_load(loads, explanation, names)
     errors["gains"] = dict(explanation.gains)
     errors["late"] = {one.camera: asdict(one) for one in explanation.delays}
-    if joints.error is not None and (explanation.lasts or not errors["play"]):
+    if joints.error is not None and (explanation.lasts or not (errors["play"] or errors["load"])):
         size = float(np.sqrt(np.mean(np.square(joints.error[joints.learned]))))
         where = "link" if joints.at_link.any() else "encoder"
         seconds = float(joints.seconds[joints.learned][0])
@@ -196,6 +231,25 @@ def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, A
             "at": where,
         }
     return errors
+
+
+def _describe_load(
+    loads: Sequence[Load], explanation: Explanation, names: tuple[str, ...]
+) -> dict[str, Any]:
+    """How far (rad) each joint bends at most, whether as under
+    a weight at the hand, and the nats by which that wins.
+    """
+    learned = explanation.learned
+    moved = np.zeros(learned.path.angles.shape)
+    for column, size in zip(explanation.columns, learned.sizes.tolist(), strict=True):
+        if column in loads:
+            moved += size * column.moves_links(learned.path)
+    farthest = np.abs(moved).max(axis=0).tolist()
+    return {
+        "weight": loads[0].name == "payload",
+        "nats": explanation.gains["load"],
+        "rad": {name: one for name, one in zip(names, farthest, strict=True) if one > 0.0},
+    }
 
 
 def _error_sentences(errors: Mapping[str, Any]) -> Iterator[str]:
@@ -210,8 +264,5 @@ def _error_sentences(errors: Mapping[str, Any]) -> Iterator[str]:
             f"the {one['at']} "
             f"({one['nats']:.0f} nats)"
         )
-    if errors["row_time"]:
-        one = errors["row_time"]
-        yield (
-            f"pictures: rows seen {1e3 * abs(one['seconds']):.0f} ± {1e3 * one['std']:.0f} ms apart"
-        )
+    if errors["load"]:
+        yield load_sentence(errors["load"])

@@ -134,10 +134,14 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
     """
     nees = _nees_if_white(found, lasting)
     own = {LASTING_ERROR: {**asdict(lasting), "nees_if_white": nees}}
+    seen = (
+        f"errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "
+        f"({lasting.nats:.0f} nats, by images): play, load, a bent link or electronics"
+        if lasting.nats
+        else f"joints have play, {1e3 * lasting.std:.2g} mrad to either side in the exploration"
+    )
     text = (
-        f"encoders: errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "
-        f"({lasting.nats:.0f} nats, by images): play, load, a bent link or electronics; error "
-        f"bars of white noise are too small (NEES about {nees:.2g}) and are widened by it; see "
+        f"encoders: {seen}; error bars of white noise are too small (NEES about {nees:.2g}) and are widened by it; see "
         f'"What real arms do" in docs/validation.md; angles stay as they are: {kept_for}'
     )
     return replace(

@@ -54,6 +54,8 @@ DELAY_S = 1e-2
 """s: standard deviation of the rest of a camera's delay,
 and of the difference of its first row from its last.
 """
+UNREAD_RAD = 0.03
+"""rad: how far a joint without readings may be from its belief."""
 _JITTER = 1e-6
 _STATED = np.array([1.0, 1.0, 0.01])
 """Factors on the noise of images, of readings, and alike, with which the search begins."""
@@ -162,13 +164,14 @@ def _stretch_residuals(
     ):
         part = frames[start : start + width]
         rows = usable[part]
-        sloped = jac[part] * has_reading[rows][:, None, :]
+        shown = has_reading[rows][:, None, :]
         late = np.einsum("fdm,fm->fd", jac[part], belief.rates[rows])
         yield _build_piece_residuals(
             residual[part],
             mean[part],
             var[rows],
-            sloped,
+            jac[part] * shown,
+            jac[part] * ~shown,
             model_var[part],
             angles[rows],
             late,
@@ -211,6 +214,7 @@ def _build_piece_residuals(
     places: Array,
     var: Array,
     jac: Array,
+    unread: Array,
     model_var: Array,
     q: Array,
     late: Array,
@@ -221,8 +225,9 @@ def _build_piece_residuals(
 ) -> Residuals:
     """The residuals (F,D) of F images, whose D rows are independent, as R = F D rows.
 
-    places (F,D): predicted, as measured ones are near where their errors are alike · late (F,D): by
-    a second · counts (M,) rad²: variance of the readings that comes from whole counts.
+    places (F,D): predicted, as measured ones are near where their errors are alike · jac, unread
+    (F,D,M): slopes of joints with and without readings · late (F,D): by a second · counts (M,)
+    rad²: variance of the readings that comes from whole counts.
     """
     step = q[:, None, :] - q[None, :, :]
     near_posture = np.exp(-0.5 * np.square(step / length).sum(axis=-1))
@@ -232,6 +237,8 @@ def _build_piece_residuals(
     rows = np.eye(residual.shape[1])
     single = np.eye(len(q))
     model = _image_error_covariance(near_posture, np.sqrt(model_var), rows)
+    # images tell where a joint without readings is: along its slope they contradict nothing
+    model += _project_joint_errors(unread, UNREAD_RAD**2 * single[..., None])
     image = _image_error_covariance(single, np.sqrt(var), rows)
     reading = _project_joint_errors(jac, variance * single[..., None])
     image_covariance = _image_error_covariance(

@@ -14,8 +14,10 @@ from ...settings import EstimationSettings
 from ...types import Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import repair_readings
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S
-from ..measurements.gather import camera_of_track, gather_measurements
+from ..measurements.arm_errors import ArmErrors, learned_arm_errors, shift_by_rows, with_links
+from ..measurements.gather import gather_measurements
 from ..measurements.records import Encoders, Sighting
+from ..measurements.track import camera_of_track
 from .delay_profile import MAX_DELAY_S, Delay
 from .regression import measure_delay_by_regression
 
@@ -215,23 +217,31 @@ def is_evident(delay: Delay, least: float = MIN_DELAY_S) -> bool:
     return bool(delay.nats > EVIDENCE_THRESHOLD_NATS and abs(delay.seconds) > least)
 
 
-def shift_features(features: Features, delays: Mapping[str, float]) -> Features:
-    """Subtract delays (s) from the times of each camera's tracks and of the joints."""
-    tracks = {
-        name: _shift_series(track, delays.get(camera_of_track(name), 0.0))
-        for name, track in features.tracks.items()
-    }
+def shift_features(
+    features: Features, delays: Mapping[str, float], errors: ArmErrors | None = None
+) -> Features:
+    """Subtract delays (s) from the times of each camera's tracks and of the
+    joints; with errors of an arm, move rows to when they were exposed, and joints to the links.
+    """
+    tracks = {}
+    for name, track in features.tracks.items():
+        camera = camera_of_track(name)
+        rows = None if errors is None else errors.rows.get(camera)
+        timed = track if rows is None else replace(track, t=shift_by_rows(track, rows))
+        tracks[name] = _shift_series(timed, delays.get(camera, 0.0))
     joints = (
         None
         if features.joints is None
         else _shift_series(features.joints, delays.get("joints", 0.0))
     )
-    return replace(features, tracks=tracks, joints=joints)
+    shifted = replace(features, tracks=tracks, joints=joints)
+    return shifted if errors is None else with_links(shifted, errors.play)
 
 
 def measured_delays(features: Features, body: BodyModel) -> dict[str, Delay]:
     """Measure each camera's delay relative to the encoders, where the log determines it."""
-    encoders, seen = sound_measurements(features, body)
+    linked = with_links(features, learned_arm_errors(body).play)
+    encoders, seen = sound_measurements(linked, body)
     found = (
         {}
         if encoders is None
@@ -254,18 +264,16 @@ def sound_measurements(
     return None if found.encoders is None else repair_readings(found.encoders), seen
 
 
-def restore_stamps(found: Estimate, features: Features, timely: Features) -> Estimate:
-    """Return an estimate from the `timely` features
-    with the images' original timestamps of `features`.
-    """
+def restore_stamps(found: Estimate, features: Features) -> Estimate:
+    """The estimate with the images' timestamps of `features`, whose times were corrected for it."""
 
     def stamped(name: str, series: Series) -> Series:
         track = features.tracks.get(name)
-        timed = timely.tracks.get(name)
-        if track is None or timed is None or timed is track:
+        if track is None:
             return series
-        order = np.argsort(timed.t, kind="stable")
-        return replace(series, t=track.t[order[np.searchsorted(timed.t, series.t, sorter=order)]])
+        order = np.argsort(track.source_ns, kind="stable")
+        rows = np.searchsorted(track.source_ns, series.source_ns, sorter=order)
+        return replace(series, t=track.t[order[rows]])
 
     each = (found.errors, found.predicted)
     errors, predicted = (

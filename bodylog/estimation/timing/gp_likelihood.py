@@ -1,17 +1,23 @@
-"""A camera's delay in an exploration log, by the likelihood of the body's own Gaussian process.
+"""What timing and play an exploration log shows, by the likelihood of the body's own Gaussian process.
 
-A track's curve y at t + τ is a draw of the process at the encoder angles of t: y + τ ẏ has its mean
-m and, with noise, its covariance K. So τ = −ẏᵀK⁻¹(y − m) / ẏᵀK⁻¹ẏ, by Gauss–Newton. Position and
-speed are interpolated from the same images, so their noise e, ė adds tr(K⁻¹ E[e ėᵀ]) and tr(K⁻¹ E[ė
-ėᵀ]) to the two sums, which are subtracted. Residuals of the learned mean are a weaker test: where
-paths hardly cross, the mean absorbs the delay.
+A track's curve y at t + τ − ρ r is a draw of the process at the link angles of t, with the delay τ
+of its camera and ρ s more for a row r further down. Where J is the body's slope and s the place of
+the links within half the play p, y − J s p has the process's mean m and, with noise, its covariance
+K. So θ = (τ, ρ, p) is (AᵀK⁻¹A)⁻¹ AᵀK⁻¹(m − y) with the slopes A = (ẏ, −r ẏ, −J s), by Gauss–Newton.
+Position and speed are interpolated from the same images, so their noise e, ė adds tr(K⁻¹ E[e ėᵀ])
+and tr(K⁻¹ E[ė ėᵀ]) to the sums, which are subtracted. Residuals of the learned mean are a weaker
+test: where paths hardly cross, the mean absorbs the delay.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ...types import Array
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
+from ..measurements.arm_errors import LEAST_PLAY, ArmErrors, RowExposure, read_slack
 from ..measurements.long_arrays import MIN_READINGS, median_by_pivot
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track_curve import (
@@ -21,58 +27,243 @@ from ..measurements.track_curve import (
     interpolate_curve,
     track_curve,
 )
-from .delay_profile import Delay, climb_profile
+from .delay_profile import MAX_DELAY_S, Delay
 
 Prior = Callable[[Array], tuple[Array, Array]]
 """The prior of a track at angles (B,M) rad: mean (D,) px and covariance (D,B,B) px²."""
+MOST_HALF = 0.05
+"""rad: half of the largest play, 5.7°; more is no play."""
+PLAY_STD = 0.01
+"""rad: prior standard deviation of half a play, 1.1° of play."""
+ROW_TIME_STD = 0.03
+"""s: of a picture's row time; most pictures take less than 1/30 s."""
+PLAY_SIGMAS = 3.0
+"""Standard deviations from zero of a joint's play that is taken."""
 
 
-def measure_delay_by_likelihood(
-    encoders: Encoders, seen: Sequence[Sighting], priors: Sequence[Prior]
-) -> Delay | None:
-    """The delay of one camera's tracks; None where they are too short."""
-    curves = [
-        (curve, *prior(curve.x))
-        for track, prior in zip(seen, priors, strict=True)
-        if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None
-    ]
+@dataclass(frozen=True, eq=False)
+class ExploredLog:
+    """A log's motors, and each camera's tracks with their priors.
 
-    def likelihood_step(late: float) -> tuple[float, float, None] | None:
-        parts = [_delay_sums(curve, mean, cov, late) for curve, mean, cov in curves]
-        # tracks beside the same encoders have correlated errors
-        pull, weight = np.sum(parts, axis=0) / len(parts) if parts else (0.0, 0.0)
-        return None if weight <= 0.0 else (-float(pull / weight), weight**-0.5, None)
-
-    found = climb_profile(likelihood_step)
-    return None if found is None else found[0]
-
-
-def _delay_sums(curve: Curve, mean: Array, cov: Array, late: float) -> tuple[float, float]:
-    """ẏᵀK⁻¹(y − m) and ẏᵀK⁻¹ẏ of a curve delayed by `late`
-    s, less their noise; zeros where too little is left.
+    encoders: with readings of the motors, not of the links.
     """
-    place, speed, value, slope, first, sound = interpolate_curve(curve, late)
+
+    encoders: Encoders
+    tracks: Mapping[str, Sequence[tuple[Sighting, Prior]]]
+
+
+@dataclass(frozen=True, eq=False)
+class _PriorCurve:
+    """A track's curve at B means in one log, and its prior's mean (D,) px and cov (D,B,B) px².
+
+    share: of the camera's tracks, whose errors beside the same encoders correlate.
+    """
+
+    log: int
+    camera: str
+    curve: Curve
+    mean: Array
+    cov: Array
+    share: float
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """The rows (px) between which nearly all means are seen."""
+        low, high = np.quantile(self.curve.predicted[:, -1], [0.01, 0.99])
+        return float(low), float(high)
+
+
+@dataclass(frozen=True, eq=False)
+class _Evidence:
+    """AᵀK⁻¹(y − m) (P,), AᵀK⁻¹A (P,P), and the prior standard deviations (P,)."""
+
+    pull: Array
+    weight: Array
+    std: Array
+
+    def nats_of(self, free: Array) -> float:
+        """−ln p with these parameters free and all others 0, up to a constant."""
+        prior = self.std[free]
+        # scaled by their priors, so that units do not matter
+        scaled = np.eye(len(free)) + prior[:, None] * self.weight[np.ix_(free, free)] * prior
+        pull = prior * self.pull[free]
+        logs = float(np.linalg.slogdet(scaled)[1])
+        return 0.5 * (logs - float(pull @ np.linalg.solve(scaled, pull)))
+
+
+class _Search:
+    """The search for a delay of each log's cameras, a row time of
+    each camera, and half a play of each joint, in this order.
+    """
+
+    def __init__(self, logs: Sequence[ExploredLog], joints: tuple[str, ...]) -> None:
+        self.logs = logs
+        self.joints = joints
+        self.curves = [one for k, log in enumerate(logs) for one in _curves_of_log(k, log)]
+        self.late = list(dict.fromkeys((one.log, one.camera) for one in self.curves))
+        self.cameras = list(dict.fromkeys(one.camera for one in self.curves))
+        widest = {one.camera: one.span for one in sorted(self.curves, key=_row_span)}
+        self.middle = {name: 0.5 * sum(span) for name, span in widest.items()}
+        self.span = {name: max(span[1] - span[0], 1.0) for name, span in widest.items()}
+        first = len(self.late)
+        self.rows = np.arange(first, first + len(self.cameras))
+        self.play = np.arange(len(joints)) + first + len(self.cameras)
+        self.std = np.concatenate(
+            [
+                np.full(first, MAX_DELAY_S),
+                [ROW_TIME_STD / self.span[name] for name in self.cameras],
+                np.full(len(joints), PLAY_STD),
+            ]
+        )
+
+    def solve_with(self, free: Array) -> tuple[Array, Array, "_Evidence"]:
+        """The sizes (P,) of the parameters that are free and of the delays, 0
+        for others; their standard errors, and the evidence of some about them.
+        """
+        kept = np.concatenate([np.arange(len(self.late)), free])
+        precision = np.diag(self.std[kept] ** -2.0)
+        sizes = np.zeros(len(self.std))
+        errors = np.zeros(len(self.std))
+        for _ in range(MAX_SWEEPS):
+            pull, weight = self._sum_up(sizes)
+            evidence = _Evidence(pull - weight @ sizes, weight, self.std)
+            cov = np.linalg.inv(weight[np.ix_(kept, kept)] + precision)
+            step = cov @ (pull[kept] + precision @ sizes[kept])
+            errors[kept] = np.sqrt(np.maximum(np.diag(cov), 1e-24))
+            sizes[kept] -= step
+            sizes[self.play] = np.clip(sizes[self.play], 0.0, MOST_HALF)
+            if np.abs(step / errors[kept]).max() < ROUGHLY_CONVERGED_MOVE:
+                break
+        return sizes, errors, evidence
+
+    def choose_errors(self) -> tuple[Array, Array, Array]:
+        """What the evidence asks for beside delays, of row times
+        and play; the sizes with these, and their standard errors.
+        """
+        none = np.zeros(0, int)
+        both = np.concatenate([self.rows, self.play])
+        sizes, errors, evidence = self.solve_with(both)
+        delays = np.arange(len(self.late))
+
+        def excess(some: Array, groups: int) -> float:
+            nats = evidence.nats_of(np.concatenate([delays, some]))
+            return nats + groups * EVIDENCE_THRESHOLD_NATS
+
+        ways = [(none, 0), (self.rows, 1), (self.play, 1), (both, 2)]
+        free, groups = min(ways, key=lambda way: excess(*way))
+        if groups < 2:
+            sizes, errors, _ = self.solve_with(free)
+        return free, sizes, errors
+
+    def _sum_up(self, sizes: Array) -> tuple[Array, Array]:
+        """AᵀK⁻¹(y − J s p − m) (P,) and AᵀK⁻¹A (P,P) about these sizes."""
+        half = np.maximum(sizes[self.play], LEAST_PLAY)
+        slacks = [read_slack(log.encoders.t, log.encoders.values, half) for log in self.logs]
+        pull = np.zeros(len(sizes))
+        weight = np.zeros((len(sizes), len(sizes)))
+        for one in self.curves:
+            t = self.logs[one.log].encoders.t
+            slack = np.column_stack([np.interp(one.curve.at, t, s) for s in slacks[one.log].T])
+            own = np.array(
+                [
+                    self.late.index((one.log, one.camera)),
+                    self.rows[self.cameras.index(one.camera)],
+                    *self.play,
+                ]
+            )
+            rows = one.curve.predicted[:, -1] - self.middle[one.camera]
+            pulled, weighed = _curve_sums(one, rows, slack, sizes[own])
+            pull[own] += pulled * one.share
+            weight[np.ix_(own, own)] += weighed * one.share
+        return pull, weight
+
+    def name_errors(
+        self, free: Array, sizes: Array, errors: Array
+    ) -> tuple[list[dict[str, Delay]], ArmErrors]:
+        """The delays by log, and what all logs share."""
+        delays: list[dict[str, Delay]] = [{} for _ in self.logs]
+        for (log, name), size, error in zip(self.late, sizes, errors, strict=False):
+            if abs(size) <= MAX_DELAY_S and error < 0.5 * MAX_DELAY_S:
+                delays[log][name] = Delay(float(size), float(error))
+        rows = {
+            name: RowExposure(float(sizes[p]), float(errors[p]), self.middle[name], self.span[name])
+            for name, p in zip(self.cameras, self.rows, strict=True)
+            if p in free
+        }
+        play = {
+            name: (2.0 * float(sizes[p]), 2.0 * float(errors[p]))
+            for name, p in zip(self.joints, self.play, strict=True)
+            if p in free and sizes[p] > PLAY_SIGMAS * errors[p]
+        }
+        return delays, ArmErrors(play, rows)
+
+
+def measure_arm_errors(
+    logs: Sequence[ExploredLog], joints: tuple[str, ...]
+) -> tuple[list[dict[str, Delay]], ArmErrors]:
+    """What is left of each camera's delay in each log, and the row
+    times and play that all logs share, as far as their evidence asks for them.
+    """
+    search = _Search(logs, joints)
+    if not search.curves:
+        return [{} for _ in logs], ArmErrors()
+    return search.name_errors(*search.choose_errors())
+
+
+def _curves_of_log(number: int, log: ExploredLog) -> Iterator[_PriorCurve]:
+    """Yield the curves of a log that are long enough."""
+    for camera, tracks in log.tracks.items():
+        found = [
+            (curve, prior)
+            for track, prior in tracks
+            if (curve := track_curve(log.encoders, track, MAX_CURVE_MEANS // len(tracks)))
+        ]
+        for curve, prior in found:
+            yield _PriorCurve(number, camera, curve, *prior(curve.x), 1.0 / len(found))
+
+
+def _row_span(one: _PriorCurve) -> float:
+    """How many rows (px) a curve goes over."""
+    low, high = one.span
+    return high - low
+
+
+def _curve_sums(one: _PriorCurve, rows: Array, slack: Array, sizes: Array) -> tuple[Array, Array]:
+    """AᵀK⁻¹(y − J s p − m) (C,) and AᵀK⁻¹A (C,C) of a curve, less their noise, for its
+    delay, row time and plays of these sizes (C,); zeros where too little is left.
+
+    rows (B,) px from the middle · slack (B,M).
+    """
+    curve = one.curve
+    place, speed, value, slope, first, sound = interpolate_curve(curve, sizes[0] - sizes[1] * rows)
+    loose = curve.jac * slack[:, None]
+    place = place - loose @ sizes[2:]
     off = np.linalg.norm(place - curve.predicted, axis=1)
+    pull = np.zeros(len(sizes))
+    weight = np.zeros((len(sizes), len(sizes)))
     if sound.sum() < MIN_READINGS:
-        return 0.0, 0.0
+        return pull, weight
     # positions far from the learned mean are blunders, too
-    rows = np.flatnonzero(sound & (off <= BLUNDER_MEDIANS * median_by_pivot(off[sound])))
-    noise = curve.noise + np.einsum("bdm,bm->bd", np.square(curve.jac[rows]), curve.encoder[rows])
+    kept = np.flatnonzero(sound & (off <= BLUNDER_MEDIANS * median_by_pivot(off[sound])))
+    noise = curve.noise + np.einsum("bdm,bm->bd", np.square(curve.jac[kept]), curve.encoder[kept])
     placed, moved = (
-        _scatter_weights(part[rows], first[rows], len(curve.t)) for part in (value, slope)
+        _scatter_weights(part[kept], first[kept], len(curve.t)) for part in (value, slope)
     )
     cross = moved @ placed.T
     own = moved @ moved.T
-    pull = 0.0
-    weight = 0.0
-    for d, prior in enumerate(cov):
-        known = prior[np.ix_(rows, rows)] + np.diag(noise[:, d])
+    timed = np.column_stack([np.ones(len(kept)), -rows[kept]])
+    for d, prior in enumerate(one.cov):
+        known = prior[np.ix_(kept, kept)] + np.diag(noise[:, d])
         inverse = np.linalg.inv(known)
         blur = curve.blur[d] / curve.images
-        lean = inverse @ speed[rows, d]
-        pull += lean @ (place[rows, d] - mean[d]) - blur * float(np.sum(inverse * cross))
-        weight += lean @ speed[rows, d] - blur * float(np.sum(inverse * own))
-    return float(pull), float(weight)
+        slopes = np.column_stack([speed[kept, d, None] * timed, -loose[kept, d]])
+        residual = place[kept, d] - one.mean[d]
+        lean = inverse @ slopes
+        pull += lean.T @ residual
+        weight += lean.T @ slopes
+        pull[:2] -= blur * (timed.T @ (inverse * cross).sum(axis=1))
+        weight[:2, :2] -= blur * (timed.T @ (inverse * own) @ timed)
+    return pull, weight
 
 
 def _scatter_weights(weights: Array, first: Array, count: int) -> Array:

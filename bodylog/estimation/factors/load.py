@@ -1,0 +1,102 @@
+"""What links bend by that the posture alone decides: under a weight at the hand, or of unknown shape."""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...body_model import BodyModel, ForwardModel
+from ...types import Array
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from .columns import Column, Path
+
+LOAD_STD = 0.02
+"""rad: prior standard deviation of what a joint bends by under a load, 1.1°."""
+LEAST_LEVER = 1e-3
+"""Share of the longest lever below which a joint carries nothing."""
+
+
+@dataclass(frozen=True)
+class Load(Column):
+    """What a joint bends by, rad: a shape of the posture, (K,M) rad -> (K,), times the size."""
+
+    joint: int = 0
+    shape: Callable[[Array], Array] = np.ones_like
+    bends: bool = True
+
+    def moves_links(self, path: Path) -> Array:
+        """The shape at the angles, for this joint."""
+        own = np.zeros(path.angles.shape)
+        own[:, self.joint] = self.shape(path.angles)
+        return own
+
+
+def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
+    """A load's columns for readings (N,M) rad: by the levers of the
+    hand where a URDF tells them, else any linear function of the posture.
+    """
+    known = readings[np.isfinite(readings).all(axis=1)]
+    if not len(known):
+        return ()
+    levers = hand_levers(body.senses)
+    return tuple(_bend_linearly(known) if levers is None else _bend_by_levers(levers, known))
+
+
+def hand_levers(senses: Mapping[str, ForwardModel]) -> Callable[[Array], Array] | None:
+    """How far the hand rises with each joint (N,M), m per rad, at angles
+    (N,M): minus the torque of a unit weight there. None without a URDF.
+
+    A URDF's root stands upright.
+    """
+    bases = [base for one in senses.values() if (base := getattr(one, "base", None)) is not None]
+    if not bases or bases[0].camera:
+        return None
+    chain = bases[0].chain
+
+    def levers(angles: Array) -> Array:
+        poses = chain.at(angles)
+        return np.asarray(chain.slopes(poses, poses.place[:, None])[:, 0, 2])
+
+    return levers
+
+
+def _bend_by_levers(levers: Callable[[Array], Array], known: Array) -> Iterator[Load]:
+    """Yield how each joint that carries the hand sinks: by as much as its size where it is worst."""
+    longest = np.abs(levers(known)).max(axis=0)
+    for j in np.flatnonzero(longest > LEAST_LEVER * longest.max()).tolist():
+
+        def sink(angles: Array, j: int = j) -> Array:
+            return np.asarray(-levers(angles)[:, j] / longest[j])
+
+        yield Load("payload", LOAD_STD, joint=j, shape=sink)
+
+
+def _bend_linearly(known: Array) -> Iterator[Load]:
+    """Yield how each joint is off at the middle of the log, and by the angle of each."""
+    middle = known.mean(axis=0)
+    reach = np.maximum(np.ptp(known, axis=0), 1e-6)
+    for j in range(known.shape[1]):
+        yield Load("posture", LOAD_STD, joint=j, shape=_keep_constant)
+        for other in range(known.shape[1]):
+
+            def lean(angles: Array, other: int = other) -> Array:
+                return np.asarray((angles[:, other] - middle[other]) / reach[other])
+
+            yield Load("posture", LOAD_STD, joint=j, shape=lean)
+
+
+def _keep_constant(angles: Array) -> Array:
+    """1 at all angles (K,M)."""
+    return np.ones(len(angles))
+
+
+def load_sentence(load: Mapping[str, Any]) -> str:
+    """A load in words: `weight`, whether it is as under a weight at the
+    hand, `nats`, and `rad` {joint: how far it bends at most}.
+    """
+    each = ", ".join(f"{name} {np.rad2deg(size):.2g}°" for name, size in load["rad"].items())
+    cause = "payload" if load["weight"] else "payload, or another error of the posture"
+    sure = load["nats"] > EVIDENCE_THRESHOLD_NATS
+    weighed = f"{load['nats']:.0f} nats" if sure else "or errors that last, as likely"
+    return f"{cause}: joints bend by up to {each} more than in the exploration ({weighed})"

@@ -1,0 +1,143 @@
+"""What an arm and its cameras keep from log to log: play between
+motors and links, and rows of pictures that are exposed in turn.
+"""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from math import isfinite
+from typing import Any
+
+import numpy as np
+
+from ...body_model import BodyModel
+from ...errors import ModelError
+from ...types import Array, Features, Series
+from .long_arrays import find_finite_rows, median_step, noise_variance
+
+ARM_ERRORS = "arm_errors"
+"""In a body's provenance: the errors that it was learned with."""
+SMOOTH_S = 0.05
+"""s over which readings are averaged before links are
+derived from them: arms hardly turn back within it.
+"""
+NOISE_SIGMAS = 2.0
+"""Standard deviations of a motor's angle that a turn back must exceed."""
+LEAST_PLAY = 5e-4
+"""rad: half of a play that is assumed at least,
+so that noise of the angle does not turn the link.
+"""
+MOST_OF_STEP = 0.45
+"""Largest shift of an image by its row, in steps of the
+camera: rows of a picture are exposed before the next one.
+"""
+
+
+@dataclass(frozen=True)
+class RowExposure:
+    """When a camera exposes a row: `seconds` ± std a px
+    later than the row above, on time at `row` px.
+
+    span: px between the rows that the log showed it at.
+    """
+
+    seconds: float
+    std: float
+    row: float
+    span: float
+
+
+@dataclass(frozen=True)
+class ArmErrors:
+    """Play {joint: (rad, std)}, from one end to the
+    other, and {camera: RowExposure} of its pictures.
+    """
+
+    play: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    rows: Mapping[str, RowExposure] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        """Whether there are any."""
+        return bool(self.play or self.rows)
+
+    def as_provenance(self) -> dict[str, Any]:
+        """Plain numbers for a body's provenance."""
+        rows = {name: asdict(one) for name, one in self.rows.items()}
+        return {ARM_ERRORS: {"play": {k: list(v) for k, v in self.play.items()}, "rows": rows}}
+
+
+def learned_arm_errors(body: BodyModel | None) -> ArmErrors:
+    """The errors that a body was learned with; ModelError
+    for anything else in its provenance.
+    """
+    given = {} if body is None else body.provenance.get(ARM_ERRORS, {})
+    try:
+        play = {str(k): (float(v[0]), float(v[1])) for k, v in given.get("play", {}).items()}
+        rows = {str(k): RowExposure(**v) for k, v in given.get("rows", {}).items()}
+        numbers = [n for v in play.values() for n in v]
+        numbers += [float(n) for one in rows.values() for n in asdict(one).values()]
+    except (AttributeError, IndexError, KeyError, TypeError, ValueError):
+        numbers = [np.nan]
+    if not all(map(isfinite, numbers)):
+        raise ModelError(
+            f"provenance.{ARM_ERRORS}: found {given!r}, possible: play and rows in numbers"
+        )
+    return ArmErrors(play, rows)
+
+
+def shift_by_rows(track: Series, rows: RowExposure | None) -> Array:
+    """Times (N,) s at which a camera exposed the rows where a track was seen."""
+    seen = find_finite_rows(track.values)
+    if rows is None or seen.sum() < 2:
+        return track.t
+    most = MOST_OF_STEP * median_step(track.t)
+    later = rows.seconds * (np.where(seen, track.values[:, -1], rows.row) - rows.row)
+    return np.asarray(track.t + np.clip(later, -most, most))
+
+
+def follow_slack(motors: Array, half: Array, noise: Array) -> Array:
+    """Where links lie within their play (K,M), −1 … 1,
+    while motors (K,M) rad turn; half (M,) rad of the play.
+
+    The link stays until the motor has gone through the play, then trails it (the backlash
+    operator). noise (M,) rad: how far the motors' angles are known. A turn back within it counts
+    for none, as noise alone would drag the link along.
+    """
+    reach = half + noise
+    links = motors[0]
+    found = np.zeros(motors.shape)
+    for k, motor in enumerate(motors):
+        links = np.clip(links, motor - reach, motor + reach)
+        found[k] = links - motor
+    return np.clip(found / half, -1.0, 1.0)
+
+
+def read_slack(t: Array, readings: Array, half: Array) -> Array:
+    """Where links lie within their play (N,M), −1 … 1, by the
+    readings (N,M) rad at t (N,) s of their motors.
+    """
+    motors = np.column_stack([_fill_gaps(t, column) for column in readings.T])
+    width = max(int(SMOOTH_S / median_step(t)) | 1, 1)
+    ends = ((width // 2, width // 2), (0, 0))
+    sums = np.cumsum(np.pad(np.pad(motors, ends, "edge"), ((1, 0), (0, 0))), axis=0)
+    smooth = (sums[width:] - sums[:-width]) / width
+    noise = NOISE_SIGMAS * np.sqrt(noise_variance(motors) / width)
+    return follow_slack(smooth, half, noise)
+
+
+def _fill_gaps(t: Array, column: Array) -> Array:
+    """A joint's readings (N,) with missing ones drawn between their neighbours."""
+    known = np.isfinite(column)
+    return np.asarray(np.interp(t, t[known], column[known]) if known.any() else np.zeros(len(t)))
+
+
+def with_links(features: Features, play: Mapping[str, tuple[float, float]]) -> Features:
+    """The features with joints where the links are, in place of the motors that encoders read."""
+    joints = features.joints
+    loose = [] if joints is None else [name for name in joints.names if name in play]
+    if joints is None or not loose or len(joints.t) < 2:
+        return features
+    columns = [joints.names.index(name) for name in loose]
+    half = np.array([0.5 * play[name][0] for name in loose])
+    values = joints.values.copy()
+    values[:, columns] += half * read_slack(joints.t, joints.values[:, columns], half)
+    return replace(features, joints=replace(joints, values=values))

@@ -1,0 +1,196 @@
+"""Play and row times: learned with the body, and allowed for in later logs."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bodylog.delays import camera_delay
+from bodylog.errors import ModelError
+from bodylog.estimation import estimate_from_features
+from bodylog.estimation.factors.columns import Path
+from bodylog.estimation.factors.load import hand_levers, load_columns, load_sentence
+from bodylog.estimation.measurements.arm_errors import (
+    ARM_ERRORS,
+    ArmErrors,
+    RowExposure,
+    learned_arm_errors,
+    read_slack,
+    shift_by_rows,
+)
+from bodylog.evaluation.scores import truth_at_times
+from bodylog.kinematics import chain, urdf
+from bodylog.settings import EstimationSettings, Settings
+from bodylog.sim.arms import ARMS
+from bodylog.sim.hardware import Hardware, add_play
+from tests.estimation import mechanisms
+from tests.estimation.mechanisms import Fault, Mechanism
+
+PLAY = 8e-3
+LOOSE = Mechanism(5e-4, Hardware(play=PLAY))
+ROW_S = 1e-4
+"""s a px: 24 ms from the first of 240 rows to the last."""
+
+
+KINDS = {
+    "sound": mechanisms.SOUND,
+    "counts": mechanisms.QUANTISED,
+    "correlated, 2 s": mechanisms.CORRELATED,
+    "correlated, 0.2 s": Mechanism(hardware=Hardware(correlated=1e-3, correlation_s=0.2)),
+    "play": LOOSE,
+    "stick-slip": Mechanism(hardware=Hardware(stick=4e-3)),
+    "all, mild": mechanisms.REALISTIC,
+    "payload, 0.3°": mechanisms.SOUND,
+    "payload, 1°": mechanisms.SOUND,
+}
+PAYLOADS = {"payload, 0.3°": 5e-3, "payload, 1°": 1.75e-2}
+WITHOUT_ERRORS = ("sound", "counts")
+MOST_NEES = 2.0
+
+
+@pytest.fixture(scope="module")
+def sound_body():
+    """The body of an arm without errors."""
+    return mechanisms.learned(1000, mechanisms.SOUND)
+
+
+def explored(mechanism, row_s=0.0, seed=1000, duration=24.0):
+    """An exploration whose pictures are exposed row by row."""
+    features = mechanisms.replayed(seed, mechanism, Fault(), duration=duration)
+    track = features.tracks["effector"]
+    stamps = track.t - row_s * (track.values[:, 1] - track.values[:, 1].mean())
+    return replace(features, tracks={"effector": replace(track, t=stamps)})
+
+
+def fitted(features):
+    """The body that `fit` learns."""
+    return camera_delay.learn_with_delays([features], Settings(), {}, None)
+
+
+def test_fit_learns_play_and_row_times_and_reports_no_delay_for_them():
+    found = fitted(explored(LOOSE, ROW_S))
+    errors = learned_arm_errors(found.model)
+    assert set(errors.play) == set(found.model.joints)
+    for size, std in errors.play.values():
+        assert size == pytest.approx(PLAY, abs=max(4.0 * std, 0.1 * PLAY))
+        assert std < 0.2 * PLAY
+    rows = errors.rows["camera"]
+    assert rows.seconds == pytest.approx(ROW_S, abs=3.0 * rows.std) and rows.std < 0.3 * ROW_S
+    assert "delay" not in found.model.provenance
+    texts = " ".join(one.text for one in found.findings)
+    assert "of play" in texts and "exposed" in texts and "lag" not in texts
+
+
+def test_fit_finds_neither_play_nor_row_times_in_a_sound_exploration():
+    found = fitted(explored(mechanisms.SOUND))
+    assert not learned_arm_errors(found.model)
+    assert ARM_ERRORS not in found.model.provenance and "delay" not in found.model.provenance
+
+
+def test_images_keep_their_stamps_where_rows_are_exposed_in_turn(sound_body):
+    rows = RowExposure(ROW_S, 1e-6, 120.0, 200.0)
+    errors = ArmErrors(rows={"camera": rows})
+    body = replace(sound_body, provenance={**sound_body.provenance, **errors.as_provenance()})
+    features = mechanisms.replayed(4, mechanisms.SOUND, Fault(), duration=6.0)
+    track = features.tracks["effector"]
+    moved = shift_by_rows(track, rows) - track.t
+    np.testing.assert_allclose(moved, ROW_S * (track.values[:, 1] - 120.0), atol=1e-12)
+    found = estimate_from_features(features, body, EstimationSettings())
+    np.testing.assert_array_equal(found.predicted["effector"].t, track.t)
+
+
+def test_errors_of_an_arm_survive_a_body_file_and_others_are_refused(sound_body):
+    errors = ArmErrors({"lift": (4e-3, 2e-4)}, {"camera": RowExposure(1e-5, 1e-6, 100.0, 90.0)})
+    known = replace(sound_body, provenance=errors.as_provenance())
+    assert learned_arm_errors(known) == errors
+    for wrong in ("late", {"play": {"lift": [1.0]}}, {"rows": {"camera": {"seconds": "x"}}}):
+        with pytest.raises(ModelError, match=ARM_ERRORS):
+            learned_arm_errors(replace(sound_body, provenance={ARM_ERRORS: wrong}))
+
+
+def test_links_are_followed_through_noise_of_readings():
+    t = np.arange(0.0, 20.0, 0.01)
+    motors = 0.3 * np.sin(t)[:, None]
+    links = add_play(motors, PLAY)
+    noise = np.random.default_rng(3).normal(0.0, 5e-4, motors.shape)
+    slack = read_slack(t, motors + noise, np.array([0.5 * PLAY]))
+    error = (0.5 * PLAY * slack - (links - motors))[200:]
+    assert np.sqrt(np.mean(error**2)) < 0.15 * PLAY
+
+
+def test_a_load_without_a_urdf_is_any_linear_function_of_the_posture(sound_body):
+    q = mechanisms.replayed(4, mechanisms.SOUND, Fault(), duration=6.0).joints.values
+    columns = load_columns(sound_body, q)
+    assert {one.name for one in columns} == {"posture"}
+    path = Path(np.arange(len(q)), q, q, q, q)
+    moved = np.stack([one.moves_links(path) for one in columns], axis=-1).reshape(q.size, -1)
+    linear = (q @ np.array([[0.1, 0.2, 0.0], [0.0, -0.3, 0.1], [0.2, 0.0, 0.0]]) + 0.05).ravel()
+    left = linear - moved @ np.linalg.lstsq(moved, linear, rcond=None)[0]
+    assert np.abs(left).max() < 1e-9
+    text = load_sentence({"weight": False, "nats": 20.0, "rad": {"lift": 0.01}})
+    assert text.startswith("payload, or") and "lift 0.57°" in text and "20 nats" in text
+
+
+def test_a_load_with_a_urdf_bends_joints_by_the_levers_of_the_hand():
+    arm = ARMS["ur5"]
+    robot = urdf.load_urdf(arm.urdf)
+    hand = chain.chain_between(robot, robot.root, "effector").over(arm.joints)
+    sense = SimpleNamespace(base=SimpleNamespace(chain=hand, camera=False))
+    q = np.random.default_rng(5).uniform(-1.0, 1.0, (50, len(arm.joints)))
+    levers = hand_levers({"effector": sense})(q)
+    step = 1e-6 * np.eye(q.shape[1])
+    raised = [hand.at(q + d).place[:, 2] - hand.at(q - d).place[:, 2] for d in step]
+    np.testing.assert_allclose(levers, np.transpose(raised) / 2e-6, atol=1e-7)
+    columns = load_columns(SimpleNamespace(senses={"effector": sense}), q)
+    assert {one.name for one in columns} == {"payload"}
+    assert 0 not in {one.joint for one in columns}  # the first axis stands upright
+    path = Path(np.arange(len(q)), q, q, q, q)
+    for one in columns:
+        assert np.abs(one.moves_links(path)).max() == pytest.approx(1.0)
+
+
+def judge_log(kind, seed):
+    """(NEES, warned, faults) of one drawn log of a kind, with the body that `fit` learns."""
+    mechanism = KINDS[kind]
+    body = fitted(explored(mechanism, seed=seed + 500, duration=40.0)).model
+    fault = Fault(payload=PAYLOADS.get(kind, 0.0))
+    features = mechanisms.replayed(seed, mechanism, fault)
+    found = estimate_from_features(features, body, EstimationSettings())
+    true = links_of(seed, mechanism, fault)
+    error = found.joints.values - truth_at_times(true, list(found.joints.names), found.joints.t)
+    nees = float((error**2 / np.einsum("nii->ni", found.cov)).mean())
+    warned = any(one.severity == "warning" for one in found.findings) or bool(found.faults)
+    return nees, warned, found.faults
+
+
+def links_of(seed, mechanism, fault):
+    """The links' angles of a drawn log, without the sag that the exploration had."""
+    bare = replace(mechanism.hardware, play=0.0, sag=0.0, correlated=0.0, tails=0.0, outliers=0.0)
+    quiet = Mechanism(0.0, replace(bare, counts=0.0, jitter=0.0))
+    motors = mechanisms.replayed(seed, quiet, Fault()).joints
+    links = mechanisms.add_play(motors.values, mechanism.hardware.play)
+    links = links + fault.payload * np.cos(motors.values[:, 1:2]) * mechanisms._GRAVITY
+    return replace(motors, values=links)
+
+
+def count_warnings(seeds):
+    """{kind: (NEES of each log, logs with NEES above MOST_NEES, of these with a warning, warned)}."""
+    table = {}
+    for kind in KINDS:
+        logs = [judge_log(kind, seed) for seed in seeds]
+        far = [warned for nees, warned, _ in logs if nees > MOST_NEES]
+        each = [round(nees, 2) for nees, _, _ in logs]
+        table[kind] = (each, len(far), sum(far), sum(warned for _, warned, _ in logs))
+        print(kind, table[kind], flush=True)
+    return table
+
+
+@pytest.mark.soak
+def test_wrong_error_bars_carry_a_warning_and_sound_logs_carry_none():
+    seeds = range(8200, 8210)
+    table = count_warnings(seeds)
+    far, warned = np.sum([row[1:3] for row in table.values()], axis=0)
+    assert warned >= 0.9 * far
+    sound = sum(table[kind][3] for kind in WITHOUT_ERRORS)
+    assert sound <= 0.02 * len(seeds) * len(WITHOUT_ERRORS)
