@@ -214,7 +214,10 @@ def judge_by_camera(
         )
     model = landmark_model(surface, camera, [motion])
     belief = _landmark_belief(model, camera)
-    free = hypotheses.widen_zero_belief(model, belief)
+    shift = picture_shift(camera.picture, picture, camera.size[0])
+    may_move = shift is None or shift > _SAME_PICTURE_PX
+    # a pose that is held tells, as information of the log, little but what holds it
+    free = hypotheses.widen_zero_belief(model, belief, may_move)
     seen = join_landmark_tracks([(tracks.piece, tracks.t[tracks.frame], tracks.uv)], tracks.size[1])
     part = seen.take(choose_pieces(seen, MOST_PIECES)).thinned(ROW_STRIDE)
     few = seen.take(choose_pieces(seen, SEARCH_PIECES)).thinned(SEARCH_STRIDE)
@@ -230,8 +233,6 @@ def judge_by_camera(
             f"{len(fit.used)})"
         )
         raise EvidenceError(f"{log}: {camera.name}: {why}; the surface says nothing")
-    shift = picture_shift(camera.picture, picture, camera.size[0])
-    may_move = shift is None or shift > _SAME_PICTURE_PX
     changes = _weighed_changes(fit, belief, may_move)
     delay = fit.model.of_delays.start
     # tracks follow every image, landmarks are looked for in some
@@ -449,7 +450,10 @@ def _describe_other_scene(one: CameraJudgement) -> Finding:
 
     nats = {change.name: change.nats for change in one.changes}
     gain = nats[CAMERA] - nats[SOUND]
-    text = f"{one.camera}: its scene is not that of the body, so whether the camera moved is not judged"
+    text = (
+        f"{one.camera}: its still scene does not look like the body's, so whether the camera moved "
+        "is not judged"
+    )
     if gain < FAULT_EVIDENCE_NATS:
         return Finding("info", text)
     why = f"a moved camera explains the arm's corners better ({gain:.0f} nats)"
