@@ -120,10 +120,10 @@ def row_times(seconds: list[float], std: float) -> list[FlowDelay]:
 
 
 def test_row_times_of_logs_are_pooled_with_their_scatter():
-    calm = pool_row_times(row_times([0.04, 0.05, 0.06], 0.02))
-    assert calm is not None and calm.seconds == pytest.approx(0.05)
+    steady = pool_row_times(row_times([0.04, 0.05, 0.06], 0.02))
+    assert steady is not None and steady.seconds == pytest.approx(0.05)
     floor = flow_module.ROW_TIME_FLOOR_BY_FLOW_S
-    assert calm.std_error == pytest.approx(np.hypot(0.02 / np.sqrt(3.0), floor))
+    assert steady.std_error == pytest.approx(np.hypot(0.02 / np.sqrt(3.0), floor))
     wild = pool_row_times(row_times([0.0, 0.05, 0.1], 0.02))
     assert wild is not None and wild.std_error == pytest.approx(np.hypot(0.05 / np.sqrt(3.0), floor))
     assert pool_row_times(row_times([0.04, 0.05], 0.02)) is None

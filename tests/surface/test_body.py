@@ -221,8 +221,8 @@ def test_sound_arm_with_another_texture_before_another_wall_is_accused_of_nothin
     assert run_cli("estimate", reach, "--body", body, "-o", tmp_path / "out.mcap", "--json") == 0
     (entry,) = json.loads(capsys.readouterr().out)["results"]
     assert not entry["faults"]
-    (said,) = [one["text"] for one in entry["findings"] if "whether the camera moved is not judged" in one["text"]]
-    assert "does not look like the body's" in said
+    (finding,) = [one["text"] for one in entry["findings"] if "whether the camera moved is not judged" in one["text"]]
+    assert "does not look like the body's" in finding
 
 
 @pytest.mark.soak

@@ -50,11 +50,11 @@ def test_camera_is_not_judged_by_another_scene(shift, faults):
     fault = surface_estimate._winning_fault(judged, 0.0, learned)
     assert [one.kind for one in [fault] if one is not None] == faults
     if shift is None:
-        said = surface_estimate._describe_other_scene(judged)
-        assert said.severity == "warning"
-        assert "whether the camera moved is not judged" in said.text and "20 nats" in said.text
-        calm = replace(judged, changes=[ChangeHypothesis(SOUND, 0.0), ChangeHypothesis(CAMERA, 2.0)])
-        assert surface_estimate._describe_other_scene(calm).severity == "info"
+        finding = surface_estimate._describe_other_scene(judged)
+        assert finding.severity == "warning"
+        assert "whether the camera moved is not judged" in finding.text and "20 nats" in finding.text
+        quiet = replace(judged, changes=[ChangeHypothesis(SOUND, 0.0), ChangeHypothesis(CAMERA, 2.0)])
+        assert surface_estimate._describe_other_scene(quiet).severity == "info"
 
 
 @pytest.mark.soak
