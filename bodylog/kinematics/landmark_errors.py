@@ -57,6 +57,15 @@ def unknowns_covariance(fit: LandmarkFit) -> Array:
     return _with_floor(fit, result)
 
 
+def condition_on_unknown(
+    phi: Array, covariance: Array, index: int, value: float, std: float
+) -> tuple[Array, Array]:
+    """φ (P,) and its covariance (P,P), given an independent measurement of one unknown."""
+    gain = covariance[:, index] / (covariance[index, index] + std**2)
+    moved = phi + gain * (value - phi[index])
+    return moved, covariance - np.outer(gain, covariance[index])
+
+
 def _scores_of_rows(fit: LandmarkFit) -> tuple[Array, Array]:
     """Weighted designs (R,2,P) and scores (R,P) of each row."""
     weighted = fit.reduced.rows * fit.reduced.weight[:, None, None]

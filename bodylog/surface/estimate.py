@@ -215,6 +215,8 @@ def judge_by_camera(
         )
     model = landmark_model(surface, camera, [motion])
     belief = _landmark_belief(model, camera)
+    shift = picture_shift(camera.picture, picture, camera.size[0])
+    may_move = shift is None or shift > _SAME_PICTURE_PX
     free = hypotheses.widen_zero_belief(model, belief)
     seen = join_landmark_tracks([(tracks.piece, tracks.t[tracks.frame], tracks.uv)], tracks.size[1])
     part = seen.take(choose_pieces(seen, MOST_PIECES)).thinned(ROW_STRIDE)
@@ -231,17 +233,19 @@ def judge_by_camera(
             f"{len(fit.used)})"
         )
         raise EvidenceError(f"{log}: {camera.name}: {why}; the surface says nothing")
-    shift = picture_shift(camera.picture, picture, camera.size[0])
-    may_move = shift is None or shift > _SAME_PICTURE_PX
     changes = _weighed_changes(fit, belief, may_move)
     delay = fit.model.of_delays.start
     # tracks follow every image, landmarks are looked for in some
     late = float(fit.phi[delay]), float(np.sqrt(unknowns_covariance(fit)[delay, delay]))
-    if camera.landmarks is not None:
-        by_landmarks = _by_landmarks(camera, fit, belief, changes, keys, may_move)
-        if by_landmarks is not None:
-            fit, belief = by_landmarks
-            changes = _weighed_changes(fit, belief, may_move)
+    by_landmarks = _by_landmarks(camera, fit, belief, changes, keys, may_move)
+    if by_landmarks is not None:
+        fit, belief = by_landmarks
+        changes = _weighed_changes(fit, belief, may_move)
+    elif may_move:
+        # corners alone: a pose that its prior holds is pulled at by all that the model lacks, and a
+        # camera that is free would win by thousands of nats on a sound log
+        loose = staged_fit(hypotheses.widen_zero_belief(model, belief, True), start, part)
+        changes = changes if loose is None else _weighed_changes(loose, belief, may_move)
     names = {joint: name for name, joint in surface.joint_of.items()}
     sure = tuple(
         names[one.name]
@@ -274,7 +278,7 @@ def _by_landmarks(
     in some images, and what is believed of these unknowns.
 
     fit, belief and changes are by tracks: each change predicts where the landmarks are, and the
-    one under which most are found is the start. None where too few are.
+    one under which most are found is the start. None where too few are, or the body has none.
     """
     import numpy as np
 
@@ -283,7 +287,8 @@ def _by_landmarks(
     from ..kinematics.landmark_map import place_prior
 
     known = camera.landmarks
-    assert known is not None
+    if known is None:
+        return None
     model = replace(fit.model, belief=None, changes=True)
     unchanged = _belief_of_changes(model, belief)
     free_model = widen_zero_belief(model, unchanged, camera_may_move)
@@ -450,7 +455,10 @@ def _describe_other_scene(one: CameraJudgement) -> Finding:
 
     nats = {change.name: change.nats for change in one.changes}
     gain = nats[CAMERA] - nats[SOUND]
-    text = f"{one.camera}: its scene is not that of the body, so whether the camera moved is not judged"
+    text = (
+        f"{one.camera}: its still scene does not look like the body's, so whether the camera moved "
+        "is not judged"
+    )
     if gain < FAULT_EVIDENCE_NATS:
         return Finding("info", text)
     why = f"a moved camera explains the arm's corners better ({gain:.0f} nats)"

@@ -11,7 +11,7 @@ from ..delays.findings import ExaminedDelays, middle_of_recording
 from ..errors import EvidenceError, ModelError
 from ..settings import Settings
 from ..types import Finding, Recording, Score
-from .calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, calibrate_cameras
+from .calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, agrees_with, calibrate_cameras
 from .tracks import LinkedTracks, describe_foreign, link_tracks
 
 SIGNIFICANT_SIGMA = 3.0
@@ -161,6 +161,8 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
             "info",
             f"{name}: a rolling shutter takes {1e3 * row:.0f} ± {1e3 * row_error:.0f} ms an image",
         )
+    if one.rolling is not None:
+        yield _describe_row_time_by_flow(name, one)
     focal = float(np.exp(fit.phi[6]))
     yield Finding("info", f"{name}: focal length {focal:.0f} ± {focal * float(std[6]):.0f} px")
     found = joint_zeros(model.rig, fit.phi, one.covariance)
@@ -173,3 +175,14 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
         yield Finding(
             "info", f"joints at rest, of which the log says nothing: {', '.join(one.still)}"
         )
+
+
+def _describe_row_time_by_flow(name: str, one: SurfaceCalibration) -> Finding:
+    """Whether the row time by flow is part of the calibration, in words."""
+    assert one.rolling is not None
+    seconds = 1e3 * one.rolling.seconds
+    std = 1e3 * one.rolling.std_error
+    text = f"{name}: by the motion of the whole picture a row time of {seconds:.0f} ± {std:.0f} ms"
+    if agrees_with(one.fit, one.covariance, one.rolling):
+        return Finding("info", f"{text}, which is part of the calibration")
+    return Finding("warning", f"{text}, which the landmarks contradict; it is left out")

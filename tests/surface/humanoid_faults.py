@@ -95,8 +95,8 @@ def judge_pair(pair: tuple[int, int], joint: str) -> JudgedPair:
     sure = tuple(dict.fromkeys((*both[0].identifiable, *both[1].identifiable)))
     joined = replace(both[0], changes=changes, identifiable=sure)
     faults = [estimate._winning_fault(one, 0.0, learned) for one in (joined, *both)]
-    told = [_describe(fault) for fault in faults]
-    return JudgedPair(pair, joint, told[0], tuple(told[1:]))
+    shown = [_describe(fault) for fault in faults]
+    return JudgedPair(pair, joint, shown[0], tuple(shown[1:]))
 
 
 def _describe(fault: Fault | None) -> tuple[str, float, float]:
@@ -146,7 +146,7 @@ def table() -> Iterator[str]:
     for pair in PAIRS:
         for joint in ("", *JOINTS):
             one = judge_pair(pair, joint)
-            alone = "; ".join("{} {:.2f} ± {:.2f}".format(*told) if told[0] else "-" for told in one.alone)
+            alone = "; ".join("{} {:.2f} ± {:.2f}".format(*shown) if shown[0] else "-" for shown in one.alone)
             both = "{} {:.2f} ± {:.2f}".format(*one.found) if one.found[0] else "-"
             yield f"| {pair} | {joint or 'sound'} | {both} | {alone} |"
         for number in pair:

@@ -212,6 +212,20 @@ def test_rendered_arm_teaches_a_body_that_judges_another_log(worlds, run_cli, tm
 
 
 @pytest.mark.soak
+def test_sound_arm_with_another_texture_before_another_wall_is_accused_of_nothing(run_cli, tmp_path, capsys):
+    explore, reach, body = tmp_path / "explore.mcap", tmp_path / "reach.mcap", tmp_path / "body.npz"
+    assert run_cli("record", "babble", "--full", "--scene", "bare", "-o", explore, "--seed", 1, "--duration", 24) == 0
+    assert run_cli("record", "reach", "--scene", "bare", "-o", reach, "--seed", 3, "--duration", 12) == 0
+    assert run_cli("fit", explore, "--urdf", "log", "-o", body) == 0
+    capsys.readouterr()
+    assert run_cli("estimate", reach, "--body", body, "-o", tmp_path / "out.mcap", "--json") == 0
+    (entry,) = json.loads(capsys.readouterr().out)["results"]
+    assert not entry["faults"]
+    (finding,) = [one["text"] for one in entry["findings"] if "whether the camera moved is not judged" in one["text"]]
+    assert "does not look like the body's" in finding
+
+
+@pytest.mark.soak
 def test_dataset_of_a_real_humanoid_falls_back_to_the_surface(run_cli, tmp_path, capsys):
     if not G1.is_dir():
         pytest.skip("the real G1 (../shared/real/g1) is not at hand")

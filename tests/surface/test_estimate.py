@@ -10,6 +10,7 @@ from bodylog.kinematics.landmark_hypotheses import CAMERA, OFFSET_STD, SOUND, Ch
 from bodylog.kinematics.landmarks import LandmarkBelief
 from bodylog.surface import estimate as surface_estimate
 from tests.kinematics.landmark_arm import JOINTS, model, motion, truth
+from tests.surface import humanoid_faults
 
 FAULT = np.radians(5.0)
 
@@ -49,8 +50,36 @@ def test_camera_is_not_judged_by_another_scene(shift, faults):
     fault = surface_estimate._winning_fault(judged, 0.0, learned)
     assert [one.kind for one in [fault] if one is not None] == faults
     if shift is None:
-        said = surface_estimate._describe_other_scene(judged)
-        assert said.severity == "warning"
-        assert "whether the camera moved is not judged" in said.text and "20 nats" in said.text
-        calm = replace(judged, changes=[ChangeHypothesis(SOUND, 0.0), ChangeHypothesis(CAMERA, 2.0)])
-        assert surface_estimate._describe_other_scene(calm).severity == "info"
+        finding = surface_estimate._describe_other_scene(judged)
+        assert finding.severity == "warning"
+        assert "whether the camera moved is not judged" in finding.text and "20 nats" in finding.text
+        quiet = replace(judged, changes=[ChangeHypothesis(SOUND, 0.0), ChangeHypothesis(CAMERA, 2.0)])
+        assert surface_estimate._describe_other_scene(quiet).severity == "info"
+
+
+@pytest.mark.soak
+def test_offsets_of_a_real_humanoid_are_named_with_their_sizes():
+    if not humanoid_faults.G1.is_dir():
+        pytest.skip("the real G1 (../shared/real/g1) is not at hand")
+    named = 0
+    for pair in humanoid_faults.PAIRS:
+        sound = humanoid_faults.judge_pair(pair, "")
+        assert not sound.found[0] and not any(alone[0] for alone in sound.alone), sound
+        for joint in humanoid_faults.JOINTS[:6]:
+            name, size, _ = humanoid_faults.judge_pair(pair, joint).found
+            named += name == joint and abs(size - 5.0) < 1.0
+    assert named >= 16
+
+
+@pytest.mark.soak
+def test_held_out_episodes_of_a_real_humanoid_are_foretold():
+    if not humanoid_faults.G1.is_dir():
+        pytest.skip("the real G1 (../shared/real/g1) is not at hand")
+    apart = []
+    for pair in humanoid_faults.PAIRS:
+        learned = humanoid_faults.body_without(pair)
+        for number in pair:
+            assert humanoid_faults.held_out_error(number, learned)[0] < 1.2
+            (first, one), (second, other) = humanoid_faults.half_delays(number, learned)
+            apart.append((first - second) ** 2 / (one**2 + other**2))
+    assert np.mean(apart) < 2.0
