@@ -13,7 +13,7 @@ from ..types import Array, Recording, Series
 
 if TYPE_CHECKING:
     from ..estimation.timing.flow_delay import FlowDelay
-    from ..estimation.timing.regression import Delay
+    from ..estimation.timing.delay_profile import Delay
     from ..perception.surface.flow import GridFlow
     from ..perception.surface.repeats import FrameRepeats
 
@@ -101,7 +101,7 @@ def pool_row_times(found: "Sequence[FlowDelay | None]") -> "Delay | None":
     errors, with an error that grows with their scatter, and ROW_TIME_FLOOR_BY_FLOW_S. None of fewer
     than LEAST_LOGS.
     """
-    from ..estimation.timing.regression import Delay
+    from ..estimation.timing.delay_profile import Delay
 
     rows = [one.row_time for one in found if one is not None and one.certain and one.row_time]
     if len(rows) < LEAST_LOGS:

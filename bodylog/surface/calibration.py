@@ -11,7 +11,7 @@ from .map import build_map, move_landmarks
 
 if TYPE_CHECKING:
     from ..body_model import LandmarkMap
-    from ..estimation.timing.regression import Delay
+    from ..estimation.timing.delay_profile import Delay
     from ..kinematics.joint_motion import JointCurve
     from ..kinematics.landmark_fit import LandmarkFit
     from ..kinematics.landmarks import LandmarkModel, LandmarkSightings

@@ -103,7 +103,7 @@ def test_points_in_space_are_tracks_of_a_tracker_in_metres(tmp_path):
     np.testing.assert_allclose(found.tracks["world/nest"][0], [1.0, 2.0, 3.0])
     assert "tracker/ball: points that span 700 cannot be in m; they are taken in mm" in found.notes
     assert found.odd == ("half_x and half_z without half_y are no point in space",)
-    track = recording.read_recording(path, Settings()).features.tracks["tracker/ball"]
+    track = recording.read_recording(path, Settings()).signals.features.tracks["tracker/ball"]
     assert (track.names, track.unit) == (("x", "y", "z"), "mm")
     np.testing.assert_allclose(track.values[0], [-300.0, 20.0, 1000.0])
 

@@ -6,7 +6,8 @@ import numpy as np
 
 from bodylog.report.figures import figures
 from bodylog.report.figures.pose_numbers import number_poses
-from bodylog.types import Fault
+from bodylog.types import Fault, FaultKind
+from tests.changed_recordings import change_recording
 
 from .pages import plotted, report
 from .records import UNSEEN, estimate, recording, series
@@ -17,10 +18,10 @@ TIMES = np.array([3.0, 7.0, 7.5, 3600.0])
 def still():
     """A log of four poses at odd times."""
     values = np.arange(12.0).reshape(4, 3)
-    names = recording().joints.names
+    names = recording().signals.joints.names
     joints = series(TIMES, values, names, "rad")
     log = recording(poses=True, truth=None, skin=None, frames=None, start_ns=10**9)
-    log = replace(log, joints=joints)
+    log = change_recording(log, joints=joints)
     found = replace(
         estimate(),
         joints=series(TIMES, values + 0.001, names, "rad"),
@@ -32,7 +33,7 @@ def still():
         },
         predicted={},
         predicted_cov={},
-        faults=(Fault("encoders", names[0], "offset", 3.0, 0.1, "rad"),),
+        faults=(Fault("encoders", names[0], FaultKind.OFFSET, 3.0, 0.1, "rad"),),
         settings={"motion": "none"},
     )
     return log, UNSEEN, found
@@ -40,7 +41,7 @@ def still():
 
 def test_times_become_numbers_of_poses():
     log, _, found = number_poses(*still())
-    np.testing.assert_array_equal(log.joints.t, [1, 2, 3, 4])
+    np.testing.assert_array_equal(log.signals.joints.t, [1, 2, 3, 4])
     np.testing.assert_array_equal(found.errors["board.1"].t, [2, 3, 4])
     assert found.faults[0].since == 1.0 and log.duration_s == 4.0
 
@@ -49,7 +50,7 @@ def test_page_of_still_poses_has_no_lines_no_date_and_one_panel_a_board(tmp_path
     log, seen, found = number_poses(*still())
     page = report(tmp_path / "r.html", recording=log, features=seen, estimate=found)
     titles = [panel["title"] for panel in plotted(page)["panels"]]
-    joints = [f"{name} minus its reading, mrad" for name in log.joints.names]
+    joints = [f"{name} minus its reading, mrad" for name in log.signals.joints.names]
     assert titles == [*joints, "board: prediction error, standard deviations"]
     kinds = {trace["kind"] for panel in plotted(page)["panels"] for trace in panel["traces"]}
     assert kinds == {"dots", "whiskers"} and plotted(page)["marks"] == []
@@ -61,7 +62,7 @@ def test_figures_of_still_poses_have_points_alone(tmp_path, monkeypatch):
     before = figures._replace_lines_by_points
     monkeypatch.setattr(figures, "_replace_lines_by_points", lambda ax: drawn.append((before(ax), ax)))
     log, _, found = number_poses(*still())
-    figures.estimate_figure(found, None, log.joints, tmp_path / "e.png")
+    figures.estimate_figure(found, None, log.signals.joints, tmp_path / "e.png")
     axes = [ax for _, ax in drawn]
     assert len(axes) == 6  # three joints, two senses, free energy
     assert all(line.get_linestyle() == "None" for ax in axes for line in ax.get_lines() if len(line.get_xdata()) > 2)
