@@ -32,10 +32,11 @@ def load_calibration(body: Path) -> "Calibration":
 
 
 def calibration_as_values(found: "Calibration") -> dict[str, Any]:
-    """As plain values, in m, rad and px: {"cameras", "trackers", "markers",
-    "zeros", "scales", "compliances", "earlier"}; None: not identifiable.
+    """As plain values, in m, rad and px: {"cameras", "trackers", "markers", "zeros",
+    "scales", "compliances", "sag", "earlier"}; None: not identifiable.
 
-    compliances: by how much joints give way to gravity, rad/(N m) or m/N · earlier: where cameras and
+    compliances: by how much joints give way to gravity, rad/(N m) or m/N · sag: what is said
+    of it · earlier: where cameras and
     markers were before they moved between logs.
     """
     cameras = zip(found.cameras, found.lenses, strict=True)
@@ -49,6 +50,7 @@ def calibration_as_values(found: "Calibration") -> dict[str, Any]:
         "zeros": offsets_as_values(found.zeros),
         "scales": offsets_as_values(found.scales),
         "compliances": offsets_as_values(found.compliances),
+        "sag": found.sag,
         "earlier": {one.name: _placement_as_values(one) for one in found.earlier},
     }
 
@@ -123,6 +125,8 @@ def calibration_lines(found: "Calibration") -> Iterator[str]:
     for marker in (*found.markers, *found.earlier):
         yield from placement_lines(marker)
     yield from zero_lines((*found.zeros, *found.scales, *found.compliances))
+    if found.sag:
+        yield found.sag
 
 
 def placement_lines(one: "Placement") -> Iterator[str]:

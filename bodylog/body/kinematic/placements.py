@@ -102,6 +102,8 @@ class Calibration:
     image_sizes: (width, height) px by camera, where they are known · earlier: where cameras and
     markers were before they moved between logs · trackers: the frames of points in space.
 
+    compliances: of joints that give way to gravity · sag: what is said about it.
+
     Poses hold together with the zeros as given, those that are not identifiable at 0.
     """
 
@@ -115,6 +117,7 @@ class Calibration:
     earlier: tuple[Placement, ...] = ()
     trackers: tuple[Placement, ...] = ()
     compliances: tuple[Offset, ...] = ()
+    sag: str = ""
 
 
 CALIBRATION = "a calibration"
@@ -142,14 +145,22 @@ def calibration_of_body(model: BodyModel) -> Calibration:
         *map(_without_row_time, cameras),
         *_unidentified_findings((*cameras, *trackers), markers, (*zeros, *scales)),
     ]
-    if SAG in model.provenance:
-        findings.append(Finding("info", model.provenance[SAG]))
     if not zeros:
         findings.append(_without_zeros(model.joints))
     sizes = {f"camera {name}".strip(): size for name, size in image_sizes(model).items()}
     sagging = tuple(_offset_from(one) for one in kept.get("compliances", ()))
     return Calibration(
-        cameras, lenses, markers, zeros, scales, tuple(findings), sizes, earlier, trackers, sagging
+        cameras,
+        lenses,
+        markers,
+        zeros,
+        scales,
+        tuple(findings),
+        sizes,
+        earlier,
+        trackers,
+        sagging,
+        model.provenance.get(SAG, ""),
     )
 
 

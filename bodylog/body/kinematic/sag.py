@@ -89,11 +89,11 @@ def left_out_share(without: Adjusted, with_sag: Adjusted) -> float:
 
 def describe_sag(share: float, found: Calibration) -> str:
     """What is said about sag by `left_out_share`, and whether the images could tell it."""
-    text = f"gravity sag: with it images left out have {share:.0%} of their error"
+    text = f"gravity sag: with it images left out have {share:.1%} of their error"
     if share < 1.0:
         return f"{text}; zeros are those without weight"
     if any(one.identifiable for one in found.compliances):
-        return f"{text}, so there is none; zeros contain what there is"
+        return f"{text}, so none is estimated; zeros contain what there is"
     return (
         "gravity sag: cannot be told, over these postures it looks like the joints' zeros, which "
         "contain it"
