@@ -97,6 +97,9 @@ def _add_surface(
         else "camera"
     )
     known = [replace(one, name=_name_first_camera(one.name, first)) for one in found.scores]
+    stated = {f"std/{one.name}": one for one in known if one.std is not None}
+    for name in sorted(set(stated).difference(one.name for one in known)):
+        known.append(Score(name, float(stated[name].std or 0.0), stated[name].unit))
     values = {one.name: one.value for one in known}
     figures_of_surface = [
         name for name in values if name.partition("/")[0] in ("delay", "row_time")

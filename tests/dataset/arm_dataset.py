@@ -156,8 +156,8 @@ FAULTS: dict[str, tuple[Callable[[Episode, int], Episode], str]] = {
 """What is done to one episode, and a figure by which it stands out."""
 
 
-def write(folder: Path, episodes: list[Episode]) -> Path:
-    """A LeRobot v2.1 folder of the episodes."""
+def write(folder: Path, episodes: list[Episode], write_film: bool = True) -> Path:
+    """A LeRobot v2.1 folder of the episodes, with or without their videos."""
     lengths = [len(one.state) for one in episodes]
     features = {
         name: {"dtype": "float32", "shape": [3], "names": list(NAMES)}
@@ -177,7 +177,7 @@ def write(folder: Path, episodes: list[Episode]) -> Path:
     }
     drawn.info(folder, "v2.1", lengths, features=features, fps=FPS)
     for number, one in enumerate(episodes):
-        write_episode(folder, number, one)
+        write_episode(folder, number, one, write_film)
     listed = [
         {"episode_index": number, "tasks": ["reach"], "length": rows}
         for number, rows in enumerate(lengths)
@@ -187,7 +187,7 @@ def write(folder: Path, episodes: list[Episode]) -> Path:
     return folder
 
 
-def write_episode(folder: Path, number: int, one: Episode) -> None:
+def write_episode(folder: Path, number: int, one: Episode, write_film: bool = True) -> None:
     """The table and the video of an episode."""
     rows = len(one.state)
     columns = {
@@ -196,5 +196,7 @@ def write_episode(folder: Path, number: int, one: Episode) -> None:
         "episode_index": np.full(rows, number),
     }  # fmt: skip
     drawn.table(folder / f"data/chunk-000/episode_{number:06d}.parquet", columns)
+    if not write_film:
+        return
     film = folder / f"videos/chunk-000/{drawn.CAMERA}/episode_{number:06d}.mp4"
     drawn.film(film, one.images, crf="18", preset="ultrafast")

@@ -63,7 +63,7 @@ def faults_by_body(log: Path, _body: object, _settings: Settings) -> ExaminedDel
         faults.append(Fault("encoders", "lift", "offset", 0.0, 0.0873, "rad", 0.003))
     if int(log.name[-1]) > 2:
         faults.append(Fault("vision", "top", "moved", 0.0, float("nan"), "m"))
-    return ExaminedDelays((), (), tuple(faults))
+    return ExaminedDelays((Score("delay/camera", DELAY_S, "s", 0.001),), (), tuple(faults))
 
 
 def test_an_encoder_that_was_homed_again_is_named_with_its_episode_and_size(
@@ -82,6 +82,7 @@ def test_an_encoder_that_was_homed_again_is_named_with_its_episode_and_size(
         assert len(result.faults) == (number in (1, 3, 4))
         rows.append({"name": name, "exit_code": 0, "verdict": [], "findings": [], "scores": {}, "log": ""})
     judged = judge_episodes(rows, evidence)
+    assert judged.pooled["delay/top"].mean == pytest.approx(DELAY_S)
     (odd,) = judged.outliers
     assert (odd.episode, odd.figures) == ("arm_1", ("offset/lift",))
     assert "lift: its encoder has another zero than the body that is given" in odd.text
