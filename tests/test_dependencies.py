@@ -11,6 +11,7 @@ ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 EXTRAS = PROJECT["optional-dependencies"]
 DISTRIBUTIONS = {
+    "PIL": "pillow",
     "aiohttp": "fsspec",  # of its extra http
     "cv2": "opencv-python-headless",
     "google": "protobuf",

@@ -12,8 +12,8 @@ import numpy as np
 from ..types import Array, Recording, Series
 
 if TYPE_CHECKING:
-    from ..estimation.timing.flow_delay import FlowDelay
     from ..estimation.timing.delay_profile import Delay
+    from ..estimation.timing.flow_delay import FlowDelay
     from ..perception.surface.flow import GridFlow
     from ..perception.surface.repeats import FrameRepeats
 

@@ -70,7 +70,7 @@ def test_fit_says_what_a_log_without_images_lacks(tmp_path, capsys, run_cli, log
     film = write(tmp_path / "film.mcap", [stream, packets])
     expected_errors = {
         blind: (" for 4.0 s; a body is learned from joints and ", f"type: bodylog estimate {blind} -o out.mcap\n"),
-        poses: (" in 3 poses; ", ": add columns NAME_u and NAME_v (px) of a marker, or "),
+        poses: (" in 3 poses; ", ": add columns NAME_u and NAME_v (px) of a marker, NAME_x, NAME_y and NAME_z (m) "),
         film: ("only 1 joint (pan)", "; /film holds a video's packets, not images; "),
     }
     for log, texts in expected_errors.items():
