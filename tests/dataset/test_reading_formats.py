@@ -83,7 +83,7 @@ def test_a_missing_video_is_named_in_the_verdict(sound: Path, tmp_path: Path, ex
 
 @pytest.mark.parametrize("form", ["video", "image"])
 @pytest.mark.parametrize("there", [True, False])
-def test_depth_is_said_to_be_unread_and_its_files_are_missed(
+def test_depth_is_named_as_unread_and_its_missing_files_too(
     sound: Path, tmp_path: Path, examine: Any, form: str, there: bool
 ) -> None:
     name = "observation.images.top_depth" if form == "image" else "observation.images.range"
