@@ -35,9 +35,8 @@ def calibration_as_values(found: "Calibration") -> dict[str, Any]:
     """As plain values, in m, rad and px: {"cameras", "trackers", "markers", "zeros",
     "scales", "compliances", "sag", "earlier"}; None: not identifiable.
 
-    compliances: by how much joints give way to gravity, rad/(N m) or m/N · sag: what is said
-    of it · earlier: where cameras and
-    markers were before they moved between logs.
+    compliances: by how much joints give way to gravity, rad/(N m) or m/N · sag: a sentence about
+    it · earlier: where cameras and markers were before they moved between logs.
     """
     cameras = zip(found.cameras, found.lenses, strict=True)
     return {
@@ -176,9 +175,8 @@ def zero_lines(found: "Sequence[Offset]") -> Iterator[str]:
     """
     width = max((len(one.joint) for one in found), default=0)
     for one in found:
-        told = "cannot be told" if one.noun == "compliance" else "not identifiable"
         why = " and ".join(one.confused) or "not seen"
-        shown = one.shown if one.identifiable else f"{told}: {why}"
+        shown = one.shown if one.identifiable else f"not identifiable: {why}"
         yield f"{one.joint:<{width}}  {'' if one.noun == 'zero' else f'{one.noun} '}{shown}"
 
 

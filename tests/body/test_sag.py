@@ -73,11 +73,11 @@ def test_torques_hold_the_arm_still_in_another_library(tmp_path):
     np.testing.assert_allclose(WEIGHTS.torques(q), -np.array(held), atol=1e-4)
 
 
-def test_compliances_and_zeros_are_told_apart(bent):
+def test_compliances_and_zeros_are_separated(bent):
     found = calibration_of_body(bent)
-    told = {one.joint: one for one in found.compliances if one.identifiable}
-    assert {"lift", "elbow"} <= set(told) and "pan" not in told  # nothing weighs on an upright axis
-    for joint, one in told.items():
+    known = {one.joint: one for one in found.compliances if one.identifiable}
+    assert {"lift", "elbow"} <= set(known) and "pan" not in known  # nothing weighs on an upright axis
+    for joint, one in known.items():
         assert abs(one.value - COMPLIANCE[JOINTS.index(joint)]) < 3.0 * one.std
     zeros = {one.joint: one for one in found.zeros if one.identifiable}
     assert {"lift", "elbow"} <= set(zeros)
@@ -85,7 +85,7 @@ def test_compliances_and_zeros_are_told_apart(bent):
         assert abs(one.value - OFFSETS.get(joint, 0.0)) < 3.0 * one.std
     lines = list(calibration_lines(found))
     assert any(line.startswith("lift ") and "compliance" in line and "mrad/(N m)" in line for line in lines)
-    assert any(line.startswith("pan ") and "compliance cannot be told" in line for line in lines)
+    assert any(line.startswith("pan ") and "compliance not identifiable" in line for line in lines)
     assert lines[-1].endswith("zeros are those without weight")
 
 

@@ -260,11 +260,11 @@ def learn_residuals(
         links, shown, beside, both.theta, covariance
     )
     sag = _find_sag(links, both, beside)
-    remarks = dict[str, str]()
+    described = dict[str, str]()
     if sag is not None:
         sagging, bent, _ = adjust_calibration(links, shown, beside, both.theta, covariance, sag)
         share = left_out_share(adjusted, bent)
-        remarks[SAG] = describe_sag(share, sagging)
+        described[SAG] = describe_sag(share, sagging)
         if share < 1.0:
             calibration = sagging
     offsets = (*calibration.zeros, *calibration.scales)
@@ -281,7 +281,7 @@ def learn_residuals(
     found = _with_residual_models(found, senses, both)
     centres = [one.points.mean(axis=0) for one in shown.values()]
     movements = [*move_findings(adjusted.rig, adjusted.theta, adjusted.covariance, moves, centres)]
-    provenance = {**found.model.provenance, KEPT: kept_calibration(calibration), **remarks}
+    provenance = {**found.model.provenance, KEPT: kept_calibration(calibration), **described}
     found = replace(found, model=replace(found.model, provenance=provenance))
     observed = {track: model for of in senses.values() for track, model in of.items()}
     reported = exploration_report.exploration_scores(found.joints, observed, found.model.noise)

@@ -25,7 +25,7 @@ WORST_TURN_RAD = float(np.radians(10.0))
 """Largest std of an orientation that is identifiable."""
 IMAGE_SIZES = "image_sizes"
 SAG = "sag"
-"""Name in a body's provenance of what is said about gravity sag, where its URDF has masses."""
+"""Name in a body's provenance of a sentence about gravity sag, where its URDF has masses."""
 """In the provenance: {camera: [width, height]} px."""
 KEPT = "calibration"
 """In the provenance: the calibration, as `kept_calibration` makes it plain."""
@@ -102,7 +102,7 @@ class Calibration:
     image_sizes: (width, height) px by camera, where they are known · earlier: where cameras and
     markers were before they moved between logs · trackers: the frames of points in space.
 
-    compliances: of joints that give way to gravity · sag: what is said about it.
+    compliances: of joints that give way to gravity · sag: a sentence about it.
 
     Poses hold together with the zeros as given, those that are not identifiable at 0.
     """

@@ -1,7 +1,7 @@
 """Gravity sag: each joint gives way to the weight that it carries, by its torque times a compliance.
 
 The torques are those of the URDF's masses, with the z axis of its root upright. Sag and a joint's
-zero look alike where the torque hardly changes; then the two are not told apart, and the zero's
+zero look alike where the torque hardly changes; then nothing separates the two, and the zero's
 error bar contains that.
 """
 
@@ -88,13 +88,13 @@ def left_out_share(without: Adjusted, with_sag: Adjusted) -> float:
 
 
 def describe_sag(share: float, found: Calibration) -> str:
-    """What is said about sag by `left_out_share`, and whether the images could tell it."""
+    """A sentence about sag, by `left_out_share` and by whether the images identify it."""
     text = f"gravity sag: with it images left out have {share:.1%} of their error"
     if share < 1.0:
         return f"{text}; zeros are those without weight"
     if any(one.identifiable for one in found.compliances):
         return f"{text}, so none is estimated; zeros contain what there is"
     return (
-        "gravity sag: cannot be told, over these postures it looks like the joints' zeros, which "
+        "gravity sag: not identifiable, over these postures it looks like the joints' zeros, which "
         "contain it"
     )
