@@ -90,12 +90,14 @@ def explain(
     is_of_counts: Callable[[Noise], bool],
     halves: Array,
     loads: tuple[Column, ...],
+    doubtful: bool,
 ) -> Explanation:
     """The most probable explanation of a log: white noise alone, or errors of its hardware.
 
     noise: white noise alone, with the offsets that are known · step_s: the encoders' usual step ·
     is_of_counts: whether errors that last are those of whole counts · halves (M,) rad: half of
-    each joint's play in the exploration · loads: columns of a load.
+    each joint's play in the exploration · loads: columns of a load · doubtful: encoders were found
+    to be off, which may be a load instead.
     """
     white = _learn(problem, noise, step_s, rounds=2)
     sides = [_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)]
@@ -127,7 +129,8 @@ def explain(
     bent = _learn(loaded, lasting.noise, step_s, lasting.path) if loads else lasting
     gain = lasting.nats - bent.nats
     # what lasts so long looks like a load, too: error bars hold both
-    least = -EVIDENCE_THRESHOLD_NATS if _is_long(lasting.noise) else EVIDENCE_THRESHOLD_NATS
+    alike = doubtful and _is_long(lasting.noise)
+    least = -EVIDENCE_THRESHOLD_NATS if alike else EVIDENCE_THRESHOLD_NATS
     if loads and gain > least:
         gains["load"] = gain
         problem = loaded

@@ -107,13 +107,14 @@ class SolvedLog:
 
 
 def explain_log(
-    problem: FilterProblem, halves: Array, loads: tuple[Column, ...]
+    problem: FilterProblem, halves: Array, loads: tuple[Column, ...], doubtful: bool
 ) -> ExplainedLog | None:
     """Explain a log by white noise alone, or by errors of
     its hardware; None where it has no readings or no images.
 
     problem: with the encoder offsets that were found · halves (M,)
-    rad: half of each joint's play in the exploration · loads: columns of a load.
+    rad: half of each joint's play in the exploration · loads: columns of a load · doubtful:
+    encoders were found to be off, which may be a load instead.
     """
     encoders = problem.evidence.encoders
     sightings = tuple(
@@ -132,6 +133,7 @@ def explain_log(
         partial(_is_of_counts, encoders=encoders),
         halves,
         loads,
+        doubtful,
     )
     return ExplainedLog(fine, found, found.learned.nats + _outliers(coarse))
 

@@ -85,14 +85,15 @@ def _explain_estimate(
         return why
     assert problem.evidence.encoders is not None  # or bars are widened
     loads = load_columns(body, problem.evidence.encoders.values)
-    found = explain_log(problem, halves, loads)
+    off = has_offsets(problem, first)
+    found = explain_log(problem, halves, loads, off)
     if found is None:
         return "no images show the joints"
     causal = settings.method != "smoother"
     simpler = None
-    if has_offsets(problem, first):
+    if off:
         without = _without_offsets(problem, first)
-        simpler = explain_log(without, halves, loads)
+        simpler = explain_log(without, halves, loads, off)
     if simpler is not None and simpler.nats - found.nats <= _allowance_for_offsets(
         simpler, problem, beliefs.faults
     ):
