@@ -129,8 +129,8 @@ def explain(
     bent = _learn(loaded, lasting.noise, step_s, lasting.path) if loads else lasting
     gain = lasting.nats - bent.nats
     # what lasts so long looks like a load, too: error bars hold both
-    alike = doubtful and _is_long(lasting.noise)
-    least = -EVIDENCE_THRESHOLD_NATS if alike else EVIDENCE_THRESHOLD_NATS
+    ambiguous = doubtful and _is_long(lasting.noise)
+    least = -EVIDENCE_THRESHOLD_NATS if ambiguous else EVIDENCE_THRESHOLD_NATS
     if loads and gain > least:
         gains["load"] = gain
         problem = loaded
