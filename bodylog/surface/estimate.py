@@ -450,7 +450,7 @@ def _with_judgement(
 
 
 def _describe_other_scene(one: CameraJudgement) -> Finding:
-    """That another scene does not tell whether a camera moved; a warning where its corners say so."""
+    """That another scene does not show whether a camera moved; a warning if its corners do."""
     from ..kinematics.landmark_hypotheses import CAMERA, SOUND
 
     nats = {change.name: change.nats for change in one.changes}

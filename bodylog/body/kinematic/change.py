@@ -33,8 +33,9 @@ from .change_system import (
 from .model import KinematicGP, can_show_changes
 
 CHANGE_NATS = 20.0
-"""Nats that a change since learning must win, more than the 12 of `estimation/faults/threshold.py`: it
-explains every sighting of a log at once, and a residual process that is learned too small does, too."""
+"""Nats that a change since learning must win, more than the 12 of `estimation/faults/threshold.py`:
+it explains every sighting of a log at once, and so does a residual process learned too small.
+"""
 CHANGE_MARGIN_NATS = 5.0
 """Nats by which a change must win over any other for a name of its own."""
 LEAST = 0.01
@@ -301,7 +302,7 @@ def _try_remaining_parts(
 def _find_alternatives(
     best: ChangePart, tried: Sequence[tuple[ChangePart, ChangeFit]]
 ) -> _Alternatives:
-    """Other things whose change explains the sightings within CHANGE_MARGIN_NATS nats of the best."""
+    """Other things whose change explains the sightings within CHANGE_MARGIN_NATS of the best."""
     top = tried[0][1].evidence
     near = [
         part.thing

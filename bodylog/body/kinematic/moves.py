@@ -67,7 +67,7 @@ def find_moves(
     joints: Sequence[SmoothedJoint],
     seed: int,
 ) -> tuple[FoundLinks, tuple[Move, ...]]:
-    """Add one move after the other to a calibration while each wins CHANGE_NATS nats, and return both."""
+    """Add moves to a calibration, one after the other, while each wins CHANGE_NATS; return both."""
     still = links.calibrated
     seen = list(parts.values())
     moves = tuple[Move, ...]()

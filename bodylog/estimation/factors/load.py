@@ -1,4 +1,4 @@
-"""What links bend by that the posture alone decides: under a weight at the hand, or of unknown shape."""
+"""What links bend by as the posture alone decides: under a weight at the hand, or otherwise."""
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -62,7 +62,7 @@ def hand_levers(senses: Mapping[str, ForwardModel]) -> Callable[[Array], Array] 
 
 
 def _bend_by_levers(levers: Callable[[Array], Array], known: Array) -> Iterator[Load]:
-    """Yield how each joint that carries the hand sinks: by as much as its size where it is worst."""
+    """Yield how each joint that carries the hand sinks: by its size where the lever is longest."""
     longest = np.abs(levers(known)).max(axis=0)
     for j in np.flatnonzero(longest > LEAST_LEVER * longest.max()).tolist():
 
