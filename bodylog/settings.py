@@ -39,7 +39,7 @@ __all__ = [
     "settings_as_values",
 ]
 
-METHODS = ("laplace", "smoother", "ekf", "kalman", "predictive-coding")
+METHODS = ("filter", "smoother", "ekf", "kalman", "predictive-coding")
 """Names of the methods of estimation."""
 PRESETS = ("default", "paper")
 CLOCKS = ("auto", "header", "log")
@@ -302,7 +302,7 @@ class EstimationSettings:
     """
 
     method: str = declare_key(
-        "laplace", "Estimation method; preset paper implies predictive-coding.", choices=METHODS
+        "filter", "Estimation method; preset paper implies predictive-coding.", choices=METHODS
     )
     preset: str = declare_key(
         "default", "Constants: of bodylog (default) or of the paper (paper).", choices=PRESETS

@@ -55,7 +55,7 @@ methods, settings and bounds. Paths are relative to `batch.toml`.
 name = "left arm"
 train = ["explore.bag"]
 logs = ["runs/*.mcap"]
-methods = ["laplace", "smoother"]
+methods = ["filter", "smoother"]
 fail_if = ["faults>0"]
 settings = { skin = { threshold = 0.5 } }
 

@@ -48,7 +48,7 @@ def test_format_choices_are_those_of_the_writers():
 @pytest.mark.parametrize(
     ("typed", "text"),
     [
-        (("estimate", "run.mcap", "-o", "out.mcap", "--method", "smother"), "did you mean smoother? possible: laplace"),
+        (("estimate", "run.mcap", "-o", "out.mcap", "--method", "smother"), "did you mean smoother? possible: filter"),
         (("record", "reech", "-o", "out.mcap"), "'SCENARIO': 'reech'; did you mean reach? possible: babble"),
         (("fit", "run.mcap", "-o", "body.npz", "--preset", "papers"), "did you mean paper?"),
     ],

@@ -60,7 +60,7 @@ def test_colours_are_names_or_hsv_ranges(tmp_path):
         ("[colours]\nhand = 'puce'", "possible: blue"),
         ("[colours]\nhand = {low = [1, 2], high = [3, 4, 5]}", 'possible: blue.*type: hand = "red"'),
         ("[colours]\nhand = {low = [1, 2, 300], high = [3, 4, 5]}", "h 0..180"),
-        ("[estimate]\nmethod = 'smother'", "possible: laplace, smoother, .*; did you mean smoother?"),
+        ("[estimate]\nmethod = 'smother'", "possible: filter, smoother, .*; did you mean smoother?"),
         ("[estimate]\nrate = true", "possible: number from 0.001 to 10000 Hz; leave it out for: the encoders' rate"),
         ("[estimate]\nrate = nan", "possible: number"),
         ("[synchrony]\nclock_offset = -inf", "possible: number from -9e\\+09 to 9e\\+09 s, or auto"),
@@ -112,7 +112,7 @@ def test_preset_paper_implies_predictive_coding(tmp_path):
     assert load_settings(None, {"estimate": {"preset": "paper"}}).estimate.method == "predictive-coding"
     assert load_settings(toml, {"estimate": {"method": "kalman"}}).estimate.method == "kalman"
     assert load_settings(None, {"estimate": {"preset": "paper", "method": "smoother"}}).estimate.method == "smoother"
-    assert load_settings(None, {"estimate": {"preset": "default"}}).estimate.method == "laplace"
+    assert load_settings(None, {"estimate": {"preset": "default"}}).estimate.method == "filter"
 
 
 SECTIONS = {f.name: type(getattr(Settings(), f.name)) for f in fields(Settings) if f.name != "features"}

@@ -229,7 +229,7 @@ def test_figures_of_the_readme_are_those_of_its_command(run_cli, tmp_path, capsy
         for row in rows
     }
     filtered, smoothed = (
-        values[method, "encoders", "vision"] for method in ("laplace", "smoother")
+        values[method, "encoders", "vision"] for method in ("filter", "smoother")
     )
     errors = [filtered["rmse/encoders"], filtered["rmse/joint"], smoothed["rmse/joint"]]
     covered = [filtered["coverage_2sigma/joint"], smoothed["coverage_2sigma/joint"]]

@@ -51,7 +51,7 @@ def _run_baselines(lab: Lab, seed: int, tried: ExperimentReadings) -> Trial:
     figures["Kalman filter of the paper, encoders alone"] = log.error(
         filter_encoders(log, start), SINCE
     )
-    for method, name in (("laplace", "filter"), ("smoother", "smoother")):
+    for method, name in (("filter", "filter"), ("smoother", "smoother")):
         figures[f"{name}, encoders alone"] = _belief_error(
             believe_by_default(observed, body, ("encoders",), method=method)
         )

@@ -52,7 +52,7 @@ WORDS = (
     "fixed",
     "paper",
     "default",
-    "laplace",
+    "filter",
     "smoother",
     "ekf",
     "kalman",
@@ -151,7 +151,7 @@ def _toml(content: Any) -> str:
 
 TYPED: dict[str, tuple[str, ...]] = {
     "--rate": ("50", "0.1", "0", "1e-3", "1e6", "1e15", "nan"),
-    "--method": ("laplace", "smoother", "ekf", "kalman", "predictive-coding", "x"),
+    "--method": ("filter", "smoother", "ekf", "kalman", "predictive-coding", "x"),
     "--with": ("encoders", "encoders,vision", "vision", "touch", ",", "x"),
     "--without": ("vision", "encoders", "touch", "encoders,vision,touch", ""),
     "--precision": ("model", "fixed", "auto", "x"),

@@ -9,7 +9,7 @@ TWO = """
 name = "left arm"
 train = ["explore.bag"]
 logs = ["runs/*.mcap"]
-methods = ["laplace", "smoother"]
+methods = ["filter", "smoother"]
 fail_if = ["rmse/joint>0.02"]
 settings = {skin = {threshold = 0.5}}
 
@@ -26,11 +26,11 @@ def _manifest(tmp_path, text):
 
 
 def test_manifest_has_a_group_per_method_with_relative_paths(tmp_path):
-    laplace, smoother, other = load_manifest(_manifest(tmp_path, TWO), Settings())
-    assert (laplace.name, smoother.name, other.name) == ("left_arm-laplace", "left_arm-smoother", "group2")
+    filtered, smoother, other = load_manifest(_manifest(tmp_path, TWO), Settings())
+    assert (filtered.name, smoother.name, other.name) == ("left_arm-filter", "left_arm-smoother", "group2")
     assert smoother.settings.estimate.method == "smoother" and smoother.settings.skin.threshold == 0.5
-    assert laplace.train == (tmp_path / "explore.bag",) and laplace.logs == (str(tmp_path / "runs/*.mcap"),)
-    assert laplace.bounds == ("rmse/joint>0.02",) and other.body == tmp_path / "body.npz"
+    assert filtered.train == (tmp_path / "explore.bag",) and filtered.logs == (str(tmp_path / "runs/*.mcap"),)
+    assert filtered.bounds == ("rmse/joint>0.02",) and other.body == tmp_path / "body.npz"
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_manifest_has_a_group_per_method_with_relative_paths(tmp_path):
         ("[[group]]\nlogs = ['']", r"possible: \[log, …\]"),
         ("[[group]]\nlogs = ['a']\ntrain = ['b', '']", r"possible: \[log, …\]"),
         ("[[group]]\nlogs = ['a']\nbody = ''", "body is ''; possible: file"),
-        ("[[group]]\nlogs = ['a']\nmethods = ['kalmann']", "possible: .any of laplace, .*, …"),
+        ("[[group]]\nlogs = ['a']\nmethods = ['kalmann']", "possible: .any of filter, .*, …"),
         ("group = [3]", "must be a"),
         ("[[group]]\nname = 'junit.XML'\nlogs = ['a']", "or reserved"),
         ("[[group]]\nname = 'a'\nlogs = ['a']\n[[group]]\nname = 'A'\nlogs = ['b']", "have the same name"),
@@ -66,7 +66,7 @@ def test_groups_have_separate_folders(tmp_path, robot, run_cli):
 name = "arm"
 body = "{robot / "body.npz"}"
 logs = ["{robot / "reach.mcap"}"]
-methods = ["laplace", "kalman"]
+methods = ["filter", "kalman"]
 """
     assert run_cli("batch", _manifest(tmp_path, text), "-o", tmp_path / "out") == 0
     assert (tmp_path / "out" / "arm-kalman" / "reach.mcap" / "report.html").exists()

@@ -115,7 +115,7 @@ def estimate(seconds: float) -> list[Outgoing]:
     track = _series(rng, seconds, _RATE, ("u", "v"))
     features = Features(joints, {"effector": track, "hand": track}, (), (), (), {}, cameras={"": "/camera/image"})
     found = Estimate(
-        method="laplace",
+        method="filter",
         joints=joints,
         rate=rate,
         cov=rng.normal(size=(len(joints.t), 3, 3)),

@@ -22,7 +22,7 @@ from tests.estimation.conftest import World, draw
 
 MINUTES = 10
 GIVEN = EstimationSettings(precision="model", bias="off")
-_BESIDE_FILTERPY = "`laplace`, precisions learned, times faster than filterpy and scikit-learn"
+_BESIDE_FILTERPY = "`filter`, precisions learned, times faster than filterpy and scikit-learn"
 PEERS = ("filterpy EKF, scikit-learn means", "filterpy EKF, scikit-learn means and variances")
 
 
@@ -42,18 +42,18 @@ def whole_log(model: BodyModel) -> dict[str, float]:
     sense, where = model.senses["effector"], np.repeat(world.truth.values[:1], len(track.t), axis=0)
     where = where[:, [("pan", "lift", "elbow").index(name) for name in model.joints]]
     cases: dict[str, Callable[[], object]] = {
-        "laplace": partial(estimate_from_features, world.features, model, EstimationSettings()),
+        "filter": partial(estimate_from_features, world.features, model, EstimationSettings()),
         "smoother": partial(estimate_from_features, world.features, model, EstimationSettings(method="smoother")),
-        "laplace, the body's precisions": partial(estimate_from_features, world.features, model, GIVEN),
+        "filter, the body's precisions": partial(estimate_from_features, world.features, model, GIVEN),
         "limit: the model's predictions alone, once": partial(sense.predict, where),
         "kalman": partial(estimate_from_features, world.features, model, EstimationSettings(method="kalman")),
     }
     medians = side_by_side(f"{MINUTES} minutes, {steps} steps, {len(track.t)} pictures", cases, repeats=3, cpu=True)
-    for name in ("laplace", "smoother"):
+    for name in ("filter", "smoother"):
         print(f"  {name}: {medians[name] / steps * 1e6:.1f} µs per step")
-    at_most("`laplace`, 10 minutes, a step", medians["laplace"] / steps * 1e6, 7, "µs", f"{steps} steps")
-    ratio, text = medians["smoother"] / medians["laplace"], f"laplace, {medians['laplace']:.2f} s"
-    at_most("`smoother`, times laplace", ratio, 1.15, "", text)
+    at_most("`filter`, 10 minutes, a step", medians["filter"] / steps * 1e6, 7, "µs", f"{steps} steps")
+    ratio, text = medians["smoother"] / medians["filter"], f"filter, {medians['filter']:.2f} s"
+    at_most("`smoother`, times filter", ratio, 1.15, "", text)
     return {name: seconds / steps for name, seconds in medians.items()}
 
 
@@ -61,17 +61,17 @@ def fast_encoders(model: BodyModel) -> None:
     """A minute with encoders at 500 Hz, estimates at 100 Hz and pictures at 30 Hz: milliseconds, and µs per reading."""
     world = draw(7, duration=60.0, encoder_hz=500.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3)
     cases: dict[str, Callable[[], object]] = {
-        "laplace": partial(estimate_from_features, world.features, model, EstimationSettings()),
+        "filter": partial(estimate_from_features, world.features, model, EstimationSettings()),
         "smoother": partial(estimate_from_features, world.features, model, EstimationSettings(method="smoother")),
-        "laplace, the body's precisions": partial(estimate_from_features, world.features, model, GIVEN),
+        "filter, the body's precisions": partial(estimate_from_features, world.features, model, GIVEN),
     }
     readings = len(world.features.joints.t)
     took = side_by_side(f"60 s of encoders at 500 Hz, {readings} readings", cases, repeats=3, cpu=True)
     for name, seconds in took.items():
         print(f"  {name}: {seconds * 1e3:.0f} ms, {seconds / readings * 1e6:.1f} µs per reading")
-        if name == "laplace":
+        if name == "filter":
             each, text = seconds / readings * 1e6, f"{readings} readings"
-            at_most("`laplace`, encoders at 500 Hz, a reading", each, 4, "µs", text)
+            at_most("`filter`, encoders at 500 Hz, a reading", each, 4, "µs", text)
 
 
 def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
@@ -83,8 +83,8 @@ def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
         + [(t, 1, k) for k, t in enumerate(world.features.tracks["effector"].t)]
     )
     cases: dict[str, Callable[[], object]] = {
-        "laplace": partial(estimate_from_features, world.features, model, GIVEN),
-        "laplace, precisions learned": partial(estimate_from_features, world.features, model, EstimationSettings()),
+        "filter": partial(estimate_from_features, world.features, model, GIVEN),
+        "filter, precisions learned": partial(estimate_from_features, world.features, model, EstimationSettings()),
         "Estimator.step": partial(stream, world, model, events, order),
     }
     if importlib.util.find_spec("filterpy") and importlib.util.find_spec("sklearn"):
@@ -94,12 +94,12 @@ def beside_filterpy(model: BodyModel, ours: dict[str, float]) -> None:
         unmeasured(_BESIDE_FILTERPY, "filterpy or scikit-learn is not installed: pip install 'bodylog[bench]'")
     medians = side_by_side("30 seconds, one and the same log", cases, repeats=1, cpu=True)
     for peer in (peer for peer in PEERS if peer in medians):
-        for name in ("laplace", "laplace, the body's precisions"):
+        for name in ("filter", "filter, the body's precisions"):
             step = medians[peer] / len(world.features.joints.t)
             print(f"  {peer}, its step / {name}'s of {MINUTES} minutes: {step / ours[name]:.1f}")
     if PEERS[1] in medians:
         step = medians[PEERS[1]] / len(world.features.joints.t)
-        at_least(_BESIDE_FILTERPY, step / ours["laplace"], 20, "", f"{PEERS[1]}, {step * 1e6:.0f} µs a step")
+        at_least(_BESIDE_FILTERPY, step / ours["filter"], 20, "", f"{PEERS[1]}, {step * 1e6:.0f} µs a step")
 
 
 def stream(world: World, model: BodyModel, events: list[tuple[float, int, int]], order: list[int]) -> None:
@@ -162,7 +162,7 @@ def growth() -> dict[str, dict[int, float]]:
     for joints in range(2, 8):
         explored, replayed = chain(joints, 5, 12.5, 8.0, 50.0), chain(joints, 6, 60.0, 30.0, 100.0)
         costs["M"][joints] = per_step(replayed, body.learn_body([explored], Settings(), {}).model, 1)
-    print("\nlaplace, µs per step of a 60 s log (body's precisions)")
+    print("\nfilter, µs per step of a 60 s log (body's precisions)")
     for name, by_size in costs.items():
         text = ", ".join(f"{size}: {cost:.1f}" for size, cost in by_size.items())
         print(f"  {name} = {text}; exponent {exponent(by_size):.2f}")

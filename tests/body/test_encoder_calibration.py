@@ -79,7 +79,7 @@ def test_several_logs_are_learned_together(explored) -> None:
 
 
 @pytest.mark.parametrize("reading", [_square, _bent])
-@pytest.mark.parametrize("method", ["laplace", "smoother", "predictive-coding"])
+@pytest.mark.parametrize("method", ["filter", "smoother", "predictive-coding"])
 def test_estimate_accepts_a_log_without_reference(explored, tmp_path, reading, method) -> None:
     save(learn_body([_read(explored, 0, reading)], Settings(), {}).model, tmp_path / "body.npz")
     features = replace(_read(explored, 0, reading, 0.01, 12.0), reference=None)
@@ -111,7 +111,7 @@ def test_squares_about_zero_are_ambiguous_and_the_start_decides(explored) -> Non
         source_ns=(t * 1e9).astype(np.int64),
     )
     features = replace(still, joints=joints, tracks={})
-    for method in ("laplace", "smoother", "predictive-coding"):
+    for method in ("filter", "smoother", "predictive-coding"):
         with pytest.raises(
             UsageError, match="turn or flatten over the explored angles; type: --method predictive"
         ):

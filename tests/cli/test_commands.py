@@ -117,7 +117,7 @@ def test_json_output_has_the_same_keys_in_every_command(tmp_path, capsys, run_cl
             assert set(one) >= KEYS, typed
             assert all(set(score) - {"std"} == {"value", "unit"} for score in one["scores"].values())
     assert run_cli("config", "--json") == 0
-    assert json.loads(capsys.readouterr().out)["results"][0]["settings"]["estimate"]["method"] == "laplace"
+    assert json.loads(capsys.readouterr().out)["results"][0]["settings"]["estimate"]["method"] == "filter"
 
 
 def _wrong(robot, tmp_path):
@@ -140,8 +140,8 @@ def _wrong(robot, tmp_path):
         "unknown joint": (65, "knee_joint", ("fit", explore, "-o", out, "--config", tmp_path / "joint.toml")),
         "unknown key": (2, "did you mean joints", ("fit", explore, "-o", out, "--config", tmp_path / "key.toml")),
         "not a model": (65, "not.npz", ("estimate", reach, "-o", out, "--body", tmp_path / "not.npz")),
-        "unknown method": (2, "laplace", ("estimate", reach, *estimate, "--method", "magic")),
-        "unknown method, absent log": (2, "laplace", ("estimate", absent, *estimate, "--method", "magic")),
+        "unknown method": (2, "filter", ("estimate", reach, *estimate, "--method", "magic")),
+        "unknown method, absent log": (2, "filter", ("estimate", absent, *estimate, "--method", "magic")),
         "empty senses": (2, "estimate.senses is ('',)", ("estimate", reach, *estimate, "--with", "")),
         "empty joints": (2, "body.joints is ('',)", ("fit", explore, "-o", out, "--joints", "")),
         "no number": (2, "possible: number from", ("extract", reach, "-o", out, "--clock-offset", "nan")),

@@ -38,8 +38,8 @@ def whole(run_cli, robot):
 def test_compare_has_a_row_for_every_method_and_subset(whole):
     ran, printed = whole
     assert {
-        ("laplace", ("encoders", "vision")),
-        ("laplace", ("encoders",)),
+        ("filter", ("encoders", "vision")),
+        ("filter", ("encoders",)),
         ("kalman", ("encoders",)),
         ("smoother", ("vision",)),
     } <= ran
@@ -55,11 +55,11 @@ def test_compare_has_a_row_for_every_method_and_subset(whole):
 def test_subsets_without_the_encoders_are_run_only_for_all(capsys, run_cli, robot, whole):
     typed = (robot / "reach.mcap", "--body", robot / "body.npz")
     rows, printed = _ran(capsys, run_cli, *typed)
-    assert ("laplace", ("encoders", "vision")) in rows and ("kalman", ("encoders",)) in rows
+    assert ("filter", ("encoders", "vision")) in rows and ("kalman", ("encoders",)) in rows
     assert all("encoders" in senses for _, senses in rows)
     (finding_text,) = [f["text"] for f in printed["findings"] if "--all" in f["text"]]
     assert "vision" in finding_text
-    assert rows < whole[0] and ("laplace", ("vision",)) in whole[0]
+    assert rows < whole[0] and ("filter", ("vision",)) in whole[0]
     assert not any("--all" in f["text"] for f in whole[1]["findings"])
 
 
@@ -74,7 +74,7 @@ def test_compare_omits_senses_that_settings_exclude(tmp_path, capsys, run_cli, r
     typed = (robot / "reach.mcap", "--body", robot / "body.npz", "--config", config)
     rows, printed = _ran(capsys, run_cli, *typed)
     assert rows == {(method, ("encoders",)) for method in METHODS}
-    assert all("std/encoders/elbow_joint" in row["scores"] for row in printed["rows"] if row["method"] == "laplace")
+    assert all("std/encoders/elbow_joint" in row["scores"] for row in printed["rows"] if row["method"] == "filter")
     assert all(row["scores"]["rmse/joint/elbow_joint"]["value"] > 0.01 for row in printed["rows"])
 
 
@@ -90,7 +90,7 @@ def test_compare_omits_a_sense_the_body_lacks(tmp_path, capsys, run_cli, robot):
 def test_warnings_name_the_rows_they_are_about(whole):
     _, printed = whole
     (text,) = [f["text"] for f in printed["findings"] if "the posture is ambiguous" in f["text"]]
-    assert text.startswith("laplace vision; smoother vision; ekf vision; predictive-coding vision: vision: 2 numbers")
+    assert text.startswith("filter vision; smoother vision; ekf vision; predictive-coding vision: vision: 2 numbers")
     assert sum("predictive-coding: knows no motion" in f["text"] for f in printed["findings"]) == 1
 
 

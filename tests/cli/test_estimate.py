@@ -9,7 +9,7 @@ import pytest
 from .spoilt import spoil
 
 JOINTS = ("elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint")
-METHODS = ("laplace", "smoother", "ekf", "kalman", "predictive-coding")
+METHODS = ("filter", "smoother", "ekf", "kalman", "predictive-coding")
 
 
 def _estimated(capsys, run_cli, log, body, out, *typed):
@@ -104,7 +104,7 @@ def test_estimate_stores_the_name_of_its_method(tmp_path, capsys, run_cli, arm, 
     assert found.method == method and found.joints.names == JOINTS
     assert np.isfinite(found.joints.values).all() and (np.linalg.eigvalsh(found.cov) > 0.0).all()
     assert (scores["rmse/joint"] < scores["rmse/encoders"]) == (method != "kalman")
-    assert ("log_evidence" in scores) == (method in ("laplace", "smoother", "ekf"))
+    assert ("log_evidence" in scores) == (method in ("filter", "smoother", "ekf"))
 
 
 def test_touch_has_two_readings_one_of_them_the_papers_methods_alone(tmp_path, capsys, run_cli, arm, arm_body):
@@ -173,7 +173,7 @@ def test_compare_warns_of_a_method_that_refuses(tmp_path, capsys, run_cli, arm, 
     captured = capsys.readouterr()
     assert {row["method"] for row in json.loads(captured.out)["results"][0]["rows"]} == {"predictive-coding"}
     (refused,) = [line for line in captured.err.splitlines() if "readings turn or flatten" in line]
-    for row in ("laplace encoders,vision; ", "smoother vision; ", "kalman encoders: encoders: readings "):
+    for row in ("filter encoders,vision; ", "smoother vision; ", "kalman encoders: encoders: readings "):
         assert row in refused
     assert run_cli(*typed) == 2
     assert capsys.readouterr().err.count("\n") == 1

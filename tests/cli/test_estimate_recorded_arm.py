@@ -19,7 +19,7 @@ def _scores(result):
     return {name: one["value"] for name, one in result["scores"].items()}
 
 
-@pytest.mark.parametrize(("method", "column", "factor"), [("laplace", 0, 1.1), ("smoother", 1, 1.0)])
+@pytest.mark.parametrize(("method", "column", "factor"), [("filter", 0, 1.1), ("smoother", 1, 1.0)])
 @pytest.mark.parametrize("log", ATTAINABLE)
 def test_error_is_near_what_is_attainable_and_error_bars_are_true(
     tmp_path, capsys, run_cli, arm, arm_body, log, method, column, factor

@@ -28,10 +28,10 @@ def test_squares_are_learned_by_the_reference_and_estimated_without(tmp_path, ca
     scores, findings = _printed(capsys, run_cli, "fit", squared / "explore.mcap", "-o", body, *typed)
     assert scores["rmse/held_out_encoders/elbow_joint"] == pytest.approx(0.003, rel=0.1)
     assert any("by the reference they read shoulder_pan_joint" in text and "x^2" in text for text in findings)
-    for method, most in (("laplace", 0.006), ("smoother", 0.004), ("predictive-coding", 0.02)):
+    for method, most in (("filter", 0.006), ("smoother", 0.004), ("predictive-coding", 0.02)):
         typed = (squared / "later.mcap", "--body", body, "-o", tmp_path / "out.mcap", "--method", method)
         assert _printed(capsys, run_cli, "estimate", *typed)[0]["rmse/joint"] < most
-    alone, _ = _printed(capsys, run_cli, "estimate", *typed[:-1], "laplace", "--with", "encoders")
+    alone, _ = _printed(capsys, run_cli, "estimate", *typed[:-1], "filter", "--with", "encoders")
     assert alone["rmse/joint"] < 0.006 and 0.5 < alone["nees/joint"] < 1.5
 
 

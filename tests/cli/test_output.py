@@ -142,7 +142,7 @@ def test_help_lists_every_command_once_with_its_whole_summary(capsys, run_cli) -
     ("words", "expected"),
     [
         ("bodylog est", {"estimate"}),
-        ("bodylog estimate --method ", {"laplace", "smoother", "ekf", "kalman", "predictive-coding"}),
+        ("bodylog estimate --method ", {"filter", "smoother", "ekf", "kalman", "predictive-coding"}),
         ("bodylog estimate --prec", {"--precision"}),
     ],
 )

@@ -16,7 +16,7 @@ def seven(tmp_path_factory, run_cli):
     return folder
 
 
-@pytest.mark.parametrize(("method", "most"), [("laplace", 0.5), ("smoother", 0.3)])
+@pytest.mark.parametrize(("method", "most"), [("filter", 0.5), ("smoother", 0.3)])
 def test_seven_joints_are_learned_and_estimated(tmp_path, capsys, run_cli, seven, method, most):
     out = tmp_path / "out.mcap"
     capsys.readouterr()

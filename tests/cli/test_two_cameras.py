@@ -33,13 +33,13 @@ def _estimated(capsys, run_cli, folder, body, out, *typed):
     return {name: one["value"] for name, one in result["scores"].items()}
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother", "predictive-coding"])
+@pytest.mark.parametrize("method", ["filter", "smoother", "predictive-coding"])
 def test_two_cameras_reduce_the_error_of_one(tmp_path, capsys, run_cli, watched, method):
     typed, both = ("--method", method), ("--config", watched / "both.toml")
     one = _estimated(capsys, run_cli, watched, "one.npz", tmp_path / "1.mcap", *typed)
     two = _estimated(capsys, run_cli, watched, "two.npz", tmp_path / "2.mcap", *typed, *both)
     assert two["rmse/joint"] <= (1.02 if method == "predictive-coding" else 0.85) * one["rmse/joint"]
-    if method == "laplace":
+    if method == "filter":
         assert 0.7 <= two["nees/joint"] <= 1.6 and 0.5 <= two["nis/side/effector"] <= 1.5
 
 

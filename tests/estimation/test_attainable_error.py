@@ -17,7 +17,7 @@ from bodylog.settings import BodySettings, EstimationSettings, Settings, TopicSe
 from tests.estimation import textbook
 
 SEEDS = range(10)
-FACTORS = {"laplace": 1.10, "smoother": 1.20}
+FACTORS = {"filter": 1.10, "smoother": 1.20}
 UR5 = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 SIZE = (320, 240)
 CAMERAS = ("/camera/image/compressed", "/side/image/compressed")
@@ -48,7 +48,7 @@ def attainable(features, truth, names, lines):
         off = track.values - known.line(truth_at_times(truth, list(names), track.t))[0]
         frames.append((known, seen, np.nanmean(off**2, axis=0)))
     given = (t, readings, np.full(3, ENCODER_STD**2), frames, PROCESSES)
-    found = {"laplace": textbook.filtered(*given), "smoother": textbook.smoothed(*given)[1]}
+    found = {"filter": textbook.filtered(*given), "smoother": textbook.smoothed(*given)[1]}
     at, true = np.searchsorted(t, joints.t), truth_at_times(truth, list(names), joints.t)[:, None]
     apart = {method: mean[at, :, :3] - true for method, (mean, _) in found.items()}
     return {method: float(np.sqrt((one**2).mean(axis=(0, 2))).min()) for method, one in apart.items()}

@@ -15,7 +15,7 @@ def doubted(found):
     return [f.text for f in found.findings if f.severity == "warning" and NOT_FORETOLD in f.text]
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
+@pytest.mark.parametrize("method", ["filter", "smoother", "ekf"])
 @pytest.mark.parametrize("seed", range(2))
 def test_warnings_are_absent_for_a_sound_estimate(world, method, seed):
     drawn = world(seed, duration=10.0, hidden=(6.0, 8.0), blunder=0.02)
@@ -24,7 +24,7 @@ def test_warnings_are_absent_for_a_sound_estimate(world, method, seed):
     )
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
+@pytest.mark.parametrize("method", ["filter", "smoother", "ekf"])
 def test_warning_of_unexpected_noise_suggests_a_command(world, method):
     drawn = world(3, duration=5.0)
     quiet = replace(drawn.body.noise, encoder=tuple(v / 30.0 for v in drawn.body.noise.encoder))
@@ -51,7 +51,7 @@ def test_warning_of_an_offset_with_bias_off(world):
         estimate_from_features(features, drawn.body, EstimationSettings(method="predictive-coding"))
     )
     assert any(
-        text.startswith("effector: ") and text.endswith("type --method laplace") for text in coding
+        text.startswith("effector: ") and text.endswith("type --method filter") for text in coding
     )
 
 

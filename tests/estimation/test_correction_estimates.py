@@ -57,9 +57,9 @@ def test_delay_correction_leaves_sound_logs_unchanged(world, method):
 @pytest.mark.parametrize(
     ("method", "seconds"),
     [
-        ("laplace", -0.1),
+        ("filter", -0.1),
         ("smoother", 0.05),
-        pytest.param("laplace", 0.05, marks=pytest.mark.soak),
+        pytest.param("filter", 0.05, marks=pytest.mark.soak),
         pytest.param("ekf", 0.2, marks=pytest.mark.soak),
     ],
 )

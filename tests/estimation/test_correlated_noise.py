@@ -101,7 +101,7 @@ def test_independent_errors_do_not_extend_the_correlation(world):
     np.testing.assert_allclose(alike.inflate_variances(far, t, apart, points, jac, pixel, model) - pixel, once, rtol=1e-9)
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 def test_belief_of_a_resting_arm_keeps_the_model_variance(world, method):
     inside = []
     for seed in range(15):

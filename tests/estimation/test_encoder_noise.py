@@ -162,7 +162,7 @@ def test_process_variance_of_undetermined_joints_is_the_encoders(
         assert np.all(np.abs(share) < 0.1)
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother", "predictive-coding"])
+@pytest.mark.parametrize("method", ["filter", "smoother", "predictive-coding"])
 @pytest.mark.parametrize(("count", "warned"), [(20, True), (40, False)])
 def test_too_few_readings_to_learn_noise_from_give_a_warning(world, method, count, warned):
     drawn = world(0)
@@ -186,7 +186,7 @@ def test_too_few_readings_to_learn_noise_from_give_a_warning(world, method, coun
     )
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 @pytest.mark.parametrize("count", [20, 40])
 def test_noise_far_above_the_bodys_is_learned_from_few_readings(world, method, count):
     found, raw, ratio = [], [], []

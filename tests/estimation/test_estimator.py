@@ -195,7 +195,7 @@ def test_variances_learned_from_a_log_are_used_live(world, white_acceleration):
     drawn = world(0, duration=6.0)
     one, whole = (
         estimate_from_features(drawn.features, drawn.body, EstimationSettings(m, bias="off"))
-        for m in ("laplace", "smoother")
+        for m in ("filter", "smoother")
     )
     beliefs = step(
         LiveEstimator(drawn.body, MODEL, learned=whole.settings),
@@ -208,7 +208,7 @@ def test_motion_learned_from_a_log_is_used_live(world):
     drawn = world(0, duration=12.0, blunder=0.02)
     batch, smooth = (
         estimate_from_features(drawn.features, drawn.body, EstimationSettings(m, bias="off"))
-        for m in ("laplace", "smoother")
+        for m in ("filter", "smoother")
     )
     assert batch.settings["order"] == smooth.settings["order"] == 3
     messages = messages_of(drawn.features, drawn.body)

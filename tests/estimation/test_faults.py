@@ -80,7 +80,7 @@ def test_faulty_encoder_is_named_and_replaced(world, change, kind, since, late, 
     assert chosen(found) == [(HYPOTHESES[kind], "pan")]
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_zeros_before_an_encoders_first_reading_are_removed(world, method, seed):
     drawn = world(seed, duration=8.0, encoder_std=0.002)
@@ -315,7 +315,7 @@ def test_ambiguous_joints_are_both_named_without_a_size(world, joint, named, see
     assert set(fault.name.split(" or ")) == named and np.isnan(fault.size) == (len(named) > 1)
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 @pytest.mark.parametrize(
     ("senses", "noise", "size"),
     [

@@ -112,7 +112,7 @@ def test_error_bars_are_true_and_the_gap_is_no_exception(world):
     assert 0.7 < np.mean(hidden) < 1.4
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
+@pytest.mark.parametrize("method", ["filter", "smoother", "ekf"])
 @pytest.mark.parametrize("sense", ["encoders", "image"])
 def test_evidence_falls_with_an_outliers_distance(world, method, sense):
     drawn, costs = world(2, duration=6.0), []
@@ -155,12 +155,12 @@ def test_predictions_and_errors_are_standardised(world):
 
 def test_extended_filter_is_close_but_different(world):
     drawn = world(0)
-    iterated, once = (estimate_from_features(drawn.features, drawn.body, replace(MODEL, method=m)) for m in ("laplace", "ekf"))
+    iterated, once = (estimate_from_features(drawn.features, drawn.body, replace(MODEL, method=m)) for m in ("filter", "ekf"))
     apart = np.abs(iterated.joints.values - once.joints.values).max()
     assert 1e-8 < apart < 5e-3
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 def test_same_input_same_bytes(world, method):
     drawn = world(0, duration=5.0)
     one, two = (estimate_from_features(drawn.features, drawn.body, EstimationSettings(method=method)) for _ in range(2))
@@ -181,7 +181,7 @@ def test_nan_and_backward_times_are_skipped_and_counted(world):
     assert rmse(found, drawn)["rmse/joint"] < 0.01
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 def test_filter_tolerates_far_too_small_encoder_noise(world, method):
     drawn = world(0, duration=6.0, pixel_std=0.07)
     body = replace(drawn.body, noise=replace(drawn.body.noise, encoder=(9e-6,) * 3, process=(0.06,) * 3))

@@ -16,7 +16,7 @@ from tests.estimation.conftest import World
 from tests.estimation.mechanisms import Fault, Mechanism
 from tests.estimation.resting import Drawn, drawn
 
-METHODS = ("laplace", "smoother")
+METHODS = ("filter", "smoother")
 
 
 def _drifting(seed: int, how: Drawn, drift: float, stated: float) -> World:

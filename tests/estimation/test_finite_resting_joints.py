@@ -25,7 +25,7 @@ def test_methods_give_finite_results_for_a_mostly_resting_arm(method, step):
     assert require_finite_estimate(found) is found and not found.faults
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 @pytest.mark.parametrize("senses", [None, ("encoders",)])
 @pytest.mark.parametrize(("step", "noise"), [(1e-6, 0.0), (1e-4, 0.0), (1.5e-3, 0.0), (0.01, 0.0), (1.5e-3, 1e-3)])
 @pytest.mark.parametrize("moves", ["slow", "sines", "reach"])
@@ -55,7 +55,7 @@ def test_encoder_noise_is_not_taken_for_the_motion_of_quick_reaches(white_accele
     assert judged(world, found.joints, found.cov)[1] < 1.5
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
+@pytest.mark.parametrize("method", ["filter", "smoother", "ekf"])
 def test_estimate_follows_a_joint_after_a_long_rest(method):
     world = drawn(0, Drawn("reach", 1e-4))
     found = estimate_from_features(world.features, world.body, EstimationSettings(method=method, senses=("encoders",)))
@@ -74,7 +74,7 @@ def ramped(t, rng, speed):
     return x
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 @pytest.mark.parametrize("first", seeds(1, 6))
 def test_estimate_follows_joints_that_start_and_stop_within_a_few_readings(world, monkeypatch, method, first):
     """Their first and last bends stand alone, as those of false readings do."""
@@ -92,7 +92,7 @@ def test_estimate_follows_joints_that_start_and_stop_within_a_few_readings(world
 @pytest.mark.parametrize(
     ("field", "text"),
     [
-        ("joints", "the angle of lift at 0.060 s is not a number by laplace"),
+        ("joints", "the angle of lift at 0.060 s is not a number by filter"),
         ("rate", "the rate of lift at 0.060 s"),
         ("cov", "the variance of lift at 0.060 s"),
         ("free_energy", "the free energy at 0.060 s"),

@@ -17,7 +17,7 @@ def freeze(drawn, begin, end=np.inf):
     return replace(drawn.features, tracks={"effector": replace(track, values=values)})
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf", "predictive-coding"])
+@pytest.mark.parametrize("method", ["filter", "smoother", "ekf", "predictive-coding"])
 @pytest.mark.parametrize("seed", range(2))
 def test_frozen_camera_is_named_and_its_images_removed(world, method, seed):
     drawn = world(seed, duration=12.0, camera_hz=20.0)

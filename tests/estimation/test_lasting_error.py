@@ -13,7 +13,7 @@ from tests.estimation import mechanisms
 from tests.estimation.mechanisms import LASTING, LOOSE, Fault, errors_and_nees, true_angles
 from tests.validation import logs, outliers
 
-METHODS = ("laplace", "smoother")
+METHODS = ("filter", "smoother")
 SOUND = ("sound", "quantised", "quiet")
 
 

@@ -56,7 +56,7 @@ def test_a_false_image_at_either_end_is_no_moved_camera(world, seed, row):
     assert not cameras(replace(drawn.features, tracks={"effector": uneven}), drawn.body)
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 @pytest.mark.parametrize("px", [4.0, 20.0])
 def test_moved_camera_does_not_degrade_the_estimate(method, px):
     world = drawn(101, Drawn("reach", noise=0.01))

@@ -39,7 +39,7 @@ def test_explored_angles_give_no_warning(drawn):
     assert not range_texts(drawn, lambda x: x + 0.3)
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother", "kalman", "predictive-coding"])
+@pytest.mark.parametrize("method", ["filter", "smoother", "kalman", "predictive-coding"])
 @pytest.mark.parametrize("senses", [None, ("encoders",), ("elbow",)])
 def test_degrees_are_refused_with_what_to_type(drawn, method, senses):
     with pytest.raises(ModelError, match=r'these are degrees; type \[body\] unit = "deg" in robot.toml'):

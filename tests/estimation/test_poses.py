@@ -207,7 +207,7 @@ def test_pose_evidence_is_a_dense_one_and_its_gradient_a_finite_difference():
 
 
 def test_methods_that_follow_a_motion_are_refused(learned):
-    with pytest.raises(UsageError, match="the log has still poses; type laplace"):
+    with pytest.raises(UsageError, match="the log has still poses; type filter"):
         estimate_from_features(_poses(1)[0], learned, EstimationSettings(method="kalman"))
 
 

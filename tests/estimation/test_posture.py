@@ -68,7 +68,7 @@ def test_smoother_is_better_than_by_encoders_alone_and_knows_how_good():
     assert 0.5 < np.mean(all_nees) < 2.0
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 def test_order_of_joints_does_not_matter(method):
     """Two ways agree: a camera may list the joints otherwise than the body."""
     first = estimated(drawn_log(3), 3, method)[0]

@@ -189,10 +189,10 @@ def test_joints_without_an_encoder_give_a_warning_about_error_bars(world):
     }
     (text,) = texts["pan"]
     assert text.startswith("predictive-coding: knows no motion of lift, elbow without encoders")
-    assert text.endswith("type --method laplace") and texts["all"] == texts["paper"] == []
+    assert text.endswith("type --method filter") and texts["all"] == texts["paper"] == []
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother", "ekf"])
+@pytest.mark.parametrize("method", ["filter", "smoother", "ekf"])
 def test_methods_the_paper_has_not_refuse_its_preset(world, method):
     drawn = world(0, duration=2.0)
     with pytest.raises(UsageError, match=f"'paper' is not for {method}; type --method kalman or --method p"):

@@ -43,7 +43,7 @@ def test_slow_readings_that_differ_share_none():
     assert shared_variance(t, np.repeat(np.sin(t[::2]), 2)) == 2.0
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 @pytest.mark.parametrize(("step", "speed"), [(0.05, 0.15), (0.05, 0.5), (0.01, 0.15), (0.005, 0.05)])
 @pytest.mark.parametrize("seed", range(2))
 def test_error_bars_are_true_for_coarse_encoders(world, method, step, speed, seed):
@@ -58,7 +58,7 @@ def test_error_bars_are_true_for_coarse_encoders(world, method, step, speed, see
     assert np.sqrt(np.mean(error**2)) < step / np.sqrt(12.0)
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 def test_belief_of_constant_readings_has_true_error_bars(world, method):
     drawn = world(1, duration=12.0, encoder_std=0.0, speed=0.0)
     joints = drawn.features.joints

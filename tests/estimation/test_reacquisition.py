@@ -55,7 +55,7 @@ def test_belief_is_not_lost_when_one_encoder_pauses(world, seed, length):
         assert not judged(muffled, drawn, 6.0, precision="model", bias="off")[3]
 
 
-@pytest.mark.parametrize("method", ["laplace", "ekf"])
+@pytest.mark.parametrize("method", ["filter", "ekf"])
 @pytest.mark.parametrize("seed", seeds(1, 3))
 def test_lost_belief_recovers_at_the_first_reading(world, seed, method):
     drawn = world(seed, duration=15.0)
@@ -93,7 +93,7 @@ def silent(world, seed, silence, method, names=ALL):
 
 
 @pytest.mark.parametrize(
-    ("method", "most", "least"), [("laplace", 0.2, 0.8), ("smoother", 0.085, 0.7)]
+    ("method", "most", "least"), [("filter", 0.2, 0.8), ("smoother", 0.085, 0.7)]
 )
 def test_error_bars_hold_while_no_encoder_speaks(world, method, most, least):
     rmse, nees, within = np.transpose([silent(world, seed, 4.0, method) for seed in range(5)])
@@ -134,7 +134,7 @@ def test_smoother_by_images_alone_draws_lines_over_its_belief(world):
 @pytest.mark.parametrize("silence", [1.0, 2.0, 5.0])
 def test_error_bars_hold_while_encoders_are_silent(world, silence):
     rmse, nees, within = np.transpose(
-        [silent(world, seed, silence, "laplace") for seed in range(20)]
+        [silent(world, seed, silence, "filter") for seed in range(20)]
     )
     # one posture in twenty passes for another for a while
     assert (
@@ -197,7 +197,7 @@ def test_mistaken_first_reading_is_corrected_by_the_next(world, row):
         assert rmse < 0.006 and nees < 1.3 and not faults
 
 
-@pytest.mark.parametrize("method", ["laplace", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
 @pytest.mark.parametrize(
     ("rows", "size"), [((1,), 0.05), ((0, 1), 0.5), ((0, 1, 2), 0.5), ((0, 1, 2, 3), 3.0)]
 )
@@ -288,7 +288,7 @@ def paused(features, since, gap):
 
 
 @pytest.mark.parametrize("gap", [3600.0, 1e7, 1.7e9])
-@pytest.mark.parametrize("method", ["laplace", "ekf", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "ekf", "smoother"])
 def test_pause_of_any_length_separates_its_sides(world, white_acceleration, method, gap):
     drawn = world(3, duration=8.0)
     t = drawn.features.joints.t

@@ -40,14 +40,14 @@ def truth_of(name, recording):
     return Series(t, data["x"], NAMES, "rad", (data["t"] * 1e9).astype(np.int64) + int(data["T0"]))
 
 
-def scored(seen, learned, name, method="laplace"):
+def scored(seen, learned, name, method="filter"):
     recording, features = seen(name)
     found = estimate_from_features(features, learned, EstimationSettings(method=method))
     return found, {s.name: s.value for s in score_angles(found, truth_of(name, recording), features.joints)}
 
 
 @pytest.mark.parametrize("name", ATTAINABLE)
-@pytest.mark.parametrize(("method", "column", "factor"), [("laplace", 0, 1.1), ("smoother", 1, 1.0)])
+@pytest.mark.parametrize(("method", "column", "factor"), [("filter", 0, 1.1), ("smoother", 1, 1.0)])
 def test_estimate_error_is_close_to_the_attainable(seen, learned, name, method, column, factor):
     found, score = scored(seen, learned, name, method)
     assert score["rmse/joint"] <= factor * ATTAINABLE[name][column]

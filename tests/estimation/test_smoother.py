@@ -43,7 +43,7 @@ def test_smoother_last_row_is_the_filters(world, linear_model):
         track, t=track.t[kept], values=track.values[kept], source_ns=track.source_ns[kept], std=track.std[kept]
     )
     features = replace(drawn.features, tracks={"effector": track})
-    smooth, filtered = (estimate_from_features(features, drawn.body, replace(MODEL, method=m)) for m in ("smoother", "laplace"))
+    smooth, filtered = (estimate_from_features(features, drawn.body, replace(MODEL, method=m)) for m in ("smoother", "filter"))
     np.testing.assert_allclose(smooth.joints.values[-1], filtered.joints.values[-1], atol=1e-9, rtol=0)
     np.testing.assert_allclose(smooth.cov[-1], filtered.cov[-1], atol=1e-10, rtol=0)
 
@@ -53,7 +53,7 @@ def test_smoother_improves_most_without_sightings(world):
     for seed in range(2):
         drawn = world(seed, duration=11.0, hidden=(6.0, 8.0))
         errors = []
-        for method in ("laplace", "smoother"):
+        for method in ("filter", "smoother"):
             found = estimate_from_features(drawn.features, drawn.body, EstimationSettings(method=method))
             error = found.joints.values - drawn.truth.values
             gap = (found.joints.t > 6.0) & (found.joints.t < 8.0)

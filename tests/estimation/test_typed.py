@@ -23,7 +23,7 @@ def asked(half=1.0, **others):
     return EstimationSettings(precision="model", bias="off", **{**typed, **others})
 
 
-@pytest.mark.parametrize("method", ["laplace", "ekf", "smoother"])
+@pytest.mark.parametrize("method", ["filter", "ekf", "smoother"])
 @pytest.mark.parametrize("half", [1.0, 0.5])
 def test_belief_with_given_variances_is_the_kalman_filters(world, reference, linear_model, method, half):
     drawn = world(3, duration=6.0, model=linear_model, encoder_std=0.005)  # within the gate

@@ -40,7 +40,7 @@ def scene():
 
 def believed(t, x, cov, predicted=None, predicted_cov=None):
     joints = series(t, x, ("a", "b"), "rad")
-    return Estimate("laplace", joints, joints, cov, {}, np.zeros(len(t)), {}, predicted or {}, predicted_cov or {}, {})
+    return Estimate("filter", joints, joints, cov, {}, np.zeros(len(t)), {}, predicted or {}, predicted_cov or {}, {})
 
 
 def test_withhold_hides_every_fifth_frame_and_returns_its_sightings(scene):
@@ -92,10 +92,10 @@ def test_withhold_keeps_a_tracks_only_sighting(scene):
 @pytest.mark.parametrize(
     ("method", "senses", "off"),
     [
-        ("laplace", ("encoders", "vision"), 1e-9),
+        ("filter", ("encoders", "vision"), 1e-9),
         ("ekf", ("encoders", "vision"), 1e-9),
         ("smoother", ("encoders", "vision"), 1e-9),
-        ("laplace", ("encoders",), 0.1),
+        ("filter", ("encoders",), 0.1),
         ("smoother", ("encoders",), 0.01),
     ],
 )
@@ -119,7 +119,7 @@ def test_held_out_of_a_linear_body_equals_the_textbook(seed, method, senses, off
     assert score.value == pytest.approx(np.mean(expected), abs=off)
 
 
-@pytest.mark.parametrize(("method", "foretold"), [("laplace", 0.3), ("kalman", 0.0), ("smoother", 0.5)])
+@pytest.mark.parametrize(("method", "foretold"), [("filter", 0.3), ("kalman", 0.0), ("smoother", 0.5)])
 def test_held_out_interpolates_for_smoothers_only(scene, method, foretold):
     """Beliefs 0 and 1 rad, 1 s apart, at a rate of 0.6 rad/s; a frame is asked for half-way."""
     _, body = scene

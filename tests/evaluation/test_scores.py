@@ -16,7 +16,7 @@ def made(error, std, n=500, names=("a", "b")):
     truth = np.stack([np.sin(t), np.cos(t)], axis=1)
     ns = (t * 1e9).astype(np.int64)
     found = Estimate(
-        "laplace", Series(t, truth + error, names, "rad", ns), Series(t, 0 * truth, names, "rad/s", ns),
+        "filter", Series(t, truth + error, names, "rad", ns), Series(t, 0 * truth, names, "rad/s", ns),
         np.repeat(np.eye(2)[None] * std**2, n, axis=0), {"effector": Series(t, truth * 0 + 2.0, ("u", "v"), "std", ns)},
         np.full(n, 1.5), {"effector": Health(9, 7)}, {}, {}, {},
     )  # fmt: skip

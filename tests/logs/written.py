@@ -68,7 +68,7 @@ def found(seed=0, steps=300, frames=90):
     predicted = Series(pictures / 1e9, where, ("u", "v"), "px", tracks["hand"].source_ns, std)
     features = Features(joints, tracks, touches, strokes, synchrony, {}, cameras={"": "/camera"})
     estimate = Estimate(
-        method="laplace",
+        method="filter",
         joints=joints,
         rate=series(rng, ticks, 3, JOINTS, "rad/s"),
         cov=covariance(rng, steps, 3),
@@ -80,7 +80,7 @@ def found(seed=0, steps=300, frames=90):
         used={"encoders": Health(steps, steps - 2, {"nan": 2}, 0.01), "effector": Health(frames, 60)},
         predicted={"effector": predicted},
         predicted_cov={"effector": cov},
-        settings={"method": "laplace", "rate": 100.0},
+        settings={"method": "filter", "rate": 100.0},
         bias=series(rng, ticks, 3, JOINTS, "rad"),
         faults=(
             Fault("encoders", "elbow", FaultKind.DRIFTING, 1.5, 0.25, "rad", 0.01),

@@ -93,7 +93,7 @@ def estimate(seed: int = 0, duration: float = 20.0, joints: tuple[str, ...] = JO
     cov = np.broadcast_to(np.diag(np.full(m, 0.012**2)), (len(t), m, m)) * (1 + 3 * ((t > 6) & (t < 8)))[:, None, None]
     track = np.stack([80 + 40 * np.sin(0.5 * tf), 60 + 20 * np.cos(0.7 * tf)], axis=1)
     fields: dict[str, Any] = {
-        "method": "laplace",
+        "method": "filter",
         "joints": series(t, x + rng.normal(0, 0.006, x.shape), joints, "rad"),
         "rate": series(t, np.gradient(x, t, axis=0), joints, "rad/s"),
         "cov": cov,
@@ -105,7 +105,7 @@ def estimate(seed: int = 0, duration: float = 20.0, joints: tuple[str, ...] = JO
         "used": {"encoders": Health(len(t), len(t)), "effector": Health(len(tf), len(tf) - 60, {"not seen": 60}, 2.0)},
         "predicted": {"effector": series(tf, track, ("u", "v"), "px", np.full(track.shape, 2.0))},
         "predicted_cov": {"effector": np.broadcast_to(np.array([[9.0, 4.0], [4.0, 5.0]]), (len(tf), 2, 2))},
-        "settings": {"method": "laplace", "preset": "default", "senses": None},
+        "settings": {"method": "filter", "preset": "default", "senses": None},
         "faults": (Fault("encoders", joints[0], FaultKind.DRIFTING, 8.25, 0.3, "rad"),),
     }
     return Estimate(**(fields | changes))

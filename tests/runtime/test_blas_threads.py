@@ -67,7 +67,7 @@ def _running(run, monkeypatch) -> set[int]:
         raise EvidenceError("enough")
 
     monkeypatch.setattr(import_module("bodylog.body.learning"), "smooth_all_joints", stop)
-    monkeypatch.setitem(METHODS, "laplace", METHODS["laplace"]._replace(estimate=stop))
+    monkeypatch.setitem(METHODS, "filter", METHODS["filter"]._replace(estimate=stop))
     with pytest.raises(EvidenceError):
         run()
     return set(seen)

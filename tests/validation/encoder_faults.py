@@ -35,7 +35,7 @@ KINDS = {
 def table():
     """A row for each fault."""
     head = ("encoder", f"named alone, of {COUNT}", "named since, s after it began", "size less the true one, rad",
-            "`laplace`, after it began, mrad: all, worst", "whole log", "sound log, the same seconds",
+            "`filter`, after it began, mrad: all, worst", "whole log", "sound log, the same seconds",
             "NEES of pan, lift, elbow")  # fmt: skip
     return figures.table(head, [row(name, *kind) for name, kind in KINDS.items()])
 

@@ -6,7 +6,7 @@ from bodylog.sim import motion, plan
 from tests.estimation import conftest as worlds
 from tests.validation import figures, logs
 
-METHODS = ("laplace", "smoother")
+METHODS = ("filter", "smoother")
 RECORDED = {"recorded exploration": "explore.mcap", "recorded reach, 20 s": "reach.mcap"}
 
 

@@ -43,7 +43,7 @@ class Found:
         return float(np.mean(np.abs(self.error) <= 2.0 * self.std))
 
 
-def found(log, body, method="laplace", delay="auto", **settings):
+def found(log, body, method="filter", delay="auto", **settings):
     """The estimate of a log, judged by its truth."""
     made = estimate_from_features(log.features, body, EstimationSettings(method=method, **settings), delay)
     names = [name for name in log.truth.names if name in made.joints.names]  # pan, lift, elbow

@@ -73,7 +73,7 @@ KINDS = {
 
 def table():
     """A row for each kind of log and of wrong readings."""
-    head = ("log", "wrong readings", "`laplace`, mrad", "its NEES of pan, lift, elbow", "`smoother`, mrad", "its NEES",
+    head = ("log", "wrong readings", "`filter`, mrad", "its NEES of pan, lift, elbow", "`smoother`, mrad", "its NEES",
             "with the filter's gate alone, mrad", "its NEES")  # fmt: skip
     drawn = [
         (logs.of(world), world.body)
@@ -95,7 +95,7 @@ def row(name, those, kind):
         for seed, (log, body) in enumerate(those)
     ]
     cells = (name, kind)
-    for method, gated in (("laplace", False), ("smoother", False), ("smoother", True)):
+    for method, gated in (("filter", False), ("smoother", False), ("smoother", True)):
         with pytest.MonkeyPatch.context() as patch:
             if gated:
                 patch.setattr(

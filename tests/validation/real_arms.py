@@ -36,7 +36,7 @@ KINDS = {
     "all of these, mild": ("realistic", "realistic"),
 }
 """Error: the exploration that the body is learned from, and the runs."""
-METHODS = ("laplace", "smoother")
+METHODS = ("filter", "smoother")
 
 
 def ready():

@@ -56,7 +56,7 @@ def _advise_on_inconsistency(found: Estimate, settings: EstimationSettings, sens
     if not found.can.moves:
         return (
             f"{found.method} holds the arm still and detects no faulty encoder; type --method "
-            "laplace"
+            "filter"
         )
     if settings.precision != "auto":
         return f"noise differs from that of --precision {settings.precision}; type --precision auto"

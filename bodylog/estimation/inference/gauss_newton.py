@@ -54,7 +54,7 @@ def solve_by_gauss_newton(
         tangents.follow(problem, fold, trace.prior if at == "prior" else trace.z)
         next_z, next_p = hand_over_starts(z, p, trace.z[-1], trace.end_p)
         z, p, move = next_z, next_p, require_finite(measure_farthest_move(z, p, next_z, next_p))
-    raise DidNotConverge(f"laplace: no rest after {MAX_SWEEPS} sweeps, last move {move:.2g}")
+    raise DidNotConverge(f"filter: no rest after {MAX_SWEEPS} sweeps, last move {move:.2g}")
 
 
 def initial_sweep(

@@ -38,7 +38,7 @@ def estimate_by_filter(
 ) -> Estimate:
     """Filtered belief at each output time, given all measurements up to then.
 
-    `laplace` linearises frames at the belief until it
+    `filter` linearises frames at the belief until it
     converges; `ekf` does so once, at the prior mean.
     """
     at = "prior" if settings.method == "ekf" else "posterior"

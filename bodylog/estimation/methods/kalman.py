@@ -51,7 +51,7 @@ def _choose_encoders(body: BodyModel, settings: EstimationSettings) -> tuple[str
         raise UsageError(
             f"method: kalman hears encoders alone, but {', '.join(other)} is asked for; type "
             "--with encoders, "
-            "or --method laplace"
+            "or --method filter"
         )
     return settings.senses or ("encoders",)
 

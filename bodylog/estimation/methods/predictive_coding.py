@@ -119,7 +119,7 @@ def _without_encoders(
         return ()
     text = (
         f"knows no motion of {still} without encoders: errors are far beyond its error bars; "
-        "type --method laplace"
+        "type --method filter"
     )
     return (Finding("warning", f"predictive-coding: {text}"),)
 

@@ -29,7 +29,7 @@ class Method(NamedTuple):
 
 
 METHODS: Mapping[str, Method] = {
-    "laplace": Method(filtering.estimate_by_filter, Capabilities(), live=True),
+    "filter": Method(filtering.estimate_by_filter, Capabilities(), live=True),
     "smoother": Method(smoother.estimate_by_smoother, Capabilities(causal=False)),
     "ekf": Method(filtering.estimate_by_filter, Capabilities()),
     "kalman": Method(
@@ -68,7 +68,7 @@ def ignored_settings(settings: EstimationSettings) -> tuple[Finding, ...]:
     return tuple(
         Finding(
             "warning",
-            f"{name}: {value!r} is ignored by {by}; leave it out, or type --method laplace",
+            f"{name}: {value!r} is ignored by {by}; leave it out, or type --method filter",
         )
         for name, value in ignored.items()
     )

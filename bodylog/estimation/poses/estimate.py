@@ -29,7 +29,7 @@ def estimate_still_poses(
     UsageError for a method that needs motion; EvidenceError without readings.
     """
     if can.from_paper:
-        possible = "laplace, smoother or ekf, which are the same for poses"
+        possible = "filter, smoother or ekf, which are the same for poses"
         raise UsageError(
             f"method: {settings.method!r} needs motion, but the log has still poses; type "
             f"{possible}"
