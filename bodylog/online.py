@@ -49,9 +49,8 @@ class Estimator(estimator.LiveEstimator):
     def step(
         self, t: float, joints: Angles | None = None, **places: Place | None
     ) -> estimator.Belief:
-        """The belief after all readings stamped t (s): joints
-        in rad, places (u, v) or (u, v, std_u, std_v) in px,
-        or (x, y, z), with their std, in m.
+        """The belief after all readings stamped t (s): joints in rad, places (u, v) or (u, v,
+        std_u, std_v) in px, or (x, y, z), with their std, in m.
 
         None, or NaN, is a missing reading. Readings may arrive out of order by up to `lag` s; the
         belief is about the latest instant. UsageError or ModelError for readings that do not fit

@@ -26,14 +26,20 @@ from .checks import (
 from .errors import EvidenceError, InputError, ModelError, UsageError
 from .features import defaults as default_features
 from .features.observed import add_recorded_joints, moving_features, still_pose_features
-from .findings import learned_tests, verdict
+from .findings import verdict
 from .findings.faults import fault_warnings, sighting_findings, truth_findings
 from .findings.joints_only import read_joints_alone, without_body
-from .findings.log_estimate import estimate_log
+from .findings.log_estimate import LogWithBody, estimate_log
 from .findings.log_estimate import infer as infer
 from .findings.result import NO_SCORES, Scores, estimate_result
 from .findings.result import Result as Result
-from .findings.scoring import score_estimate, with_true_poses, with_truth_beside_log
+from .findings.scoring import (
+    merged_health,
+    score_estimate,
+    score_learned_body,
+    with_true_poses,
+    with_truth_beside_log,
+)
 from .io.atomic_files import hash_files
 from .io.outputs import Output
 from .io.temporary import create_scratch_folder
@@ -221,7 +227,7 @@ def fit(
     if surface_asked:
         recordings = [(log, read) for log, (read, _) in zip(logs, observed, strict=True)]
         learned = surface_body.add_surface(learned, recordings, settings)
-    tested, more = learned_tests.score_learned_body(
+    tested, more = score_learned_body(
         learned.model, [(log, *observe(log, settings, progress)) for log in test]
     )
     storage.save(learned.model, out)
@@ -239,7 +245,7 @@ def fit(
     placed = calibration.summarise_placements(learned.model)
     others = robot_model.list_joints_not_learned(learned.model, features)
     text = verdict.verdict_of_body(learned.model.joints, scores, placed, others)
-    health = learned_tests.merged_health(observed)
+    health = merged_health(observed)
     return Result(
         out, Scores(scores), health, tuple(findings), settings_as_values(settings), verdict=text
     )
@@ -342,12 +348,8 @@ def estimate(
         learned = without_body(read, settings) if known is None else known
         cameras = require_same_camera(log, learned.provenance.get("cameras", ()), read, features)
         require_same_size(log, learned, features, settings)
-        if learned.surface is None:
-            found = estimate_log(log, read, features, learned, settings, typed)
-        else:
-            found = surface_estimate.estimate_by_surface(
-                log, read, features, learned, settings, typed
-            )
+        by_body = estimate_log if learned.surface is None else surface_estimate.estimate_by_surface
+        found = by_body(LogWithBody(log, read, features, learned, settings, typed))
         lost = written.add(estimate_messages(read, features, found))
         read = with_true_poses(log, found, read)
         scores = score_estimate(found, read)

@@ -1,6 +1,4 @@
-"""Names of scores: FIGURE or FIGURE/PART, the unit
-of each figure, and the names they had before.
-"""
+"""Names of scores: FIGURE or FIGURE/PART, the unit of each figure, and the names they had before."""
 
 from collections.abc import Mapping
 

@@ -19,9 +19,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class NamedPath(click.Path):
-    """A path that is not empty: "", as from an unset
-    shell variable, would be the current folder.
-    """
+    """A path that is not empty: "", as from an unset shell variable, would be the current folder."""
 
     def __init__(self) -> None:
         """Accept paths that do not exist."""

@@ -3,7 +3,7 @@ import re
 import numpy as np
 import pytest
 
-from bodylog.annotating.image_annotations import draw_image_annotations
+from bodylog.annotating.messages import draw_image_annotations
 from bodylog.overlay_style import (
     CORNERS,
     MEASURED,

@@ -2,8 +2,9 @@
 its own bytes are unchanged, the new messages follow.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
@@ -11,48 +12,33 @@ import numpy as np
 
 from ..errors import FormatError
 from ..io.atomic_files import replace_atomically
-from ..io.outputs import Output, guard_outputs
-from ..logs.conversion.transcode import LIBRARY, PROFILE, write_log_messages
+from ..logs.conversion.transcode import write_log_messages
+from ..logs.decode.definitions import parse_definition
 from ..logs.limits import LIMITS, Input
+from ..logs.mcap import opcodes as op
 from ..logs.mcap.encode import MessageTable
 from ..logs.mcap.prefix import NAME, Prefix, reusable_prefix
-from ..logs.mcap.records import is_mcap
+from ..logs.mcap.records import HEAD, is_mcap, parse_record
 from ..logs.mcap.verification import verify_message_count
-from ..logs.mcap.writer import Contents, McapRecordWriter
+from ..logs.mcap.writer import McapRecordWriter
 from ..types import Finding, Outgoing
 from .background_copy import Copy
-from .schema_conflicts import rename_conflicting
 
-
-def annotate_log(
-    source: Path,
-    outgoing: Sequence[Outgoing],
-    metadata: Mapping[str, str],
-    out: Path,
-    only: Collection[str] | None = None,
-) -> tuple[Finding, ...]:
-    """Write an MCAP `out` with all of `source`, the
-    given messages, and a metadata record `bodylog`.
-
-    A chunked MCAP is copied byte for byte; other logs are rewritten, as is any log if `only` some
-    topics are kept. Topics of an earlier run are replaced. Findings name topics not carried over
-    whole. UsageError if `out` is the source, LogError if the copy fails verification.
-    """
-    guard_outputs([source], [Output(out)])
-    with open_annotation(source, out, whole=only is None) as under_way:
-        findings = under_way.add(outgoing, only)
-        under_way.about(metadata)
-    return findings
+_BORROWED = "foxglove_msgs/"
+_OWN = "bodylog_msgs/"
+_READ = ("ros1msg", "ros2msg", "ros2idl")
 
 
 @contextmanager
 def open_annotation(
     source: Path, out: Path, whole: bool = True, limits: Input = LIMITS
 ) -> Iterator["Annotation"]:
-    """`annotate_log` in steps: the source is read and, if unchanged, copied while the messages are
-    made. `out` must not be the source.
+    """Write an MCAP `out` with all of `source`, more messages and a metadata record `bodylog`.
 
-    Call `add` and `about` once each. An exception leaves no `out`.
+    A chunked MCAP is copied byte for byte while the messages are made; other logs, or all if not
+    `whole`, are rewritten. Topics of an earlier run are replaced. `out` must not be the source.
+    Call `add` and `about` once each. An exception leaves no `out`; LogError if the copy fails
+    verification.
     """
     with replace_atomically(out) as beside:
         base = _find_reusable_prefix(source) if whole else None
@@ -81,7 +67,10 @@ class Annotation:
     def add(
         self, outgoing: Sequence[Outgoing], only: Collection[str] | None = None
     ) -> tuple[Finding, ...]:
-        """Write messages after those of the source, or of `only` some topics; returns losses."""
+        """Write messages after those of the source, or of `only` some topics of it.
+
+        Findings name topics that are not carried over whole.
+        """
         self._writer, kept, findings = self._behind(only)
         readable, more = rename_conflicting(outgoing, self._writer.contents.schemas.values())
         add_topics(self._writer, readable)
@@ -103,18 +92,6 @@ class Annotation:
         kept = sum(contents.counts.values())
         self._stream.seek(end)
         return McapRecordWriter(self._stream, contents, end, self._base.crc), kept, ()
-
-
-def write_annotations(outgoing: Sequence[Outgoing], metadata: Mapping[str, str], out: Path) -> None:
-    """Write an MCAP `out` of the given messages and a metadata record `bodylog`."""
-    with replace_atomically(out) as beside:
-        with beside.open("wb") as stream:
-            writer = McapRecordWriter(stream, Contents())
-            writer.begin(PROFILE, LIBRARY)
-            add_topics(writer, outgoing)
-            writer.about(NAME, metadata)
-            writer.finish()
-        verify_message_count(beside, sum(len(o.log_ns) for o in outgoing), out)
 
 
 def add_topics(
@@ -158,3 +135,52 @@ def _table_of_outgoing(outgoing: Sequence[Outgoing], numbers: Sequence[int]) -> 
         )[order],
         length=np.concatenate([o.length for o in outgoing])[order],
     )
+
+
+def rename_conflicting(
+    outgoing: Sequence[Outgoing], schemas: Iterable[bytes]
+) -> tuple[list[Outgoing], tuple[Finding, ...]]:
+    """The messages, renamed where the file's Schema
+    records define their type differently; and findings.
+    """
+    theirs = _types_in_schemas(schemas)
+    conflicting = {
+        o.topic for o in outgoing if o.type.startswith(_BORROWED) and _differs_from_log(o, theirs)
+    }
+    found = [_rename_borrowed_type(o) if o.topic in conflicting else o for o in outgoing]
+    text = (
+        "{}: the log has another {}; written as {}, which every reader reads but viewers do not "
+        "draw"
+    )
+    lines = [
+        text.format(o.topic, o.type, f.type)
+        for o, f in zip(outgoing, found, strict=True)
+        if o.topic in conflicting
+    ]
+    return found, tuple(Finding("warning", line) for line in lines)
+
+
+def _types_in_schemas(schemas: Iterable[bytes]) -> dict[str, object]:
+    types: dict[str, object] = {}
+    for raw in schemas:
+        fields = parse_record(op.SCHEMA, memoryview(raw)[HEAD.size :]).fields
+        if fields["encoding"] in _READ and _BORROWED.encode() in raw:
+            try:
+                types |= parse_definition(fields["data"], fields["name"], fields["encoding"]).types
+            except FormatError:
+                continue  # no reader can parse it
+    return types
+
+
+def _differs_from_log(outgoing: Outgoing, theirs: dict[str, object]) -> bool:
+    ours = parse_definition(outgoing.definition, outgoing.type, outgoing.definition_encoding).types
+    return any(
+        theirs.get(name, fields) != fields
+        for name, fields in ours.items()
+        if name.startswith(_BORROWED)
+    )
+
+
+def _rename_borrowed_type(outgoing: Outgoing) -> Outgoing:
+    definition = outgoing.definition.replace(_BORROWED.encode(), _OWN.encode())
+    return replace(outgoing, type=outgoing.type.replace(_BORROWED, _OWN), definition=definition)

@@ -18,7 +18,7 @@ from ..io.atomic_files import sync_to_disk
 from ..io.contained import is_inside
 from ..io.extras import require_module
 from ..io.temporary import create_scratch_folder
-from ..logs.datasets import parquet, shifted_video
+from ..logs.datasets import parquet, video
 from ..logs.datasets.lerobot_layout import (
     EPISODE_STATISTICS,
     EPISODE_TABLES,
@@ -316,7 +316,7 @@ class _Work:
                 later = edit.latest - edit.frames[name]
                 if later and self._each:
                     place.parent.mkdir(parents=True, exist_ok=True)
-                    shifted_video.write_later(source, place, later / self._known.fps)
+                    video.write_later(source, place, later / self._known.fps)
                     self.written += 1
                 else:
                     self._copy(source, place)

@@ -54,6 +54,18 @@ class _Turn:
     started: frozenset[str] = frozenset()
 
 
+@dataclass(frozen=True, eq=False)
+class _Exploration:
+    """The features of each log and how a body is learned from them; fixed: given delays (s)."""
+
+    features: Sequence[Features]
+    settings: Settings
+    provenance: Mapping[str, Any]
+    known: BodyModel | None
+    keep: "Keep"
+    fixed: Delays
+
+
 def learn_with_delays(
     features: Sequence[Features],
     settings: Settings,
@@ -86,7 +98,9 @@ def learn_with_delays(
         correction.shift_features(found, {name: one.seconds for name, one in delays.items()})
         for found, delays in zip(features, tracked, strict=True)
     ]
-    turn = _alternate_until_converged(features, settings, provenance, known, keep, fixed_here)
+    turn = _alternate_until_converged(
+        _Exploration(features, settings, provenance, known, keep, fixed_here)
+    )
     timely = [
         correction.shift_features(found, delays, turn.errors)
         for found, delays in zip(features, turn.late, strict=True)
@@ -162,15 +176,16 @@ def measure_log_delays(
     from ..estimation.timing.delay_profile import Delay
 
     start = _coarse_delays(features)
+    explored = _Exploration([features], settings, {}, None, "explained", {})
     try:
         turn = _alternate_until_converged(
-            [correction.shift_features(features, start)], settings, {}, None, "explained", {}
+            replace(explored, features=[correction.shift_features(features, start)])
         )
     except EvidenceError:
         if not any(start.values()):
             raise
         start = {}
-        turn = _alternate_until_converged([features], settings, {}, None, "explained", {})
+        turn = _alternate_until_converged(explored)
     found = dict[str, Delay]()
     unclear = dict[str, Delay]()
     for name, rest in turn.residuals[0].items():
@@ -202,20 +217,13 @@ def _coarse_delays(features: Features) -> dict[str, float]:
     return {name: float(np.median(late)) for name, late in found.items()}
 
 
-def _alternate_until_converged(
-    features: Sequence[Features],
-    settings: Settings,
-    provenance: Mapping[str, Any],
-    known: BodyModel | None,
-    keep: "Keep",
-    fixed: Delays,
-) -> _Turn:
+def _alternate_until_converged(explored: _Exploration) -> _Turn:
     """The last turn of learning and correcting by turns."""
-    blurred = [_blur_points(found) for found in features]
-    if all(one is found for one, found in zip(blurred, features, strict=True)):
-        return _alternate_from(None, features, settings, provenance, known, keep, fixed)
-    coarse = _alternate_from(None, blurred, settings, provenance, known, keep, fixed)
-    return _alternate_from(coarse, features, settings, provenance, known, keep, fixed)
+    blurred = [_blur_points(found) for found in explored.features]
+    if all(one is found for one, found in zip(blurred, explored.features, strict=True)):
+        return _alternate_from(None, explored)
+    coarse = _alternate_from(None, replace(explored, features=blurred))
+    return _alternate_from(coarse, explored)
 
 
 def _blur_points(found: Features) -> Features:
@@ -236,27 +244,23 @@ def _blur_points(found: Features) -> Features:
     return found if same else replace(found, tracks=tracks)
 
 
-def _alternate_from(
-    begin: _Turn | None,
-    features: Sequence[Features],
-    settings: Settings,
-    provenance: Mapping[str, Any],
-    known: BodyModel | None,
-    keep: "Keep",
-    fixed: Delays,
-) -> _Turn:
+def _alternate_from(begin: _Turn | None, explored: _Exploration) -> _Turn:
     """The last turn of learning and correcting by turns, from the delays of another one."""
     from .. import body
     from ..estimation.measurements.arm_errors import learned_arm_errors
     from ..estimation.timing import correction
 
-    def turned(late: Sequence[Delays], own: Delays, errors: "ArmErrors") -> _Turn:
+    features = explored.features
+    known = explored.known
+    fixed = explored.fixed
+
+    def learn_turn(late: Sequence[Delays], own: Delays, errors: "ArmErrors") -> _Turn:
         timely = [
             correction.shift_features(found, delays, errors)
             for found, delays in zip(features, late, strict=True)
         ]
-        origin = {**provenance, **({"delay": dict(own)} if own else {})}
-        found = body.learn_body(timely, settings, origin, known, keep)
+        origin = {**explored.provenance, **({"delay": dict(own)} if own else {})}
+        found = body.learn_body(timely, explored.settings, origin, known, explored.keep)
         sure = replace(
             found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor}
         )
@@ -275,16 +279,18 @@ def _alternate_from(
     started = set[str]() if begin is None else set(begin.started)
     given = {name: delay for name, delay in fixed.items() if delay}
     turn = (
-        turned([{**own, **fixed} for _ in features], {**own, **given}, learned_arm_errors(known))
+        learn_turn(
+            [{**own, **fixed} for _ in features], {**own, **given}, learned_arm_errors(known)
+        )
         if begin is None
-        else turned(begin.late, begin.own, begin.errors)
+        else learn_turn(begin.late, begin.own, begin.errors)
     )
     for _ in range(MAX_TURNS - 1):
         surest = _surest_logs(turn.residuals, fixed, started)
         errors = _add_measured_errors(turn.errors, turn.rest)
         if not surest and errors == turn.errors:
             break
-        after = turned(*_add_measured_delays(turn, surest), errors)
+        after = learn_turn(*_add_measured_delays(turn, surest), errors)
         grown = set(surest) - started or bool(errors) > bool(turn.errors)
         cameras = correction.list_track_cameras(after.found.model.senses)
         judged = surest if errors == turn.errors else cameras

@@ -2,7 +2,7 @@
 whether it fits the body, and what changed since learning.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..body_model import BodyModel
@@ -14,23 +14,31 @@ from . import changes as change_findings
 from .faults import unseen_findings
 
 
-def estimate_log(
-    log: Path,
-    read: Recording,
-    features: Features,
-    learned: BodyModel,
-    settings: Settings,
-    typed: Settings,
-) -> Estimate:
-    """`infer` and the checks around it; errors name the log and what it lost.
+@dataclass(frozen=True, eq=False)
+class LogWithBody:
+    """A log that was read, and the body that it is estimated by.
 
-    settings: with the features of the body where the
-    user named none · typed: as the user gave them.
+    settings: with the features of the body where the user named none · typed: as the user gave
+    them.
     """
+
+    path: Path
+    read: Recording
+    features: Features
+    body: BodyModel
+    settings: Settings
+    typed: Settings
+
+
+def estimate_log(log: LogWithBody) -> Estimate:
+    """`infer` and the checks around it; errors name the log and what it lost."""
     from .misfit import find_misfit, from_many_faults, with_doubt
 
+    features = log.features
+    learned = log.body
+    settings = log.settings
     chosen = settings.estimate, settings.time.delay
-    with log_context(log, read.facts.findings):
+    with log_context(log.path, log.read.facts.findings):
         misfit = find_misfit(features, learned, *chosen)
         if misfit is None:
             found = change_findings.compare_changes_with_faults(
@@ -42,7 +50,9 @@ def estimate_log(
         found = effector_poses.add_kinematic_results(learned, found, features)
     if misfit is not None:
         return found
-    require_tracks(log, found.used, features, typed, "; or go on with the rest: --without {}")
+    require_tracks(
+        log.path, found.used, features, log.typed, "; or go on with the rest: --without {}"
+    )
     unseen = unseen_findings(found, features, learned, settings)
     return replace(found, findings=(*found.findings, *unseen))
 

@@ -1,11 +1,15 @@
 """Scores of an estimate, truth in a file beside the log, and everything that --fail-if may name."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from ..body_model import BodyModel
+from ..checks import log_context, require_same_camera
 from ..errors import InputError, LogError
 from ..settings import Settings, TopicSettings
-from ..types import Array, Estimate, Poses, Recording, Score, Series
+from ..types import Array, Estimate, Features, Finding, Health, Poses, Recording, Score, Series
+from .faults import sighting_findings
 
 
 def score_estimate(found: Estimate, read: Recording) -> tuple[Score, ...]:
@@ -118,3 +122,38 @@ def _require_shared_time(path: Path, truth_t: Array, t: Array) -> None:
             f"{path}: {span} after the log's first joint reading; give times since that one, "
             "or 1970"
         )
+
+
+def score_learned_body(
+    learned: BodyModel, observed: Sequence[tuple[Path, Recording, Features]]
+) -> tuple[tuple[Score, ...], tuple[Finding, ...]]:
+    """A body's scores on test logs, dated as it knows its
+    cameras, and what was found in them; none without logs.
+    """
+    from ..body import log_scores
+    from ..estimation.timing import correction
+
+    if not observed:
+        return (), ()
+    findings = [
+        f
+        for _, read, found in observed
+        for f in (*read.facts.findings, *found.findings, *sighting_findings(found))
+    ]
+    for log, read, found in observed:
+        findings += require_same_camera(log, learned.provenance.get("cameras", ()), read, found)
+    timely = [
+        correction.shift_features(found, correction.learned_delays(learned))
+        for _, _, found in observed
+    ]
+    with log_context(observed[0][0], findings, len(observed) - 1):
+        scores, more = log_scores.score_body_on_tests(learned, timely)
+    return scores, (*findings, *more)
+
+
+def merged_health(observed: Sequence[tuple[Recording, Features]]) -> dict[str, Health]:
+    """Health by topic or track; of several logs each key begins with its log's name."""
+    of = {read.facts.name: {**read.facts.health, **found.health} for read, found in observed}
+    if len(of) == 1:
+        return next(iter(of.values()))
+    return {f"{name}:{key}": health for name, found in of.items() for key, health in found.items()}

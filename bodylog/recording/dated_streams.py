@@ -1,7 +1,8 @@
 """One stream per role on a common clock: columns read in one pass, every message accounted for."""
 
+import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import NamedTuple
 
@@ -14,18 +15,24 @@ from ..logs.decode.parts import TopicColumns
 from ..logs.images import messages
 from ..logs.joint_units import UNIT, joint_unit
 from ..logs.joint_units import parse_count_unit as counted
+from ..logs.limits import Input
 from ..logs.protocol import Log
 from ..logs.records import Array, Batch, Finding, Topic
+from ..logs.tables.frame_columns import poses_of_quaternions, sound_poses
 from ..logs.topics import has_independent_poses
 from ..settings import Settings
-from . import frame_topics, role_values
+from . import role_values
 from .clock_steps import ClockStep, Mended, Times, mend_clocks
 from .clocks import Timing, order_by_time
-from .roles import Role
+from .joint_names import topic_name
+from .roles import Role, pose_field
 from .stamp_field import stamp_field
 
 _MINUTE = 60_000_000_000
 _JOINT_FIELDS = ("name", "position")
+_CHILD = re.compile(r"child_frame_id==[\"']([^\"']+)[\"']")
+_PLACES = ("position", "translation")
+_TURNS = ("orientation", "rotation")
 
 
 class Stream(NamedTuple):
@@ -136,7 +143,7 @@ def _read_role_columns(
 def _fields_of_role(role: Role) -> tuple[str, ...]:
     if role.role == "camera":
         return (messages.text_field(role.topics[0]),)
-    if paths := frame_topics.pose_paths(role):
+    if paths := pose_paths(role):
         return paths
     return (role.field,) if role.field else _JOINT_FIELDS
 
@@ -192,7 +199,7 @@ def _date_stream(
         else "rad"
     )
     # coordinates of a frame are in m and rad, whatever the unit of a robot's joints is
-    about = {UNIT: "rad"} if frame_topics.pose_paths(role) else role.topics[0].metadata
+    about = {UNIT: "rad"} if pose_paths(role) else role.topics[0].metadata
     unit = joint_unit(about, unit_text)
     if by_name:
         converted = values if unit.factor == 1.0 else (values - unit.zero) * unit.factor
@@ -245,9 +252,9 @@ def _signal_of_blocks(
         return role_values.joints_by_name(
             found, wanted, what, role.role == "joints", settings.input
         )
-    if frame_topics.pose_paths(role):
+    if pose_paths(role):
         wanted = settings.body.joints if alone else None
-        return frame_topics.signal_of_poses(role, found, wanted, what, settings.input)
+        return signal_of_poses(role, found, wanted, what, settings.input)
     signal = role_values.signal_of_arrays(found)
     if role.role == "skin" or not len(signal.rows):
         return role_values.reject_non_proximities(signal) if role.unsure else signal
@@ -311,3 +318,53 @@ def _shift_stream(stream: Stream, by_ns: int) -> Stream:
 def rejection_reasons(stream: Stream) -> str:
     """How many messages of a stream were rejected, by reason."""
     return ", ".join(f"{count} ({reason})" for reason, count in sorted(stream.rejected.items()))
+
+
+def pose_paths(role: Role) -> tuple[str, ...]:
+    """Paths to a pose's place x, y, z and quaternion x, y, z, w; empty for other joints."""
+    if role.role != "joints" or not role.field or pose_field(role.topics[0]) is None:
+        return ()
+    which = int(role.field.endswith("transform"))
+    place = (f"{role.field}.{_PLACES[which]}.{axis}" for axis in "xyz")
+    return (*place, *(f"{role.field}.{_TURNS[which]}.{axis}" for axis in "xyzw"))
+
+
+def frame_name(role: Role) -> str:
+    """The frame whose poses a role holds: tf's child, or the topic's name."""
+    child = _CHILD.search(role.field)
+    return topic_name(role.topic) if child is None else child[1]
+
+
+def signal_of_poses(
+    role: Role,
+    found: Sequence[role_values.Block],
+    wanted: tuple[str, ...] | None,
+    what: str,
+    limits: Input,
+) -> role_values.RoleSignal:
+    """The six coordinates of a frame, m and rad; messages without a sound pose are counted."""
+    rejected: Counter[str] = Counter()
+    blocks = list[role_values.Block]()
+    for rows, stamps, values in found:
+        columns = [np.asarray(one).reshape(len(rows), -1) for one in values]
+        if any(one.shape[1] != 1 or one.dtype.kind not in "fiu" for one in columns):
+            rejected["not in the message, or several times"] += len(rows)
+            continue
+        blocks.append((rows, stamps, (np.hstack(columns),)))
+    signal = role_values.signal_of_arrays(blocks)
+    if not len(signal.rows):
+        return signal._replace(rejected=Counter(signal.rejected) + rejected)
+    place, turn = signal.values[:, :3], signal.values[:, 3:]
+    sound = sound_poses(place, turn)
+    rejected["a pose beyond 50 m, or a quaternion whose length is not 1"] += int((~sound).sum())
+    stamps = None if signal.stamp_ns is None else signal.stamp_ns[sound]
+    poses = poses_of_quaternions(frame_name(role), place[sound], turn[sound], what)
+    coordinates = poses.coordinates
+    block = (
+        signal.rows[sound],
+        stamps,
+        (tuple(coordinates), np.column_stack(list(coordinates.values()))),
+    )
+    chosen = [block] if sound.any() else []
+    named = role_values.joints_by_name(chosen, wanted, what, limits=limits)
+    return named._replace(rejected=Counter(named.rejected) + Counter(signal.rejected) + rejected)

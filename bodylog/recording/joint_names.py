@@ -15,9 +15,7 @@ def topic_name(topic: str) -> str:
 
 
 def joint_topic_roles(declared: str | tuple[str, ...] | None) -> dict[str, str]:
-    """Roles of the joint topics in robot.toml:
-    joints, and joints/NAME for those after the first.
-    """
+    """Roles of the joint topics in robot.toml: joints, and joints/NAME for those after the first."""
     found: dict[str, str] = {}
     for topic in (declared,) if isinstance(declared, str) else declared or ():
         name = topic_name(topic)

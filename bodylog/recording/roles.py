@@ -149,9 +149,7 @@ def _tracks_alone(topics: Sequence[Topic]) -> bool:
 def _main_joints(
     topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]
 ) -> Sequence[Topic]:
-    """The topics without joint states that are about
-    as frequent as the best but name fewer joints.
-    """
+    """The topics without joint states that are about as frequent as the best but name fewer joints."""
     ranks = {
         topic.name: rank
         for topic in topics
@@ -326,9 +324,7 @@ def _default_field(role: str, topic: Topic) -> str | None:
 
 
 def array_field(definition: Definition) -> str | None:
-    """Path of the first array of numbers: `data`,
-    or within an array of structs `data[:].prox[0]`.
-    """
+    """Path of the first array of numbers: `data`, or within an array of structs `data[:].prox[0]`."""
     fields = definition.types[definition.root]
     for wanted in ("f", "iu"):
         for field in fields:

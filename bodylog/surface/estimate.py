@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 from ..body_model import BodyModel, Surface, SurfaceCamera, name_surface_sense
 from ..delays.findings import middle_of_recording
 from ..errors import EvidenceError, ModelError
-from ..findings.log_estimate import estimate_log, infer
-from ..settings import Settings
+from ..findings.log_estimate import LogWithBody, estimate_log, infer
 from ..types import (
     ALTERNATIVE_SEPARATOR,
     SURFACE_VIEWS,
@@ -99,45 +98,38 @@ class CameraJudgement:
     linked: LinkedTracks
 
 
-def estimate_by_surface(
-    log: Path,
-    read: Recording,
-    features: Features,
-    learned: BodyModel,
-    settings: Settings,
-    typed: Settings,
-) -> Estimate:
+def estimate_by_surface(log: LogWithBody) -> Estimate:
     """Where the body was by its encoders, less an offset that the surface shows, by the postures
     that its images tell, and by markers where the body has them.
 
     Where the surface says nothing, the estimate without it, with a remark why. ModelError where
     images have another size than those that the body was learned from, or a joint is missing.
-    settings, typed: as in `estimate_log`.
     """
+    learned = log.body
     assert learned.surface is not None
-    part = middle_of_recording(read, LONGEST_S, MOST_IMAGES)
+    part = middle_of_recording(log.read, LONGEST_S, MOST_IMAGES)
     joints = part.signals.joints
     assert joints is not None
     missing = [name for name in learned.joints if name not in joints.names]
     if missing:
         raise ModelError(
-            f"{log}: joint {missing[0]!r} of the body is missing; it has {', '.join(joints.names)}"
+            f"{log.path}: joint {missing[0]!r} of the body is missing; it has {', '.join(joints.names)}"
         )
     motion = smoothed_motion(joints, learned.joints)
     judged = list[CameraJudgement]()
     findings = list[Finding]()
     for camera in learned.surface.cameras:
         try:
-            judged.append(judge_by_camera(log, part, learned.surface, camera, motion))
+            judged.append(judge_by_camera(log.path, part, learned.surface, camera, motion))
         except EvidenceError as problem:
             others = "encoders and markers" if learned.senses else "encoders alone"
             findings.append(Finding("warning", f"{problem}; the estimate is by {others}"))
     faults = _faults_of_surface(judged, float(joints.t[0]), learned)
-    sensed = _with_surface_readings(features, judged, faults, learned, read.start_ns)
+    sensed = _with_surface_readings(log.features, judged, faults, learned, log.read.start_ns)
     found = (
-        estimate_log(log, read, sensed, learned, settings, typed)
+        estimate_log(replace(log, features=sensed))
         if learned.senses
-        else infer(sensed, learned, settings)
+        else infer(sensed, learned, log.settings)
     )
     for one in judged:
         found = _with_judgement(found, one, sensed.postures, learned)

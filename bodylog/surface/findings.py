@@ -59,10 +59,11 @@ def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedD
     """
     from ..findings.faults import fault_warnings
     from ..findings.joints_only import read_joints_alone
+    from ..findings.log_estimate import LogWithBody
     from .estimate import estimate_by_surface
 
     read, features = read_joints_alone(log, settings, body)
-    found = estimate_by_surface(log, read, features, body, settings, settings)
+    found = estimate_by_surface(LogWithBody(log, read, features, body, settings, settings))
     from ..evaluation.figures import list_delays
 
     all_findings = (*found.findings, *fault_warnings(found.faults))

@@ -6,10 +6,10 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from bodylog.annotating import annotate as module
-from bodylog.annotating.annotate import annotate_log, write_annotations
 from bodylog.errors import FormatError, InputError, LogError, UsageError
 from bodylog.logs.formats import open_log
 from bodylog.logs.mcap.prefix import reusable_prefix
+from tests.annotating.annotated_logs import annotate_log, write_annotations
 from tests.logs.written import (
     START,
     UNSUITED,

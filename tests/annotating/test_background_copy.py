@@ -14,6 +14,7 @@ from bodylog.annotating.background_copy import Copy
 from bodylog.errors import LogError, WriteError
 from bodylog.io import atomic_files, temporary
 from bodylog.io.atomic_files import hash_files
+from tests.annotating.annotated_logs import annotate_log
 from tests.logs.written import outgoing, source
 
 PIECE = 8192
@@ -87,7 +88,7 @@ def test_annotating_refuses_a_log_that_changes_size(tmp_path, log, monkeypatch, 
     assert size > 8 * PIECE
     meanwhile(monkeypatch, lambda: os.truncate(log, size + change))
     with pytest.raises(LogError, match=f"had {size} bytes, but {size + change} when .* still being recorded"):
-        annotate.annotate_log(log, outgoing(), {}, tmp_path / "out.mcap")
+        annotate_log(log, outgoing(), {}, tmp_path / "out.mcap")
     assert list(tmp_path.iterdir()) == [log]
 
 
@@ -97,14 +98,14 @@ def test_annotating_reports_a_full_disk_and_leaves_nothing(tmp_path, log, monkey
 
     meanwhile(monkeypatch, full)
     with pytest.raises(WriteError, match="No space left"):
-        annotate.annotate_log(log, outgoing(), {}, tmp_path / "out.mcap")
+        annotate_log(log, outgoing(), {}, tmp_path / "out.mcap")
     assert list(tmp_path.iterdir()) == [log]
 
 
 @pytest.mark.parametrize("first", ["the copy", "the messages"])
 def test_annotating_is_independent_of_call_order(tmp_path, log, monkeypatch, first):
     messages = outgoing()
-    annotate.annotate_log(log, messages, {"input": hash_files(log)}, tmp_path / "plain.mcap")
+    annotate_log(log, messages, {"input": hash_files(log)}, tmp_path / "plain.mcap")
     if first == "the messages":
         meanwhile(monkeypatch, lambda: time.sleep(0.3))
     with annotate.open_annotation(log, tmp_path / "out.mcap") as under_way:
@@ -128,12 +129,12 @@ def test_annotating_leaves_nothing_after_an_error(tmp_path, log, problem):
 
 @pytest.mark.parametrize(("kernel", "age"), [(temporary.machine_id(), 0.0), ("0" * 8, 2 * temporary.FOREIGN_S)])
 def test_annotating_removes_left_overs_of_a_killed_run(tmp_path, log, kernel, age):
-    annotate.annotate_log(log, outgoing(), {}, tmp_path / "plain.mcap")
+    annotate_log(log, outgoing(), {}, tmp_path / "plain.mcap")
     stale = tmp_path / f".{kernel}-{'a' * 16}{temporary.PART}"
     stale.write_bytes(bytes(2 * log.stat().st_size))
     stale.chmod(0o400)
     os.utime(stale, (time.time() - age,) * 2)
-    annotate.annotate_log(log, outgoing(), {}, tmp_path / "out.mcap")
+    annotate_log(log, outgoing(), {}, tmp_path / "out.mcap")
     assert (tmp_path / "out.mcap").read_bytes() == (tmp_path / "plain.mcap").read_bytes() and not stale.exists()
 
 

@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog.annotating.annotate import annotate_log, write_annotations
 from bodylog.annotating.estimate_metadata import describe_estimate
 from bodylog.annotating.messages import from_estimate, from_features
 from bodylog.annotating.read_back import FAULT_DOUBTS, read_estimate, read_features, read_metadata
 from bodylog.errors import FormatError, LogError
 from bodylog.logs.formats import open_log
+from tests.annotating.annotated_logs import annotate_log, write_annotations
 from tests.logs.written import START, found, source
 
 

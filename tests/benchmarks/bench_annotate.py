@@ -16,12 +16,12 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-from bodylog.annotating.annotate import annotate_log
 from bodylog.annotating.messages import from_estimate, from_features
 from bodylog.io.atomic_files import sync_to_disk
 from bodylog.logs.decode.ros1_to_cdr import known_definition
 from bodylog.logs.encode import cdr
 from bodylog.types import Array, Estimate, Features, Outgoing, Series
+from tests.annotating.annotated_logs import annotate_log
 
 from .goals import at_most
 from .timing import side_by_side
@@ -33,7 +33,7 @@ _JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 _CHILD = """
 import re, sys
 from pathlib import Path
-from bodylog.annotating.annotate import annotate_log
+from tests.annotating.annotated_logs import annotate_log
 from bodylog.recording.tidy import write_tidy_log
 from bodylog.recording.recording import read_recording
 from bodylog.settings import Settings

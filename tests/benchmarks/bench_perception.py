@@ -9,10 +9,11 @@ from functools import partial
 import cv2
 import numpy as np
 
-from bodylog.perception.colours import colour_tracker, hsv_ranges
+from bodylog.perception.colours import hsv_ranges
 from bodylog.types import Array, LazyImage
 from tests.benchmarks.timing import side_by_side
 from tests.perception import scenes
+from tests.perception.scenes import track_colours
 
 COUNT = 600
 COLOURS = {"effector": "green", "hand": "red"}
@@ -81,7 +82,7 @@ def _frames(items: Sequence[Array], decode: Callable[[Array, int], Array]) -> It
 
 def _track(items: Sequence[Array], decode: Callable[[Array, int], Array], fast: bool = False) -> Array:
     """Where each colour was seen: (COUNT, 2, 2) px."""
-    tracks, _, _ = colour_tracker.track_colours(lambda: _frames(items, decode), COLOURS, fast=fast)
+    tracks, _, _ = track_colours(lambda: _frames(items, decode), COLOURS, fast=fast)
     return np.stack([track.values for track in tracks.values()], axis=1)
 
 

@@ -12,7 +12,7 @@ from mcap.writer import Writer as McapWriter
 from mcap_ros2.decoder import DecoderFactory
 
 from bodylog import body
-from bodylog.annotating import annotate, messages
+from bodylog.annotating import messages
 from bodylog.body import storage as models
 from bodylog.body_model import BodyModel
 from bodylog.logs.decode.ros1_to_cdr import known_definition
@@ -20,6 +20,7 @@ from bodylog.logs.encode import cdr
 from bodylog.logs.encode.cdr import CdrField
 from bodylog.settings import Settings
 from bodylog.types import Array, Outgoing, Series
+from tests.annotating.annotated_logs import write_annotations
 from tests.estimation.conftest import Arm, World, draw
 from tests.perception import scenes
 
@@ -97,7 +98,7 @@ def record_features(path: Path, seconds: float, encoder_hz: float) -> World:
         name: replace(track, source_ns=messages.stamps_ns(track.t, START_NS)) for name, track in features.tracks.items()
     }
     outgoing = messages.from_features(replace(features, tracks=tracks, cameras={"": "/camera"}), START_NS)
-    annotate.write_annotations([messages.from_joints("/joint_states", joints, START_NS), *outgoing], {}, path)
+    write_annotations([messages.from_joints("/joint_states", joints, START_NS), *outgoing], {}, path)
     return drawn
 
 

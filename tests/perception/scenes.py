@@ -6,11 +6,17 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from bodylog.perception.colours.colour_tracker import colour_tracks, search_colours
 from bodylog.types import Array, LazyImage, Recording, Series
 from tests.changed_recordings import make_recording
 
 GREEN, RED, YELLOW = (40, 190, 30), (36, 34, 200), (20, 210, 220)
 REDUCED = {1: 1, 2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
+
+
+def track_colours(frames, colours, progress=None, fast=False):
+    """The tracks of colours in frames, their health and findings."""
+    return colour_tracks(search_colours(frames, colours, progress, fast), frames, colours)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bodylog.perception import observe_recording
-from bodylog.perception.colours import blob_measurement, clutter, colour_tracker, outline
+from bodylog.perception.colours import blob_measurement, clutter, colour_tracker, overlap
 from bodylog.perception.tracking import joint_motion
 from bodylog.recording import recording
 from bodylog.settings import Settings, TopicSettings
@@ -94,9 +94,9 @@ def test_outline_fits_a_ball_touching_its_own_colour(side: tuple[float, float]) 
     wall = scenes.wall(rng)
     discs = [Disc(150.0 + side[0], 110.0 + side[1], 10.0), Disc(150.3, 110.6, 10.0, shade=0.5)]
     image = scenes.draw(wall, discs, rng).astype(np.float32)
-    found = outline.fit_outline(image, np.array([151.5, 109.5]), 10.0, 3.0)
+    found = overlap.fit_outline(image, np.array([151.5, 109.5]), 10.0, 3.0)
     assert found is not None and np.hypot(found.u - 150.3, found.v - 110.6) < 0.4
-    assert outline.fit_outline(image, np.array([60.0, 60.0]), 10.0, 3.0) is None
+    assert overlap.fit_outline(image, np.array([60.0, 60.0]), 10.0, 3.0) is None
 
 
 @pytest.mark.parametrize("name", [pytest.param("ball_explore", marks=pytest.mark.soak), "ball_offset"])

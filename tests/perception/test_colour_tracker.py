@@ -10,12 +10,12 @@ import pytest
 
 from bodylog.errors import ConfigError, FormatError
 from bodylog.perception import observe_recording
-from bodylog.perception.colours import blob_measurement, colour_tracker, hsv_ranges
+from bodylog.perception.colours import blob_measurement, hsv_ranges
 from bodylog.settings import Colour, ColourSettings, Settings
 from bodylog.types import Array, Health, LazyImage, Series
 from tests.changed_recordings import change_recording
 from tests.perception import scenes
-from tests.perception.scenes import Disc
+from tests.perception.scenes import Disc, track_colours
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "logs"
 T = np.arange(60) / 20.0
@@ -40,7 +40,7 @@ def _plain(pictures: Sequence[Array]) -> Callable[[], Iterator[LazyImage]]:
 
 def _track(discs: Sequence[Sequence[Disc]], seed: int, name: str = "green") -> tuple[Series, Health]:
     pictures = scenes.frames(T[: len(discs)], _film(discs, seed))
-    tracks, health, _ = colour_tracker.track_colours(pictures, {"it": name})
+    tracks, health, _ = track_colours(pictures, {"it": name})
     return tracks["it"], health["it"]
 
 
@@ -67,7 +67,7 @@ def test_stated_deviation_is_the_true_one_within_a_third(radius: float, colour_n
     for seed in range(3):
         discs = [[Disc(u, v, radius, paint)] for u, v in PATH]
         pictures = _raw(discs, seed) if raw else scenes.frames(T, _film(discs, seed))
-        track = colour_tracker.track_colours(pictures, {"it": colour_name})[0]["it"]
+        track = track_colours(pictures, {"it": colour_name})[0]["it"]
         assert track.std is not None and np.isfinite(track.std).all()
         true.append(((track.values - PATH) ** 2).mean())
         stated.append((track.std**2).mean())
@@ -83,7 +83,7 @@ def test_stated_deviation_is_the_true_one_over_many_places_a_target_stands_still
         wall, disc = scenes.wall(rng, 128, 128, contrast=4.0), Disc(*place.tolist(), 9.0)
         pictures = [scenes.draw(wall, [disc], rng) for _ in range(8)]
         film = _plain(pictures) if raw else scenes.frames(T[:8], list(map(scenes.jpeg, pictures)))
-        track = colour_tracker.track_colours(film, {"it": "green"})[0]["it"]
+        track = track_colours(film, {"it": "green"})[0]["it"]
         assert track.std is not None
         true.append(((track.values - place) ** 2).mean())
         stated.append((track.std**2).mean())
@@ -103,7 +103,7 @@ def test_colour_track_is_exact_without_noise() -> None:
 def test_colour_track_at_half_scale_has_larger_deviations(seed: int) -> None:
     wide = 2 * PATH
     pictures = scenes.frames(T, _film([[Disc(u, v, 12.0)] for u, v in wide], seed, 640, 480))
-    exact, fast = (colour_tracker.track_colours(pictures, {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
+    exact, fast = (track_colours(pictures, {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
     assert exact.std is not None and fast.std is not None
     error = fast.values - wide
     assert np.median(_errors(exact, wide)) < np.median(np.hypot(*error.T)) < 0.15
@@ -113,7 +113,7 @@ def test_colour_track_at_half_scale_has_larger_deviations(seed: int) -> None:
 
 def test_pictures_that_do_not_shrink_are_seen_whole_at_any_scale() -> None:
     discs = [[Disc(u, v, 9.0)] for u, v in PATH]
-    exact, fast = (colour_tracker.track_colours(_raw(discs, 0), {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
+    exact, fast = (track_colours(_raw(discs, 0), {"it": "green"}, fast=fast)[0]["it"] for fast in (False, True))
     assert exact.values.tobytes() == fast.values.tobytes()
 
 
@@ -121,7 +121,7 @@ def test_pictures_that_do_not_shrink_are_seen_whole_at_any_scale() -> None:
 def test_shading_does_not_pull_the_centre(seed: int) -> None:
     wide = 2 * PATH
     discs = [[Disc(u, v, 14.0, scenes.GREEN, shade=0.25)] for u, v in wide]
-    tracks, _, _ = colour_tracker.track_colours(scenes.frames(T, _film(discs, seed, 640, 480)), {"it": "green"})
+    tracks, _, _ = track_colours(scenes.frames(T, _film(discs, seed, 640, 480)), {"it": "green"})
     assert np.median(_errors(tracks["it"], wide)) < 0.15
 
 
@@ -201,7 +201,7 @@ def test_observe_gives_a_track_per_named_feature() -> None:
 
 def test_unseen_colour_is_named_with_the_colours_seen() -> None:
     pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
-    _, _, findings = colour_tracker.track_colours(pictures, {"effector": "green"})
+    _, _, findings = track_colours(pictures, {"effector": "green"})
     (finding,) = findings
     assert finding.severity == "warning"
     assert "effector: 'green' was never found in 5 pictures; seen: yellow" in finding.text
@@ -211,7 +211,7 @@ def test_unseen_colour_is_named_with_the_colours_seen() -> None:
 @pytest.mark.parametrize("other", ["yellow", {"low": (20, 90, 50), "high": (36, 255, 255)}])
 def test_colour_of_another_feature_is_never_proposed(other: Colour) -> None:
     pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
-    _, _, findings = colour_tracker.track_colours(pictures, {"effector": other, "hand": "red"})
+    _, _, findings = track_colours(pictures, {"effector": other, "hand": "red"})
     (finding,) = findings
     assert finding.text.startswith("hand: 'red' was never found in 5 pictures; seen: yellow")
     assert "type:" not in finding.text
@@ -231,13 +231,13 @@ def test_undecodable_image_is_a_gap_and_a_loss() -> None:
 
     whole = list(scenes.frames(T[:9], _film([[Disc(u, v, 6.0)] for u, v in PATH[:9]], 0))())
     frames = [replace(frame, decode=broken) if i == 3 else frame for i, frame in enumerate(whole)]
-    tracks, health, findings = colour_tracker.track_colours(lambda: iter(frames), {"effector": "green"})
+    tracks, health, findings = track_colours(lambda: iter(frames), {"effector": "green"})
     assert health["effector"].rejected == {"undecodable picture": 1}
     assert np.isnan(tracks["effector"].values[3]).all()
     (lost,) = findings
     why = "the first for this: log.mcap: /camera: picture 3: not a JPEG"
     assert (lost.severity, lost.text) == ("lost", f"1 of 9 pictures could not be decoded, {why}")
-    _, _, none = colour_tracker.track_colours(lambda: (replace(frame, decode=broken) for frame in whole), {"effector": "green"})
+    _, _, none = track_colours(lambda: (replace(frame, decode=broken) for frame in whole), {"effector": "green"})
     assert [finding.severity for finding in none] == ["lost"], "what was not looked at has no colour to propose"
 
 
@@ -255,7 +255,7 @@ def test_pictures_are_decoded_a_bounded_number_ahead_and_the_threads_end() -> No
         done[0] += more
 
     before = active_count()
-    colour_tracker.track_colours(source, {"effector": "green"}, count)
+    track_colours(source, {"effector": "green"}, count)
     assert done[0] == 200
     assert furthest[0] <= 32
     assert active_count() == before
@@ -263,14 +263,14 @@ def test_pictures_are_decoded_a_bounded_number_ahead_and_the_threads_end() -> No
 
 def test_same_pictures_same_bytes() -> None:
     film = _film([[Disc(u, v, 6.0)] for u, v in PATH], 0)
-    first, second = (colour_tracker.track_colours(scenes.frames(T, film), {"it": "green"})[0]["it"] for _ in range(2))
+    first, second = (track_colours(scenes.frames(T, film), {"it": "green"})[0]["it"] for _ in range(2))
     assert first.values.tobytes() == second.values.tobytes()
     assert first.std is not None and second.std is not None and first.std.tobytes() == second.std.tobytes()
 
 
 def test_unknown_colour_lists_the_known_ones() -> None:
     with pytest.raises(ConfigError, match=r"colours\.effector: found 'gren'; possible: red, .*type: effector = .green"):
-        colour_tracker.track_colours(lambda: iter(()), {"effector": "gren"})
+        track_colours(lambda: iter(()), {"effector": "gren"})
 
 
 @pytest.mark.parametrize("log", ["explore.mcap", "reach.mcap", "touch.mcap", "touch_async.mcap"])
@@ -348,6 +348,6 @@ def test_further_cameras_look_for_what_is_on_the_arm_and_name_it_by_camera() -> 
 
 def test_observe_names_a_colour_that_a_further_camera_never_saw_and_the_setting_to_type() -> None:
     pictures = scenes.frames(T[:5], _film([[Disc(100.0, 100.0, 15.0, scenes.YELLOW)]] * 5, 0))
-    _, _, (finding,) = colour_tracker.track_colours(pictures, {"side/effector": "green"})
+    _, _, (finding,) = track_colours(pictures, {"side/effector": "green"})
     assert finding.text.startswith("side/effector: 'green' was never found in 5 pictures")
     assert finding.text.endswith('type: [colours] effector = "yellow"')

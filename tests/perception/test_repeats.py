@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from bodylog.perception.surface.repeats import FrameRepeats, RepeatSearch, find_repeats
+from bodylog.perception.surface.repeats import FrameRepeats, RepeatSearch, shrunken_frames
 from bodylog.types import Array, LazyImage
 
 
@@ -79,5 +79,8 @@ def test_frames_of_a_log() -> None:
             big = np.repeat(np.repeat(image, 4, 0), 4, 1)
             yield LazyImage(n / 30.0, n, lambda k, big=big: np.dstack([big[::k, ::k]] * 3))
 
-    found = find_repeats(frames)
+    search = RepeatSearch()
+    for t, small in shrunken_frames(frames()):
+        search.add(t, small)
+    found = search.repeats()
     assert found.share == pytest.approx(0.5, abs=0.05)

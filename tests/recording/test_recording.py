@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from bodylog.errors import BodylogError, ConfigError, FormatError, LogError
-from bodylog.logs.mcap import prefetch
+from bodylog.logs.mcap import reader
 from bodylog.recording.facts import describe_log
 from bodylog.recording.recording import read_recording
 from bodylog.settings import BodySettings, Settings, TimeSettings, TopicSettings
@@ -304,9 +304,9 @@ def test_read_uses_no_consumer_without_a_camera(tmp_path):
 def test_read_decompresses_each_chunk_once(tmp_path, monkeypatch):
     noise = np.random.default_rng(1).integers(0, 256, (80, 80, 3), np.uint8)
     unpacked = []
-    whole = prefetch.unpack_chunk
+    whole = reader.unpack_chunk
     monkeypatch.setattr(
-        prefetch, "unpack_chunk", lambda data, chunk, to: unpacked.append(chunk.start) or whole(data, chunk, to)
+        reader, "unpack_chunk", lambda data, chunk, to: unpacked.append(chunk.start) or whole(data, chunk, to)
     )
     peaks = []
     for count in (100, 100, 500):

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from bodylog.annotating.annotate import annotate_log
 from bodylog.annotating.messages import from_features, from_joints
 from bodylog.recording.facts import describe_log
 from bodylog.recording.recording import read_recording
 from bodylog.settings import BodySettings, Settings, TimeSettings, TopicSettings
+from tests.annotating.annotated_logs import annotate_log
 from tests.logs.written import START, found, source
 
 JOINTS = "/joint_states"

@@ -13,10 +13,10 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from bodylog.body import learn_body
 from bodylog.errors import EvidenceError
 from bodylog.estimation import METHODS, estimate_from_features
-from bodylog.perception.colours import colour_tracker
 from bodylog.runtime.blas_threads import lower_priority, one_thread, without_real_time
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Features, LazyImage, Series
+from tests.perception.scenes import track_colours
 
 
 def _threads() -> list[int]:
@@ -51,7 +51,7 @@ def test_one_opencv_limits_threads_and_restores_them() -> None:
             return np.zeros((48, 64, 3), np.uint8)
 
         with pytest.raises(RuntimeError, match="enough"):
-            colour_tracker.track_colours(lambda: (LazyImage(0.0, 0, look) for _ in range(9)), {"effector": "green"})
+            track_colours(lambda: (LazyImage(0.0, 0, look) for _ in range(9)), {"effector": "green"})
         assert set(seen) == {1}
         assert cv2.getNumThreads() == 3
     finally:

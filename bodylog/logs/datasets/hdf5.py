@@ -17,7 +17,7 @@ from ..limits import LIMITS, Input, TableSize
 from ..records import Array, Finding
 from ..storage.compression import Allowance
 from ..topic_names import escape_topic_name
-from . import hdf5_chunks, video
+from . import video
 from .episode_log import (
     ACTION,
     DTYPE,
@@ -34,7 +34,17 @@ from .episode_log import (
     Texts,
     is_named_depth,
 )
-from .hdf5_file import Sets, is_bytes_list, open_hdf5_file, read_attribute, sets_of
+from .hdf5_file import (
+    Sets,
+    explain_refused_dataset,
+    is_bytes_list,
+    open_hdf5_file,
+    read_attribute,
+    read_float_rows,
+    row_blocks,
+    rows_at_once,
+    sets_of,
+)
 from .units import guess_joint_unit
 
 _ROW_BYTES = 32
@@ -173,9 +183,9 @@ def _read_time_column(name: str, one: Any, limits: Input) -> Array:
     """All values of a dataset of one column, in its
     own type; FormatError where they may not be read.
     """
-    if reason := hdf5_chunks.explain_refused_dataset(one, limits):
+    if reason := explain_refused_dataset(one, limits):
         raise FormatError(f"{name}: {reason}")
-    blocks = [rows for _, rows in hdf5_chunks.row_blocks(one, one.shape[0], limits)]
+    blocks = [rows for _, rows in row_blocks(one, one.shape[0], limits)]
     return np.concatenate(blocks) if blocks else np.empty(0, one.dtype)
 
 
@@ -225,9 +235,9 @@ def _read_stream(
         return
     try:
         size.take(8 * one.size, name)
-        if reason := hdf5_chunks.explain_refused_dataset(one, limits):
+        if reason := explain_refused_dataset(one, limits):
             raise FormatError(f"{name}: {reason}")
-        values = hdf5_chunks.read_float_rows(one, limits)
+        values = read_float_rows(one, limits)
     except InputError as problem:
         findings.append(Finding("lost", str(problem)))
         return
@@ -329,7 +339,7 @@ def _read_hdf5_camera(
         findings.append(
             Finding("lost", f"{name}: images of shape {one.shape[1:]}; too large to be read")
         )
-    elif reason := hdf5_chunks.explain_refused_dataset(one, limits):
+    elif reason := explain_refused_dataset(one, limits):
         findings.append(Finding("lost", f"{name}: {reason}"))
     elif one.ndim == 4:
         read = partial(_read_raw_images, path, place, len(ns), limits)
@@ -381,7 +391,7 @@ def _read_row_blocks(
     if is_bytes_list(one):
         yield from ((number, [_read_dataset_row(one, number)]) for number in range(count))
         return
-    blocks = hdf5_chunks.row_blocks(one, count, limits)
+    blocks = row_blocks(one, count, limits)
     at = 0
     while at < count:
         try:
@@ -389,10 +399,10 @@ def _read_row_blocks(
         except FormatError:
             raise
         except (OSError, RuntimeError, ValueError):
-            end = min(at + hdf5_chunks.rows_at_once(one), count)
+            end = min(at + rows_at_once(one), count)
             yield from ((number, [_read_dataset_row(one, number)]) for number in range(at, end))
             at = end
-            blocks = hdf5_chunks.row_blocks(one, count, limits, end)
+            blocks = row_blocks(one, count, limits, end)
             continue
         yield first, list(rows)
         at = first + len(rows)

@@ -19,7 +19,7 @@ from ...io.contained import file_inside, is_inside
 from ...io.values import log_times_ns
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
-from ..tables.pose_columns import IMAGES, is_label_column, time_column
+from ..tables.pose_columns import are_image_files, is_label_column, time_column
 from ..tables.table_file import SUFFIXES, read_table_file
 from ..topic_names import escape_topic_name
 from . import video
@@ -96,9 +96,7 @@ def table_beside(film: Path) -> Path | None:
 
 
 def times_beside(film: Path) -> Array | None:
-    """The times (N,) s of the table beside a video;
-    None without one, LogError if it has no times.
-    """
+    """The times (N,) s of the table beside a video; None without one, LogError if it has no times."""
     table = table_beside(film)
     findings = list[Finding]()
     if table is None:
@@ -112,9 +110,7 @@ def times_beside(film: Path) -> Array | None:
 def _files_in_folder(
     files: Iterator[Path], folder: Path, findings: list[Finding]
 ) -> Iterator[Path]:
-    """The files that stand in the folder; one behind
-    a link that leads out of it gives a finding.
-    """
+    """The files that stand in the folder; one behind a link that leads out of it gives a finding."""
     for file in files:
         if is_inside(file, folder):
             yield file
@@ -174,7 +170,7 @@ def _read_timed_table(
     images = {
         _undecorated_column(name): files
         for name, files in table.texts.items()
-        if _are_image_files(files)
+        if are_image_files(files)
     }
     joints = {name: values for name, values in numbers.items() if _is_joint(name, values)}
     name = file.parent.name if file.stem.lower() == "data" and file.parent != folder else file.stem
@@ -192,11 +188,6 @@ def _is_joint(name: str, values: Array) -> bool:
 def _undecorated_column(name: str) -> str:
     """A column's name without EuRoC's decoration: `#timestamp [ns]` is timestamp_ns."""
     return re.sub(r"\s*[\[(](\w+)[\])]$", r"_\1", name.lstrip("# "))
-
-
-def _are_image_files(files: Array) -> bool:
-    filled = [str(name).lower() for name in files.tolist() if name]
-    return bool(filled) and sum(name.endswith(IMAGES) for name in filled) > len(filled) / 2
 
 
 def _build_table_episode(

@@ -1,6 +1,4 @@
-"""Read video files frame by frame: presentation
-times and images; memory holds one frame at a time.
-"""
+"""Read video files frame by frame: presentation times and images; memory holds one frame at a time."""
 
 import re
 from array import array
@@ -12,15 +10,18 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import LogError
+from ...errors import FormatError, LogError
 from ...io.extras import require_module
 from ..images.mp4_boxes import check_samples
 from ..limits import Input
 from ..records import Array
+from . import video
 
 _LEAST_PIXELS = 1 << 20
 """A decoder pads small images, so that it needs more than these have."""
 SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
+_TOLERANCE_S = 1e-4
+"""s: LeRobot rejects images that are further from their rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,8 +116,12 @@ def _frame_luminance(frame: Any) -> Array:
 
 
 _PLANAR = re.compile(r"yuvj?4[0-4][0-4]p|nv12|nv21")
+
+
 _FULL_RANGE = 2
 """AVCOL_RANGE_JPEG: luminance from 0 to 255."""
+
+
 _EXPANDED = np.clip(np.rint((np.arange(256) - 16) * 255.0 / 219.0), 0, 255).astype(np.uint8)
 """Luminance from 0 to 255 by that from 16 to 235 (ITU-R BT.601)."""
 
@@ -198,3 +203,26 @@ def _ffmpeg_damage_errors(path: Path) -> tuple[type[Exception], ...]:
 
 def _error_line(problem: BaseException) -> str:
     return " ".join(str(problem).split())[:160]
+
+
+def write_later(source: Path, out: Path, later_s: float) -> None:
+    """Write a video (.mp4) with the packets of another one, each shown `later_s` >= 0 s later.
+
+    FormatError where the result does not show the same frames at these times.
+    """
+    av = require_module("av", source)
+    with av.open(str(source)) as before, av.open(str(out), "w", format="mp4") as after:
+        stream = before.streams.video[0]
+        copied = after.add_stream_from_template(stream)
+        shift = round(later_s / float(stream.time_base))
+        for packet in before.demux(stream):
+            if packet.dts is None:
+                continue
+            packet.pts += shift
+            packet.dts += shift
+            packet.stream = copied
+            after.mux(packet)
+    limits = Input(max_frames=1 << 31)
+    first, second = (video.survey_video(path, limits).t for path in (source, out))
+    if len(first) != len(second) or np.abs(second - first - later_s).max(initial=0) > _TOLERANCE_S:
+        raise FormatError(f"{source}: its packets cannot be shown {later_s:g} s later")

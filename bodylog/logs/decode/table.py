@@ -95,9 +95,7 @@ class Table:
         return require_module("pandas").DataFrame(dict(self._flat(fields)))
 
     def to_arrow(self, fields: Sequence[str] | None = None) -> Any:
-        """A pyarrow Table: log_ns, then each field, arrays as
-        one column per element; UsageError without pyarrow.
-        """
+        """A pyarrow Table: log_ns, then each field, arrays as one column per element."""
         pa = require_module("pyarrow")
         return pa.table({name: pa.array(values) for name, values in self._flat(fields)})
 

@@ -21,9 +21,7 @@ _INTEGERS = {1: "B", 3: "H", 4: "I", 16: "Q"}
 
 
 def stated_size(data: memoryview) -> tuple[int, int]:
-    """Height and width of a BMP, TIFF or PNM image,
-    the largest it states; FormatError for others.
-    """
+    """Height and width of a BMP, TIFF or PNM image, the largest it states; FormatError for others."""
     head = bytes(data[:4])
     try:
         if head[:2] == b"BM":

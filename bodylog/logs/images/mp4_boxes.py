@@ -23,9 +23,7 @@ _DEEPEST = 8
 
 
 def check_samples(path: Path, limits: Input) -> None:
-    """LogError where an MP4 declares more samples
-    than a camera may have images; other files pass.
-    """
+    """LogError where an MP4 declares more samples than a camera may have images; other files pass."""
     if path.stat().st_size < 16:
         return
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:

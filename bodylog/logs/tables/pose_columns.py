@@ -63,7 +63,7 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     """Assign a role to each column; LogError if there is neither a joint nor a position."""
     left = dict(table.numbers)
     notes = list[str]()
-    images = {name: files for name, files in table.texts.items() if _name_image_files(files)}
+    images = {name: files for name, files in table.texts.items() if are_image_files(files)}
     time, t = _take_time_column(left, table.rows, notes)
     frames = frame_poses(left, path)
     points, halves = _take_point_columns(left, {one.name for one in frames})
@@ -108,7 +108,7 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     return PoseColumns(joints, tracks, std, images, t, time, tuple(notes), lens, tuple(halves))
 
 
-def _name_image_files(files: Array) -> bool:
+def are_image_files(files: Array) -> bool:
     """Whether most texts of a column end like an image file's name."""
     filled = [str(name) for name in files.tolist() if name]
     return bool(filled) and sum(name.lower().endswith(IMAGES) for name in filled) > len(filled) / 2
@@ -226,9 +226,7 @@ def _take_track_columns(
 
 
 def _track_std(found: Mapping[str, str], left: dict[str, Array], axes: str) -> Array:
-    """Standard deviations (N,D) from one column per
-    axis or one for all; NaN where not positive.
-    """
+    """Standard deviations (N,D) from one column per axis or one for all; NaN where not positive."""
     columns = {axis: left.pop(column) for axis, column in found.items()}
     common = columns.get("all")
     unknown = np.full(len(next(iter(columns.values()))), np.nan) if common is None else common
@@ -262,9 +260,7 @@ def _take_lens_columns(left: dict[str, Array], path: str) -> dict[str, float]:
 
 
 def _find_space_columns(left: Mapping[str, Array]) -> list[str]:
-    """Columns of poses in space: NAME_x, NAME_y and
-    NAME_z together, and quaternions beside them.
-    """
+    """Columns of poses in space: NAME_x, NAME_y and NAME_z together, and quaternions beside them."""
     wholes = ({"x", "y", "z"}, {"qx", "qy", "qz", "qw"})
     spaces = [
         found

@@ -19,7 +19,15 @@ from ..records import Array, Batch, Finding, Outgoing, Topic
 from ..topic_names import POINT_NAMES, TRACK, TRACK_NAMES, escape_topic_name
 from ..topics import INDEPENDENT
 from .frame_columns import frame_of
-from .pose_columns import DISTORTION, LENS, SIZE, PoseColumns, assign_column_roles, in_degrees
+from .pose_columns import (
+    DISTORTION,
+    IMAGES,
+    LENS,
+    SIZE,
+    PoseColumns,
+    assign_column_roles,
+    in_degrees,
+)
 from .table_file import read_table_file, table_format
 
 JOINTS = "/joint_states"
@@ -220,6 +228,11 @@ def image_files(path: Path) -> tuple[Path, ...]:
     """The image files that a table of poses names; none for any other file."""
     if not path.is_file() or (form := table_format(path)) is None:
         return ()
+    if form == "csv":
+        with path.open("rb") as stream:
+            text = stream.read(int(1e6 * LIMITS.max_table_mb)).lower()
+        if not any(name.encode() in text for name in IMAGES):
+            return ()
     try:
         found = assign_column_roles(read_table_file(path, form), str(path)).images
     except BodylogError:

@@ -64,16 +64,6 @@ def search_colours(
     return searching.seen(ConsumedFrames(*times, np.arange(len(t)), searching))
 
 
-def track_colours(
-    frames: Frames,
-    colours: Mapping[str, Colour],
-    progress: Progress | None = None,
-    fast: bool = False,
-) -> Tracks:
-    """The `colour_tracks` of a `search_colours`."""
-    return colour_tracks(search_colours(frames, colours, progress, fast), frames, colours)
-
-
 def colour_tracks(
     seen: SearchedFrames,
     frames: Frames,

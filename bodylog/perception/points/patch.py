@@ -85,12 +85,11 @@ def map_at_place(uv: Array) -> Array:
 
 
 def align_patch(gray: Array, patch: Patch, begin: Array) -> Laid | None:
-    """Align the patch with the image near a map (2,3),
-    in any light; None where it leaves the image.
+    """Align the patch with the image near a map (2,3), in any light; None where it leaves the
+    image.
 
-    None also where it would turn too far from the camera.
-    Inverse compositional Gauss-Newton (Baker & Matthews
-    2004) with gain and offset of the light.
+    None also where it would turn too far from the camera. Inverse compositional Gauss-Newton (Baker
+    & Matthews 2004) with gain and offset of the light.
     """
     map_ = begin
     for _ in range(_TURNS):

@@ -2,7 +2,7 @@
 that is faster than its camera stores images twice.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,14 +122,6 @@ class RepeatSearch:
         equal = np.array(self._equal, bool)
         repeated, judged = _judge_repeats(change, equal)
         return FrameRepeats(np.array(self._t), repeated, judged, change, np.array(self._noise))
-
-
-def find_repeats(frames: Callable[[], Iterable[LazyImage]]) -> FrameRepeats:
-    """Judge all frames of a camera; frames that cannot be decoded are left out."""
-    search = RepeatSearch()
-    for t, small in shrunken_frames(frames()):
-        search.add(t, small)
-    return search.repeats()
 
 
 def shrunken_frames(frames: Iterable[LazyImage]) -> Iterator[tuple[float, Array]]:

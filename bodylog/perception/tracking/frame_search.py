@@ -20,7 +20,6 @@ from ..colours import coarse_search
 from ..colours.coarse_search import Window, convert_to_gray
 from ..colours.hsv_ranges import HsvRange
 from .contract import Tracked, Tracker
-from .in_order import InOrder
 
 # images a thread takes at once; takes that wait; takes measured together: with more, the working
 # memory outgrows what a process keeps, and its pages are faulted in again
@@ -31,6 +30,57 @@ _AT_ONCE = 1 << 23
 """Bytes of images searched together."""
 _MOST_HELD = 1 << 26
 """Bytes of copied messages in one take, and in all takes that wait: raw images of many megapixels."""
+_MOST_WAITING = 8
+"""Lists of frames that may wait before a thread that
+brings another is blocked: this bounds the memory.
+"""
+
+
+class InOrder:
+    """Takes numbered lists of gray frames from any thread;
+    the thread with the next one in order runs the trackers.
+    """
+
+    def __init__(self, trackers: Sequence[Tracker]) -> None:
+        """Nothing happens before the first list."""
+        self._trackers, self._changed = trackers, Condition()
+        self._waiting = dict[int, Sequence[Array | None]]()
+        self._next = 0
+        self._busy = False
+
+    def put(self, number: int, frames: Sequence[Array | None]) -> None:
+        """Add the list of that number, counted from 0; returns once only a few lists wait."""
+        with self._changed:
+            self._waiting[number] = frames
+            self._changed.wait_for(lambda: not self._busy or len(self._waiting) <= _MOST_WAITING)
+            if self._busy:
+                return
+            self._busy = True
+        try:
+            while (due := self._due()) is not None:
+                self._add(due)
+        except BaseException:
+            self._idle()
+            raise
+
+    def _due(self) -> Sequence[Array | None] | None:
+        """The next list in order; None, and no thread is busy any more, where it is not there yet."""
+        with self._changed:
+            due = self._waiting.pop(self._next, None)
+            self._next += due is not None
+            self._busy = due is not None
+            self._changed.notify_all()
+            return due
+
+    def _idle(self) -> None:
+        with self._changed:
+            self._busy = False
+            self._changed.notify_all()
+
+    def _add(self, frames: Sequence[Array | None]) -> None:
+        for tracker in self._trackers:
+            for gray in frames:
+                tracker.add(gray)
 
 
 class SearchedFrames(NamedTuple):
@@ -53,6 +103,7 @@ class SearchedFrames(NamedTuple):
 
 Take = tuple[int, list[LazyImage]]
 """Images in order, and the number of lists before this one."""
+
 
 SearchResult = tuple[list[Window], list[tuple[int, int, int]]]
 """The windows found in some images, and each image's width
@@ -199,9 +250,7 @@ def _search_images(
     whole: int,
     grays: list[Array | None] | None,
 ) -> SearchResult:
-    """Search some images, the first few at full size
-    even when `fast`; `grays` gets them in gray.
-    """
+    """Search some images, the first few at full size even when `fast`; `grays` gets them in gray."""
     found: list[Window] = []
     images: dict[int, Array] = {}
     sizes: list[tuple[int, int, int]] = []

@@ -1,6 +1,4 @@
-"""Exploration for learning a body: mostly sideways,
-with enough lift and elbow to learn them too.
-"""
+"""Exploration for learning a body: mostly sideways, with enough lift and elbow to learn them too."""
 
 from ..plan import (
     Request,

@@ -233,12 +233,12 @@ def test_open_names_missing_packages(tmp_path, monkeypatch):
 
 def test_rows_of_wide_chunks_are_read_a_few_at_a_time(tmp_path):
     """A chunk of seven images of 50 MB, of 64 x 1 px of each, and a file of a few kB, since nothing is stored."""
-    from bodylog.logs.datasets import hdf5_chunks
+    from bodylog.logs.datasets import hdf5_file
     from bodylog.logs.limits import LIMITS
 
     with drawn.h5py.File(tmp_path / "wide.h5", "w") as file:
         wide = file.create_dataset("wide", (12, 4096, 4096, 3), "u1", chunks=(7, 64, 1, 3), compression="gzip")
-        assert hdf5_chunks.rows_at_once(wide) == 1
-        assert "524288 chunks; at most 262144 are read" in hdf5_chunks.explain_refused_dataset(wide, LIMITS)
+        assert hdf5_file.rows_at_once(wide) == 1
+        assert "524288 chunks; at most 262144 are read" in hdf5_file.explain_refused_dataset(wide, LIMITS)
         usual = file.create_dataset("usual", (500, 480, 640, 3), "u1", chunks=(1, 480, 640, 3))
-        assert hdf5_chunks.rows_at_once(usual) == 4 and hdf5_chunks.explain_refused_dataset(usual, LIMITS) is None
+        assert hdf5_file.rows_at_once(usual) == 4 and hdf5_file.explain_refused_dataset(usual, LIMITS) is None

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from bodylog.experiments.oracle import (
+from bodylog.experiments.baselines import (
     DENSITIES,
     OracleInputs,
     _filter_forward,

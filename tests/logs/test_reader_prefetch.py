@@ -7,7 +7,7 @@ import pytest
 from mcap.writer import Writer
 
 from bodylog.logs.formats import open_log, payload_views
-from bodylog.logs.mcap import prefetch
+from bodylog.logs.mcap import reader
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -25,7 +25,7 @@ def test_prefetch_is_independent_of_processors(tmp_path: Path, monkeypatch: pyte
     path.write_bytes(raw)
     read = {}
     for processors in (1, 2):
-        monkeypatch.setattr(prefetch, "_count_processors", lambda count=processors: count)
+        monkeypatch.setattr(reader, "_count_processors", lambda count=processors: count)
         with open_log(path) as log:
             found = [(b.log_ns.tolist(), [bytes(p) for p in payload_views(b)]) for b in log.batches()]
             read[processors] = found, log.findings

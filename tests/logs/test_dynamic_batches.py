@@ -7,7 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from bodylog.logs.decode import batch_decoders
+from bodylog.logs.decode import dynamic
 from bodylog.logs.decode.columns import read_topic_columns
 from tests.logs.memory_logs import STATE, Messages, topic
 
@@ -31,8 +31,8 @@ def assert_the_same(messages, of, fields, monkeypatch, least=0):
     fast = read_topic_columns(Messages(messages, 500), of, (fields[0],)).fast
     together = column_by_column(messages, of, fields)
     with monkeypatch.context() as slowly:
-        slowly.setattr(batch_decoders, "_FEW", 1 << 60)
-        slowly.setattr(batch_decoders.JsonBatchDecoder, "take", lambda self, batch: iter(()))
+        slowly.setattr(dynamic, "_FEW", 1 << 60)
+        slowly.setattr(dynamic.JsonBatchDecoder, "take", lambda self, batch: iter(()))
         alone = column_by_column(messages, of, fields)
     for field in fields:
         assert repr(together[field]) == repr(alone[field]), field

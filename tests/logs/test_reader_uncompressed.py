@@ -8,14 +8,14 @@ import pytest
 from mcap.writer import CompressionType, Writer
 
 from bodylog.logs.formats import open_log, payload_views
-from bodylog.logs.mcap import reader, uncompressed
+from bodylog.logs.mcap import reader
 
 Read = tuple[dict[int, list[tuple[int, bytes]]], list[str]]
 
 
 @pytest.fixture(autouse=True)
 def small_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(uncompressed, "_TOGETHER", 60_000)
+    monkeypatch.setattr(reader, "_TOGETHER", 60_000)
 
 
 def _write(path: Path, seed: int) -> bytearray:
@@ -54,7 +54,7 @@ def _both(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Read]:
 def test_together_reads_several_chunks(tmp_path: Path) -> None:
     _write(tmp_path / "a.mcap", 0)
     with reader.McapLog(tmp_path / "a.mcap") as log:
-        counts = [len(some) for some in uncompressed.group_uncompressed_chunks(log.survey.parts)]
+        counts = [len(some) for some in reader.group_uncompressed_chunks(log.survey.parts)]
         messages = [len(found.starts) for _, found in log.messages()]
     assert counts[0] == 1 and max(counts) >= 5 and sum(counts) == len(log.survey.parts)
     assert len(messages) == len(counts) and sum(messages) == 600
