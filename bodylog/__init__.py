@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from .body.storage import load_body
     from .config import load_settings
     from .errors import BodylogError
-    from .estimation.live.estimator import Belief
+    from .estimation.live import Belief
     from .online import Estimator
     from .pipeline import Result, convert, estimate, evaluate, extract, fit, ingest, observe, record
     from .settings import Settings
@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Belief": ("estimation.live.estimator", "Belief"),
+    "Belief": ("estimation.live", "Belief"),
     "BodylogError": ("errors", "BodylogError"),
     "Estimator": ("online", "Estimator"),
     "Settings": ("settings", "Settings"),

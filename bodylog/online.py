@@ -8,14 +8,13 @@ from typing import Any
 from .body.senses import encoder_function
 from .body_model import BodyModel
 from .estimation.inference.reacquisition import LONG_SILENCE_S
-from .estimation.live import estimator
-from .estimation.live.inputs import Angles, Place, require_finite_time
+from .estimation.live import Angles, Belief, LiveEstimator, Place, require_finite_time
 from .estimation.measurements.track import camera_of_track
 from .estimation.timing import correction
 from .settings import EstimationSettings
 
 
-class Estimator(estimator.LiveEstimator):
+class Estimator(LiveEstimator):
     """A filter fed as readings arrive: `est.step(t, joints=…,
     effector=…)`; noise is the body's own, or a log's.
     """
@@ -48,7 +47,7 @@ class Estimator(estimator.LiveEstimator):
 
     def step(
         self, t: float, joints: Angles | None = None, **places: Place | None
-    ) -> estimator.Belief:
+    ) -> Belief:
         """The belief after all readings stamped t (s): joints in rad, places (u, v) or (u, v,
         std_u, std_v) in px, or (x, y, z), with their std, in m.
 

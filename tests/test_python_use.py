@@ -9,7 +9,7 @@ import pytest
 import bodylog
 import bodylog.logs as logs
 from bodylog.errors import ConfigError
-from bodylog.estimation.noise.angle_unit import unit_of
+from bodylog.estimation.noise.quantisation import unit_of
 from bodylog.findings.result import Scores
 from bodylog.settings import Settings
 from bodylog.types import LazyImage, Score, Series

@@ -20,7 +20,7 @@ from ..settings import Settings
 from ..types import Array, Finding, LazyImage, Recording
 
 if TYPE_CHECKING:
-    from ..estimation.timing.flow_delay import FlowDelay
+    from ..delays.flow_delay import FlowDelay
     from ..logs.datasets.episode_log import EpisodeCamera, EpisodeLog, EpisodeSignal
     from ..perception.surface.flow import GridFlow
 

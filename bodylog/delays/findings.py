@@ -69,9 +69,9 @@ def _examine_by_flow(log: Path, settings: Settings) -> ExaminedDelays:
     """Delays by the motion of the whole picture; a
     finding for each camera of which it does not tell one.
     """
-    from ..estimation.timing.flow_delay import MIN_EVIDENCE_NATS
     from ..recording import recording
     from .flow import measure_flow_delays
+    from .flow_delay import MIN_EVIDENCE_NATS
 
     read = middle_of_recording(
         recording.read_recording(log, settings, settings.input.strict),

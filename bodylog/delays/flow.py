@@ -13,9 +13,9 @@ from ..types import Array, Recording, Series
 
 if TYPE_CHECKING:
     from ..estimation.timing.delay_profile import Delay
-    from ..estimation.timing.flow_delay import FlowDelay
     from ..perception.surface.flow import GridFlow
     from ..perception.surface.repeats import FrameRepeats
+    from .flow_delay import FlowDelay
 
 LONGEST_KNOT_S = 0.02
 """Longest distance of the times at which smoothed
@@ -82,7 +82,7 @@ def see_cameras(read: Recording) -> "Iterator[tuple[str, GridFlow | None]]":
 def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None":
     """The delay of a camera whose picture moves as `seen`; None where images or joints do not
     suffice."""
-    from ..estimation.timing.flow_delay import estimate_flow_delay
+    from .flow_delay import estimate_flow_delay
 
     if read.signals.joints is None or seen is None or len(seen.times) < 2:
         return None
@@ -178,7 +178,7 @@ def group_joints(names: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
 def name_moving_arm(names: tuple[str, ...], found: "FlowDelay") -> str | None:
     """The arm, of several, whose joints explain the motion of a camera's picture; None where the
     evidence does not tell."""
-    from ..estimation.timing.flow_delay import MIN_EVIDENCE_NATS
+    from .flow_delay import MIN_EVIDENCE_NATS
 
     arms = {group: arm for arm, group in group_joints(names).items()}
     arm = arms.get(found.joints, "")

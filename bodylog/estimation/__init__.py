@@ -11,15 +11,18 @@ from ..runtime.blas_threads import one_thread
 from ..settings import EstimationSettings
 from ..types import HARDWARE_ERRORS, Estimate, Features
 from .common_cause import infer_common_causes
-from .faults.consistency import consistency_findings
 from .inference import kernel
 from .measurements import gather
 from .measurements.arm_errors import learned_arm_errors
-from .methods.finite import report_numerical_errors, require_finite_estimate
+from .methods.consistency import (
+    consistency_findings,
+    report_numerical_errors,
+    require_finite_estimate,
+)
 from .methods.table import METHODS, ignored_settings
-from .noise import typed
-from .noise.angle_unit import JOINT_UNIT_KEY, as_angles, in_units, unit_of
-from .poses.estimate import estimate_still_poses as still_poses
+from .noise import noise_model
+from .noise.quantisation import JOINT_UNIT_KEY, as_angles, in_units, unit_of
+from .poses import estimate_still_poses as still_poses
 from .timing.correction import (
     add_delay_uncertainty,
     correct_camera_delays,
@@ -113,6 +116,6 @@ def check_estimation_settings(body: BodyModel, settings: EstimationSettings) -> 
         able = " or --method ".join(name for name, one in METHODS.items() if one.can.from_paper)
         raise UsageError(f"preset: 'paper' is not for {settings.method}; type --method {able}")
     gather.choose_senses((), body, settings)
-    typed.check_typed_variances(
+    noise_model.check_typed_variances(
         settings, body.joints, [name for name in body.senses if name != "encoders"]
     )

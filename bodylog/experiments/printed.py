@@ -7,9 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimation.methods.algorithm1 import CodingDynamics, SensedErrors, descend_free_energy
+from ..estimation.methods.algorithm1 import (
+    CodingDynamics,
+    SensedErrors,
+    descend_free_energy,
+    spatial_coherence,
+)
 from ..estimation.methods.kalman import filter_static_angles
-from ..estimation.methods.paper_touch import spatial_coherence
 from ..types import Array
 
 DT = 0.05

@@ -16,7 +16,7 @@ import numpy as np
 from ..body_model import BodyModel, ForwardModel
 from ..estimation.faults.encoder_faults import repair_readings
 from ..estimation.faults.threshold import MIN_DELAY_S, PRIOR_STD_RAD
-from ..estimation.inference.initial_path import OFFSET_STD
+from ..estimation.inference.tangents import OFFSET_STD
 from ..estimation.measurements.gather import gather_measurements
 from ..estimation.measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..estimation.measurements.records import Encoders, Sighting

@@ -13,7 +13,7 @@ import numpy as np
 from bodylog import body
 from bodylog.body_model import BodyModel
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.live.estimator import LiveEstimator
+from bodylog.estimation.live import LiveEstimator
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Features, Series
 from tests.benchmarks.goals import at_least, at_most, unmeasured

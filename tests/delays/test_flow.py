@@ -14,8 +14,8 @@ from bodylog.delays.flow import (
     pool_row_times,
     smooth_joints,
 )
+from bodylog.delays.flow_delay import FlowDelay, estimate_flow_delay
 from bodylog.estimation.timing.delay_profile import Delay
-from bodylog.estimation.timing.flow_delay import FlowDelay, estimate_flow_delay
 from bodylog.recording import recording
 from bodylog.settings import Settings, TopicSettings
 from bodylog.types import Array, Series

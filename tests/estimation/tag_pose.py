@@ -11,8 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bodylog.body_model import BodyModel, ForwardModel
-from bodylog.estimation.measurements.contract import Measured
-from bodylog.estimation.measurements.records import Sighting
+from bodylog.estimation.measurements.records import Measured, Sighting
 from bodylog.kinematics.camera import project_points
 from bodylog.kinematics.rotations import (
     cross_product_matrix,

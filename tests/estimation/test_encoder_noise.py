@@ -9,7 +9,7 @@ from scipy.special import factorial
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.measurements.records import Encoders
 from bodylog.estimation.methods import filtering
-from bodylog.estimation.noise import encoder_evidence, encoder_noise, evidence_search, quantisation
+from bodylog.estimation.noise import encoder_noise, evidence_search, quantisation
 from bodylog.settings import EstimationSettings
 from tests.estimation import conftest
 
@@ -244,7 +244,7 @@ def test_evidence_is_that_of_a_kalman_filter(order, known):
     fresh[[0, 150]] = True
     ratios = 10.0 ** np.arange(-1.0, 10.0)
     usual = 3e-4
-    score, noise, _ = encoder_evidence.compute_encoder_evidence(
+    score, noise, _ = encoder_noise.compute_encoder_evidence(
         t, y, fresh, ratios, usual, order, known
     )
     dt = np.diff(t, prepend=t[0])
@@ -264,7 +264,7 @@ def test_evidence_is_that_of_a_kalman_filter(order, known):
             if fresh[k]:
                 x, p, since = np.eye(order)[0] * y[k], vague, 0
             s, nu = p[0, 0] + 1.0, y[k] - x[0]
-            if since >= encoder_evidence.SKIPPED_READINGS:
+            if since >= encoder_noise.SKIPPED_READINGS:
                 squares, logs, count = squares + nu * nu / s, logs + np.log(s), count + 1
             x, p = x + p[0] / s * nu, p - np.outer(p[0], p[0]) / s
         own = np.linspace(-1e-3, 1e-3, 3) + np.log(noise[index])

@@ -10,8 +10,12 @@ from bodylog import body
 from bodylog.body_model import BodyModel
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.poses.encoders import EncoderErrors, position_evidence
-from bodylog.estimation.poses.solve import collect_pose_readings, descend_poses
+from bodylog.estimation.poses import (
+    EncoderErrors,
+    collect_pose_readings,
+    descend_poses,
+    position_evidence,
+)
 from bodylog.settings import BodySettings, EstimationSettings, Settings
 from bodylog.types import Features, Series
 

@@ -10,7 +10,7 @@ from bodylog.body_model import TouchConstants
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.methods import predictive_coding
-from bodylog.estimation.methods.paper_touch import PaperTouch
+from bodylog.estimation.methods.algorithm1 import PaperTouch
 from bodylog.evaluation.scores import score_angles
 from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import Arm

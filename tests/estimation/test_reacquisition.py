@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.inference import gauss_newton, instant
+from bodylog.estimation.inference import gauss_newton, sequential
 from bodylog.estimation.methods import filtering, smoother
 from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import Explored
@@ -335,4 +335,4 @@ def test_estimate_refuses_a_grid_of_mostly_silence(world):
 
 def test_belief_whose_rates_rounding_broke_is_refused():
     with pytest.raises(np.linalg.LinAlgError, match="rates have the variance -1e-14"):
-        instant.statistical_lines(1, np.zeros(2), np.diag([1.0, -1e-14]), [])
+        sequential.statistical_lines(1, np.zeros(2), np.diag([1.0, -1e-14]), [])

@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag, expm
 
-from bodylog.estimation.inference import adjoint
-from bodylog.estimation.inference.filter_records import FilterDynamics, FilterReadings
-from bodylog.estimation.inference.gate import FLAT_COST_NATS, GATE_SIGMA
+from bodylog.estimation.inference import solution
+from bodylog.estimation.inference.filter_records import (
+    FLAT_COST_NATS,
+    GATE_SIGMA,
+    FilterDynamics,
+    FilterReadings,
+)
 from bodylog.estimation.inference.reacquisition import START_STD
 from bodylog.estimation.inference.scan import TraceDetail, filter_stretches, restart_filter
 
@@ -115,7 +119,7 @@ CASES = [(order, drift, tracks, count) for order in (2, 3) for drift in (False, 
 @pytest.fixture(params=CASES, ids=str)
 def drawn(request, monkeypatch):
     """Irregular stretches of readings, some absent, some wrong, over several blocks: (readings, dynamics, z, p)."""
-    for module in ("scan", "adjoint"):
+    for module in ("scan", "solution"):
         monkeypatch.setattr(f"bodylog.estimation.inference.{module}.BLOCK_INSTANTS", 16)
     order, drift, tracks, c = request.param
     rng, length, rows = np.random.default_rng(order + 10 * tracks + drift), 40, 2 + tracks % 2
@@ -166,9 +170,9 @@ def test_backward_pass_is_rauch_tung_striebels(drawn):
     readings, dynamics, z, p = drawn
     trace, c = filter_stretches(readings, dynamics, z, p, TraceDetail.COVARIANCES), z.shape[1]
     ends = np.zeros_like(z)
-    found, _ = adjoint.smooth_states(readings, trace, ends, dynamics)
+    found, _ = solution.smooth_states(readings, trace, ends, dynamics)
     outputs = np.r_[:JOINTS, dynamics.order * JOINTS : dynamics.size]
-    means, _ = adjoint.smooth_states(readings, filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS), ends, dynamics)
+    means, _ = solution.smooth_states(readings, filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS), ends, dynamics)
     np.testing.assert_allclose(means, found[:, outputs], atol=1e-12)
     # each stretch alone: nothing follows it
     alone = [replace(readings, **{name: np.ascontiguousarray(getattr(readings, name)[..., k : k + 1])
@@ -182,7 +186,7 @@ def test_backward_pass_is_rauch_tung_striebels(drawn):
         x, spread = smoothed(prior, prior_p, mean, cov, move)
         np.testing.assert_allclose(found[..., k], x, atol=1e-7)
         single = filter_stretches(own, dynamics, z[:, k : k + 1], p[..., k : k + 1], TraceDetail.MEANS)
-        all_states, ours = adjoint.smooth_with_covariances(own, single, ends[:, :1], dynamics)
+        all_states, ours = solution.smooth_with_covariances(own, single, ends[:, :1], dynamics)
         np.testing.assert_allclose(all_states[..., 0], x, atol=1e-7)
         np.testing.assert_allclose(ours[..., 0], rows @ spread @ rows.T, atol=1e-8)
 
@@ -198,11 +202,11 @@ def test_stretches_that_follow_each_other_are_one(drawn):
         z[:, k], p[..., k] = one.z[k * length - 1, :, 0], one.p[k * length - 1, ..., 0]
     trace, ends = filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS), np.zeros_like(z)
     for _ in range(c):
-        _, start = adjoint.smooth_states(readings, trace, ends, dynamics)
-        ends = adjoint.adjoints_for_next_round(start)
-    x, cov = adjoint.smooth_with_covariances(readings, trace, ends, dynamics)
+        _, start = solution.smooth_states(readings, trace, ends, dynamics)
+        ends = solution.adjoints_for_next_round(start)
+    x, cov = solution.smooth_with_covariances(readings, trace, ends, dynamics)
     one = filter_stretches(whole, dynamics, z[:, :1], p[..., :1], TraceDetail.MEANS)
-    expected, expected_cov = adjoint.smooth_with_covariances(whole, one, np.zeros((dynamics.size, 1)), dynamics)
+    expected, expected_cov = solution.smooth_with_covariances(whole, one, np.zeros((dynamics.size, 1)), dynamics)
     np.testing.assert_allclose(np.concatenate(np.moveaxis(x, -1, 0)), expected[..., 0], atol=1e-9)
     np.testing.assert_allclose(np.concatenate(np.moveaxis(cov, -1, 0)), expected_cov[..., 0], atol=1e-9)
 

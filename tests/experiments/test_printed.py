@@ -7,8 +7,8 @@ from bodylog.body.gp.fit import build_gp, samples_without_noise
 from bodylog.body.paper_preset import paper_kernels
 from bodylog.body_model import TouchConstants
 from bodylog.estimation.methods import predictive_coding as algorithm
+from bodylog.estimation.methods.algorithm1 import PaperTouch
 from bodylog.estimation.methods.grid import GridProblem, GridSense
-from bodylog.estimation.methods.paper_touch import PaperTouch
 from bodylog.experiments.cases import HAND_STD_PX, ExplorationSamples, build_case, place_hand
 from bodylog.experiments.drawn import place_in_image as true_place
 from bodylog.experiments.printed import (

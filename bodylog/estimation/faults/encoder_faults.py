@@ -17,8 +17,7 @@ from ...types import Array, Fault, FaultKind, Finding, Hypothesis
 from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.records import Encoders, Evidence
 from .jumping import find_jumps, find_level_shifts, unwrap_turns
-from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings
-from .stalled import motion_nats
+from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, motion_nats
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 

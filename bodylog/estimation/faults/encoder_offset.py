@@ -1,24 +1,238 @@
 """Encoder offsets: whether the log needs one, which encoder has it, and since when it drifts."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from ...types import ALTERNATIVE_SEPARATOR, Array, Fault, FaultKind, Hypothesis
-from ..inference.initial_path import OFFSET_STD
 from ..inference.problem import FilterProblem
 from ..inference.solution import Solution
+from ..inference.tangents import OFFSET_STD
+from ..inference.walk import filter_roughly
+from ..measurements.long_arrays import find_finite_rows as seen_rows
 from ..measurements.records import Evidence
+from ..measurements.timeline import list_span_starts
+from ..noise.correlated_noise import count_effective_frames
+from ..noise.encoder_noise import MAX_MEMORY_S
 from ..noise.quantisation import step_size
-from .offset_score import offset_score
-from .offset_step import OffsetHypothesis, find_likeliest_step, total_free_energy
-from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS
+from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
+
+
+class OffsetHypothesis(NamedTuple):
+    """A problem with one more offset, its cost (nats), and
+    if it is a step the fault and what size and time cost.
+    """
+
+    problem: FilterProblem
+    nats: float
+    fault: Fault | None = None
+    prior: float = 0.0
+
+
+def total_free_energy(solution: Solution) -> float:
+    """Free energy (nats) of a whole filtered log."""
+    return float(solution.fold.unfold(solution.trace.nats).sum())
+
+
+def find_likeliest_step(
+    problem: FilterProblem, wandering: FilterProblem, joint: int, solved: Solution
+) -> OffsetHypothesis | None:
+    """The most likely step of one joint's encoder, given
+    the problem without and with a `wandering` offset of it.
+
+    None where the log determines no step.
+    """
+    encoders = problem.evidence.encoders
+    assert encoders is not None
+    y = encoders.values[:, joint]
+    t = encoders.t
+
+    def off(posed: FilterProblem) -> Array:
+        solution = filter_roughly(posed, solved)
+        return np.asarray(
+            y - solution.fold.unfold(solution.trace.z[:, joint])[problem.timeline.encoders]
+        )
+
+    def without(row: int, size: float) -> FilterProblem:
+        return _with_readings(problem, joint, np.where(np.arange(len(y)) >= row, y - size, y))
+
+    def nats(row: int, size: float) -> float:
+        return total_free_energy(filter_roughly(without(row, size), solved))
+
+    late, size = _fit_two_levels(off(wandering))
+    # a filter takes a step for motion at first: just before, images alone tell the angle
+    unsure = (t > t[late] - MAX_MEMORY_S) & (t <= t[late])
+    masked = np.where(unsure, np.nan, np.where(t > t[late], y - size, y))
+    seen, _ = _fit_two_levels(off(_with_readings(problem, joint, masked)))
+    steps = np.where(unsure, np.sign(size) * np.diff(y, prepend=np.nan), np.nan)
+    rows = seen, int(np.nan_to_num(steps, nan=-np.inf).argmax())
+    row = min(rows, key=lambda row: nats(row, size))
+    # an encoder that is off so soon is off from the start
+    row = row if t[row] - t[0] >= MAX_MEMORY_S else 0
+    lowest = _fit_parabola_minimum(
+        [nats(row, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
+    )
+    if lowest is None:
+        return None
+    cost, more, std = lowest
+    size += more
+    prior = float(
+        0.5 * (np.log1p((PRIOR_STD_RAD / std) ** 2) + (size / PRIOR_STD_RAD) ** 2)
+        + (np.log(len(t)) if row else 0.0)
+    )
+    kind = FaultKind.JUMPING if row else FaultKind.DRIFTING
+    name = problem.evidence.joints[joint]
+    fault = Fault("encoders", name, kind, float(t[row]), size, problem.evidence.unit, std)
+    return OffsetHypothesis(without(row, size), cost + prior, fault, prior)
+
+
+def _fit_parabola_minimum(nats: Sequence[float]) -> tuple[float, float, float] | None:
+    """Lowest cost (nats) on a parabola through three
+    OFFSET_STD apart, its place from the middle, its std (rad).
+    """
+    below, cost, above = nats
+    bend = (below - 2.0 * cost + above) / OFFSET_STD**2
+    slope = (above - below) / (2.0 * OFFSET_STD)
+    return None if bend <= 0.0 else (cost - 0.5 * slope**2 / bend, -slope / bend, float(bend**-0.5))
+
+
+def _with_readings(problem: FilterProblem, joint: int, y: Array) -> FilterProblem:
+    """The problem with other readings y (N,) rad of one encoder."""
+    encoders = problem.evidence.encoders
+    assert encoders is not None
+    values = np.where(np.arange(encoders.values.shape[1]) == joint, y[:, None], encoders.values)
+    return replace(
+        problem, evidence=replace(problem.evidence, encoders=replace(encoders, values=values))
+    )
+
+
+def _fit_two_levels(off: Array) -> tuple[int, float]:
+    """The row from which on residuals (N,), NaN where missing, are best described by one level
+    instead of 0, and that level.
+    """
+    count = np.maximum(np.isfinite(off)[::-1].cumsum()[::-1], 1)
+    level = np.nan_to_num(off)[::-1].cumsum()[::-1] / count
+    row = int((count * level**2).argmax())
+    return row, float(level[row])
+
 
 RANDOM_WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
 """rad²/s: random-walk variances tried; the last one
 is a constant offset, as of a joint homed differently.
 """
+
+
+def offset_score(
+    problem: FilterProblem, solved: Solution, walk: float
+) -> tuple[Array, Array, Array]:
+    """Nats (M,) that an offset of each encoder with
+    random walk `walk` rad²/s would win; 0 without images.
+
+    Also returns that offset over spans of the log (S,M) rad, and its variance (S,M).
+    """
+    t = problem.timeline.t
+    m = len(problem.start)
+    visual = [
+        k for k, sighting in enumerate(problem.evidence.sightings) if sighting.name != "touch"
+    ]
+    if not visual:
+        return np.zeros(m), *np.zeros((2, 1, m))
+    # in a span an offset walks by less than the least fault: by two standard deviations
+    begins = np.unique(np.searchsorted(t, list_span_starts(t, (0.5 * OFFSET_STD) ** 2 / walk)))
+    bounds = np.append(begins, len(t))
+    pull, weight = _encoder_sums(solved, bounds)
+    seen = np.sum([_track_sums(problem, solved, k, bounds) for k in visual], axis=0)
+    return _filtered_offsets(
+        np.diff(t[begins], append=t[-1]), *_score_offsets(pull, weight, seen), walk
+    )
+
+
+def _score_offsets(pull: Array, weight: Array, seen: Array) -> tuple[Array, Array]:
+    """Slope and curvature (S,M) of the evidence in each
+    encoder's offset, from the sums of encoders and of tracks.
+
+    With W the encoders' information and A that of all others, 1 - (A + W)⁻¹W is (A + W)⁻¹A: as a
+    difference it would be rounding where encoders know far more than images.
+    """
+    m = weight.shape[1]
+    # known to a radian where nothing is measured
+    others = seen[..., :m] + np.eye(m)
+    known = np.linalg.inv(others + np.eye(m) * weight[:, None])
+    read = np.divide(pull, weight, out=np.zeros_like(pull), where=weight > 0.0)
+    left = (others @ read[..., None])[..., 0] - seen[..., m]
+    score = weight * (known @ left[..., None])[..., 0]
+    return score, weight * np.einsum("skj,sjk->sk", known, others)
+
+
+def _encoder_sums(solved: Solution, bounds: Array) -> tuple[Array, Array]:
+    """Sums (S,M) of S⁻¹ν, clipped so that single blunders
+    do not look like an offset, and of S⁻¹ over spans.
+    """
+    d = solved.trace.encoder_d
+    spread = np.einsum("liic->lic", solved.trace.prior_cov) + solved.readings.encoder_var
+    each = np.clip(d, -CERTAIN_SIGMA, CERTAIN_SIGMA) / np.sqrt(spread), 1.0 / spread
+    rows = (solved.fold.unfold(np.where(np.isfinite(d), a, 0.0)) for a in each)
+    pull, weight = (np.add.reduceat(a, bounds[:-1]) for a in rows)
+    return pull, weight
+
+
+def _track_sums(problem: FilterProblem, solved: Solution, track: int, bounds: Array) -> Array:
+    """Sums of a track's JᵀS⁻¹J, and of JᵀS⁻¹ν clipped alike, over spans: (S,M,M+1)."""
+    readings = solved.readings
+    trace = solved.trace
+    sighting = problem.evidence.sightings[track]
+    seen = seen_rows(sighting.values)
+    size = np.arange(sighting.values.shape[1])
+    events = problem.timeline.sightings[track][seen]
+    x, cov = (solved.fold.pick(a, events) for a in (trace.prior, trace.prior_cov))
+    y, jac, var = (
+        solved.fold.pick(a[:, track, size], events)
+        for a in (readings.y, readings.jac, readings.var)
+    )
+    s = jac @ cov @ jac.swapaxes(1, 2)
+    nu = y[..., None] - jac @ x[..., None]
+    s[:, size, size] += var + _correlated_error(solved, track, seen)
+    white = np.linalg.solve(s, np.concatenate([jac, nu], axis=2))
+    far = np.sqrt((nu[..., 0] * white[..., -1]).mean(axis=1))
+    white[..., -1] /= np.maximum(far / CERTAIN_SIGMA, 1.0)[:, None]
+    each = (jac.swapaxes(1, 2) @ white).cumsum(axis=0)
+    return np.diff(np.insert(each, 0, 0.0, axis=0)[np.searchsorted(events, bounds)], axis=0)
+
+
+def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
+    """Variance (F,D) added for correlated model error,
+    so that frames of like postures count as one.
+    """
+    points = solved.tangents.points[track][seen]
+    model = solved.tangents.model_var(track)[seen]
+    # within 0.3 rad errors of the body model are correlated, and look like an offset
+    duplicates = count_effective_frames(
+        np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / 0.3)
+    )
+    return np.asarray(model * (2.0 * duplicates - 2.0)[:, None])
+
+
+def _filtered_offsets(
+    steps: Array, score: Array, weight: Array, walk: float
+) -> tuple[Array, Array, Array]:
+    """Filter each offset over spans of `steps` (S,) s from
+    scores and weights (S,M); returns as `offset_score` does.
+    """
+    offset = np.zeros(score.shape[1])
+    var = np.full(score.shape[1], OFFSET_STD**2)
+    filtered = []
+    for pull, stiff, step in zip(score, weight, steps, strict=True):
+        before = offset
+        ahead = var + walk * step
+        share = 1.0 + stiff * ahead
+        offset = before + ahead * (pull - stiff * before) / share
+        var = ahead / share
+        nats = 0.5 * (offset * offset / var - before * before / ahead - np.log(share))
+        filtered.append((nats, offset, var))
+    nats, offset, var = np.stack(filtered).swapaxes(0, 1)
+    return nats.sum(axis=0), offset, var
 
 
 def find_suspected_encoders(

@@ -5,7 +5,7 @@ from math import log, tau
 import numpy as np
 
 from ...types import Array
-from ..inference.initial_path import OFFSET_STD
+from ..inference.tangents import OFFSET_STD
 from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_by_pivot, median_step
 from ..noise.quantisation import step_size
 from .threshold import EVIDENCE_THRESHOLD_NATS

@@ -16,7 +16,7 @@ import numpy as np
 from ...body_model import BodyModel, ForwardModel
 from ...linear_algebra import forward_substituted
 from ...types import TRACK_AXES, Array, Fault, FaultKind, Hypothesis
-from ..inference.initial_path import OFFSET_STD
+from ..inference.tangents import OFFSET_STD
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.track import camera_of_track
 from ..measurements.track_curve import Curve, interpolate_curve, track_curve

@@ -4,18 +4,171 @@ An encoder at rest repeats its reading, too, if it counts in steps or is read on
 repeats alone are a fault only of encoders that are noisy all the time, at rest and in motion.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from ...types import Array, FaultKind
+from ...body_model import BodyModel
+from ...types import Array, Fault, FaultKind
 from ..inference.reacquisition import LONG_SILENCE_S
-from ..measurements.long_arrays import all_of_row
+from ..inference.tangents import OFFSET_STD
+from ..measurements.long_arrays import all_of_row, find_finite_rows
+from ..measurements.records import Encoders, Evidence, Sighting
 from ..noise.encoder_noise import MAX_MEMORY_S
 from ..noise.quantisation import step_size
 from .jumping import find_level_shifts
 from .threshold import EVIDENCE_THRESHOLD_NATS
+
+
+def motion_nats(
+    encoders: Encoders, images: Sequence[Sighting], joint: int, begin: int, end: int
+) -> float:
+    """Nats that motion of a joint wins in images while
+    its encoder repeats the readings [begin, end).
+    """
+    return max(
+        (
+            _joint_motion_nats(encoders, joint, s, encoders.t[begin], encoders.t[end - 1])
+            for s in images
+        ),
+        default=0.0,
+    )
+
+
+def _joint_motion_nats(
+    encoders: Encoders, joint: int, sighting: Sighting, begin: float, end: float
+) -> float:
+    """Nats that motion of this joint alone wins in images from begin to end (s); 0 if it leaves
+    much unexplained, or is less than the encoder's step.
+    """
+    rows = find_finite_rows(sighting.values) & (sighting.t > begin) & (sighting.t <= end)
+    parts = split_stretch(sighting.t[rows])
+    if len(parts) < 2:
+        return 0.0
+    x = encoders.at(sighting.t[rows])
+    y = sighting.values[rows]
+    var = sighting.var[rows]
+    middle = np.stack([np.median(x[p], axis=0) for p in parts])
+    # motion within a part, as the encoders predict it, is subtracted before averaging
+    known, (at, jac, model) = sighting.model.predict(x)[0], sighting.model.predict(middle)
+    place = np.stack([np.median(y[p] - known[p], axis=0) for p in parts]) + at
+    noise = np.stack([1.6 * var[p].mean(axis=0) / len(p) for p in parts]) + model
+    noise += np.square(jac) @ encoders.variance
+    found = [_explain_by_joint_motion(sighting, place, noise, middle, k) for k in range(x.shape[1])]
+    (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
+    least = max(
+        OFFSET_STD, 2.0 * step_size(encoders.values[np.isfinite(encoders.values[:, joint]), joint])
+    )
+    # better than rest, and better than motion of any other joint
+    won = min(gain - len(parts), gain - max(others, default=0.0))
+    return won if left < 0.2 * gain + len(parts) and apart > least else 0.0
+
+
+def _explain_by_joint_motion(
+    sighting: Sighting, place: Array, noise: Array, x: Array, joint: int
+) -> tuple[float, float, float]:
+    """Nats that motion of one joint explains of positions
+    (P,D) at postures x (P,M), nats left, and its range (rad).
+    """
+    own = np.arange(x.shape[1]) == joint
+    moved = np.zeros(len(x))
+    none = sighting.model.predict(x)[0]
+    for _ in range(4):
+        mean, jac, _ = sighting.model.predict(x + np.outer(moved, own))
+        slope = jac[:, :, joint]
+        off = place - mean
+        stiff = (slope * slope / noise).sum(axis=1)
+        moved += np.divide(
+            (slope * off / noise).sum(axis=1), stiff, out=np.zeros_like(stiff), where=stiff > 0.0
+        )
+        moved = np.clip(moved, -1.0, 1.0)
+    left = _sum_squared_misfit(place - sighting.model.predict(x + np.outer(moved, own))[0], noise)
+    # a constant offset is not motion
+    constant = ((place - none) / noise).sum(axis=0) / (1.0 / noise).sum(axis=0)
+    return _sum_squared_misfit(place - none - constant, noise) - left, left, float(np.ptp(moved))
+
+
+def _sum_squared_misfit(off: Array, noise: Array) -> float:
+    """Half the squared residuals off (P,D) over their variances."""
+    return float(0.5 * (np.square(off) / noise).sum())
+
+
+def detect_frozen_camera(evidence: Evidence, body: BodyModel) -> Evidence:
+    """Remove track positions that repeat exactly while the encoders predict motion."""
+    if evidence.encoders is None or "encoders" in body.senses:
+        return evidence
+    used = dict(evidence.used)
+    sightings = list[Sighting]()
+    faults = list[Fault]()
+    for sighting in evidence.sightings:
+        values, found = (
+            _remove_false_repeats(sighting, evidence.encoders)
+            if sighting.name != "touch"
+            else (sighting.values, [])
+        )
+        if found:
+            health = used[sighting.name]
+            left = int(find_finite_rows(values).sum())
+            rejected = {**health.rejected, "frozen": health.used - left}
+            used[sighting.name] = replace(health, used=left, rejected=rejected)
+        sightings.append(replace(sighting, values=values))
+        faults += found
+    return replace(
+        evidence, sightings=tuple(sightings), used=used, faults=(*evidence.faults, *faults)
+    )
+
+
+def _remove_false_repeats(sighting: Sighting, encoders: Encoders) -> tuple[Array, list[Fault]]:
+    """Return positions (N,D) with false repeats as NaN,
+    the first of each stretch kept, and the faults.
+    """
+    shown = np.flatnonzero(find_finite_rows(sighting.values))
+    values = sighting.values.copy()
+    found = []
+    for begin, end in find_equal_stretches(sighting.t[shown], sighting.values[shown]):
+        own = shown[begin:end]
+        if moved := _predict_largest_motion(
+            sighting, encoders, sighting.t[own[0]], sighting.t[own[-1]]
+        ):
+            values[own[1:]] = np.nan
+            since = float(sighting.t[own[1]])
+            until = float(sighting.t[shown[end]]) if end < len(shown) else None
+            unit = getattr(sighting.model, "unit", "px")
+            found.append(
+                Fault("vision", sighting.name, FaultKind.FROZEN, since, moved, unit, until=until)
+            )
+    return values, found
+
+
+def _predict_largest_motion(
+    sighting: Sighting, encoders: Encoders, begin: float, end: float
+) -> float:
+    """Largest motion (px or mm) that the encoders predict from
+    the first part of a stretch on; 0 if not significant.
+    """
+    inside = (encoders.t >= begin) & (encoders.t <= end)
+    x = encoders.at(encoders.t[inside])
+    parts = split_stretch(encoders.t[inside])
+    if not parts or not np.isfinite(x).all():
+        return 0.0
+    means = np.stack([x[part].mean(axis=0) for part in parts])
+    var = encoders.variance / np.maximum(
+        np.isfinite(encoders.values[inside]).sum(axis=0) / len(parts), 1.0
+    )
+    noise = 2.0 * (np.square(sighting.model.predict(means)[1]) * var).sum(axis=(1, 2)).max()
+    # a single encoder against the images may itself be faulty
+    without = [np.where(alone, means[0], means) for alone in np.eye(means.shape[1]) > 0]
+    places = np.stack([sighting.model.predict(some)[0] for some in without])
+    apart = float(np.linalg.norm(places - places[:, :1], axis=2).max(axis=1).min())
+    # the largest of as many distances as there are parts
+    return (
+        apart
+        if 0.5 * apart**2 > (EVIDENCE_THRESHOLD_NATS + np.log(len(parts))) * noise and apart > 1.0
+        else 0.0
+    )
+
 
 MAX_REPEAT_SHARE = 0.02
 """Largest share of repeats of a noisy encoder; one that repeats more often counts in steps."""

@@ -17,13 +17,11 @@ from .convergence import (
     measure_farthest_move,
     require_finite,
 )
-from .folded_readings import fold_readings
-from .folds import Fold, choose_fold
-from .initial_path import hand_over_starts, initial_tangents, starts_from_solution
+from .folds import Fold, choose_fold, fold_readings
 from .problem import FilterProblem
 from .scan import filter_stretches
 from .solution import Solution
-from .tangents import Tangents
+from .tangents import Tangents, hand_over_starts, initial_tangents, stretch_priors
 
 
 def solve_by_gauss_newton(
@@ -66,3 +64,17 @@ def initial_sweep(
     return warm.tangents.again(problem.evidence.sightings), *starts_from_solution(
         problem, fold, warm
     )
+
+
+def starts_from_solution(
+    problem: FilterProblem, fold: Fold, known: Solution
+) -> tuple[Array, Array]:
+    """Each stretch's start z (K,C), p (K,K,C) from a
+    solution of the same log; new offsets from the prior.
+    """
+    (z, p), lasts = stretch_priors(problem, fold), fold.lasts()
+    k = min(len(z), known.trace.z.shape[1])
+    z[:k, 1:] = known.fold.pick(known.trace.z, lasts)[:, :k].T
+    if known.fold == fold:
+        p[:k, :k, 1:] = known.trace.end_p[:k, :k, :-1]
+    return z, p

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import unmix_rows
-from .gate import FLAT_COST_NATS, GATE_SIGMA
+from .filter_records import FLAT_COST_NATS, GATE_SIGMA
 from .problem import FilterProblem
 from .solution import Smooth
 

@@ -7,14 +7,11 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Evidence
-from ..measurements.timeline import Timeline
+from ..measurements.timeline import Timeline, list_track_sets
 from ..noise.noise_model import NoiseModel
 from ..noise.posture_prior import PosturePrior
-from ..noise.visibility import list_track_sets
-from .filter_records import FilterDynamics
-from .gate import GATE_SIGMA
+from .filter_records import GATE_SIGMA, FilterDynamics, Stationary
 from .reacquisition import extend_open_silence, joints_left_open
-from .stationary import Stationary
 
 
 @dataclass(frozen=True, eq=False)

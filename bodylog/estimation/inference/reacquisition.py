@@ -16,7 +16,7 @@ from ...types import Array, Finding
 from ...wording import list_in_words
 from ..measurements.records import Encoders, Evidence
 from ..noise.correlated_noise import PendingFrame
-from .gate import GATE_SIGMA
+from .filter_records import GATE_SIGMA
 
 START_STD = (1.0, 1.0, 3.0)
 """rad, rad/s, rad/s²: prior standard deviations of joints before the first reading.

@@ -13,8 +13,7 @@ import numpy as np
 
 from ...types import Array
 from .convergence import CONVERGED_MOVE, measure_farthest_move
-from .filter_records import FilterDynamics, FilterReadings
-from .gate import FLAT_COST_NATS, GATE_SIGMA
+from .filter_records import FLAT_COST_NATS, GATE_SIGMA, FilterDynamics, FilterReadings
 from .kernel import bind_kernel_call, list_struct_fields
 from .reacquisition import START_STD
 

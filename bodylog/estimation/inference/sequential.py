@@ -4,20 +4,245 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...types import Array
-from ..noise.correlated_noise import PendingFrame
+from ..noise.correlated_noise import LastFrame, PendingFrame
 from ..noise.posture_prior import PosturePrior
-from .convergence import CONVERGED_MOVE
-from .filter_records import FilterDynamics
-from .gate import GATE_SIGMA
-from .initial_path import state_prior
-from .instant import Line, find_tangent_point, standardise_innovations, statistical_lines
+from .convergence import CONVERGED_MOVE, MAX_SWEEPS
+from .filter_records import GATE_SIGMA, FilterDynamics, FilterReadings
 from .reacquisition import LONG_SILENCE_S, find_lost_joints, open_joints
-from .step import FilterStep, SteppedBelief
+from .scan import allocate_trace, prepare_filter
+from .tangents import state_prior
+
+
+class Line(NamedTuple):
+    """A track linearised to D rows: y (D,) = jac (D,M) x with independent variances var (D,).
+
+    memory: of the track.
+    """
+
+    jac: Array
+    y: Array
+    var: Array
+    memory: LastFrame
+
+
+class SteppedBelief(NamedTuple):
+    """The belief z (K,), p (K,K) after an instant, and x
+    (M,) rad, cov (M,M) of the angles before its readings.
+
+    d (M,): innovations of the encoders, in standard
+    deviations, NaN where silent · nats of all readings.
+    """
+
+    z: Array
+    p: Array
+    x: Array
+    cov: Array
+    d: Array
+    nats: float
+
+
+class FilterStep:
+    """The belief from an instant to the next, by the
+    encoders and by lines of T tracks with up to D rows.
+    """
+
+    def __init__(self, dynamics: FilterDynamics, tracks: int = 0, rows: int = 0) -> None:
+        """Dynamics with process (M,). All arrays stay
+        where they are, so that a call only fills them.
+        """
+        m = len(dynamics.process)
+        k = dynamics.size
+        n = k // m
+        self._dynamics, self._z, self._p = dynamics, np.empty((k, 1)), np.empty((k, k, 1))
+        self._leaps = np.empty((1, n, n, m, 1)), np.empty((1, n, m, 1)), np.empty((1, n, n, m, 1))
+        self._lost, self._more = np.empty((1, m, 1), bool), np.empty((1, m, 1))
+        self._readings = FilterReadings(
+            np.empty((1, 1)),
+            np.empty((1, m, 1)),
+            np.empty((1, m, 1)),
+            np.empty((1, tracks, rows, 1)),
+            np.empty((1, tracks, rows, m, 1)),
+            np.empty((1, tracks, rows, 1)),
+            reset=self._lost,
+            more=self._more,
+            moves=self._leaps,
+        )
+        self._trace = allocate_trace(self._readings, dynamics, 1)
+        self._run = prepare_filter(self._readings, dynamics, self._z, self._p, self._trace)
+
+    def __call__(
+        self,
+        z: Array,
+        p: Array,
+        dt: float,
+        encoders: Sequence[float] | Array,
+        var: Sequence[float] | Array,
+        lines: Sequence[Line] = (),
+        *,
+        lost: Array | None = None,
+        held: Array | None = None,
+        more: Array | None = None,
+    ) -> SteppedBelief:
+        """The belief dt (s) after z (K,), p (K,K), given readings
+        (M) rad, NaN where silent, with variances var (M).
+
+        lines: one for each track · lost (M,) bool: joints that restart ·
+        held (M,) bool: joints silent for long · more (M,): factor on the
+        process variance. LinAlgError where rounding leaves no number.
+        """
+        to = self._readings
+        trace = self._trace
+        self._z[:, 0], self._p[..., 0], to.dt[0] = z, p, dt
+        to.encoders[0, :, 0], to.encoder_var[0, :, 0] = encoders, var
+        self._lost[0, :, 0], self._more[0, :, 0] = (
+            False if lost is None else lost,
+            1.0 if more is None else more,
+        )
+        self._leaps[0][:] = np.nan
+        if held is not None and self._dynamics.stationary is not None:
+            for part, found in zip(
+                self._leaps, self._dynamics.moves(np.array([dt]), held[None]), strict=True
+            ):
+                part[..., 0] = found
+        to.y[:], to.jac[:], to.var[:] = np.nan, 0.0, 1.0
+        for track, line in enumerate(lines):
+            n = len(line.y)
+            to.y[0, track, :n, 0], to.jac[0, track, :n, :, 0], to.var[0, track, :n, 0] = (
+                line.y,
+                line.jac,
+                line.var,
+            )
+        self._run()
+        if not np.isfinite(nats := trace.nats.item()):
+            raise np.linalg.LinAlgError("rounding leaves no number")
+        after = trace.z[0], trace.end_p, trace.prior[0], trace.prior_cov[0], trace.encoder_d[0]
+        z, p, x, cov, d = (part[..., 0].copy() for part in after)
+        return SteppedBelief(z, p, x, cov, d, nats)
+
+
+NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
+
+
+WEIGHTS /= WEIGHTS.sum()
+
+
+PERSISTENCE = 10.0
+"""Factor on the time for which the residual of a line lasts, by the belief.
+
+Of 1, 3.3, 10 and 33 on 26 drawn silences of 5 s, filters
+have NEES 7.5, 3.4, 1.6, 1.6 and errors of 0.20, 0.18, 0.18,
+0.19 rad.
+"""
+
+
+def standardise_innovations(x: Array, cov: Array, sights: Sequence[PendingFrame]) -> list[Array]:
+    """Innovations (D,) of each track in standard deviations,
+    by angles x (M,) of cov (M,M) before the instant.
+    """
+    found = []
+    for sight in sights:
+        mean, jac, model = sight.predicted(x)
+        found.append(
+            (sight.value - mean) / np.sqrt(((jac @ cov) * jac).sum(axis=1) + sight.var + model)
+        )
+    return found
+
+
+def find_tangent_point(
+    x: Array,
+    sights: Sequence[PendingFrame],
+    posterior: Callable[[list[Line]], Array],
+    resting: float,
+) -> tuple[Array, list[Line]]:
+    """The point (M,) where the belief converges to `resting`
+    rad, or moves least, and the tracks' tangents there.
+
+    The search starts at the angles x (M,) before the instant;
+    `posterior` gives those by all readings and lines.
+    """
+    went = last = np.zeros(len(x))
+    least = math.inf
+    best = (x, list[Line]())
+    for _ in range(MAX_SWEEPS):
+        lines = [_linearise_frame(sight, x) for sight in sights]
+        move = posterior(lines) - x
+        size = max(map(abs, move.tolist()))
+        if not size >= least:
+            least = size
+            best = (x, lines)
+        if size < resting:
+            break
+        went = _accelerate_step(move, last, went)
+        last = move
+        x = x + went
+    return best
+
+
+def _linearise_frame(sight: PendingFrame, x: Array) -> Line:
+    mean, jac, _, var, memory = sight.at(x)
+    return Line(jac, sight.value - mean + jac @ x, var, memory)
+
+
+def _accelerate_step(move: Array, last: Array, went: Array) -> Array:
+    """Next step (M,) from Gauss–Newton's `move`, the
+    `last` one and the step taken then: Anderson mixing.
+    """
+    turn = move - last
+    size = turn @ turn
+    return move if size == 0.0 or not went.any() else move - (turn @ move / size) * (went + turn)
+
+
+def statistical_lines(m: int, z: Array, p: Array, sights: Sequence[PendingFrame]) -> list[Line]:
+    """Lines of least squared residual over the encoders'
+    posterior of M angles: state z (K,), covariance p (K,K).
+
+    The residual is a function of the belief's error, which lasts: with a Gaussian correlation over
+    √(variance of the angle / of the rate), it counts √π of that, over the time between frames, as
+    often; PERSISTENCE times more, as a wrong belief takes itself for a short one.
+    """
+    (var, axes), rates = _decompose_covariance(p[:m, :m]), p[m : 2 * m, m : 2 * m]
+    if not np.trace(rates) > 0.0:
+        raise np.linalg.LinAlgError(f"rates have the variance {np.trace(rates):.3g} rad²/s²")
+    # above rounding, which a rate known exactly may take below 0
+    rate = max(axes[:, -1] @ rates @ axes[:, -1], np.finfo(float).eps * np.trace(rates))
+    lasts = PERSISTENCE * math.sqrt(math.pi * var[-1] / rate)
+    often = [1.0 / math.tanh((sight.t - sight.memory.t) / lasts) for sight in sights]
+    return [
+        linearise_over_belief(sight, z[:m], p[:m, :m], one)
+        for sight, one in zip(sights, often, strict=True)
+    ]
+
+
+def _decompose_covariance(cov: Array) -> tuple[Array, Array]:
+    """Variances (M,) along the axes (M,M), in columns, of a covariance; above 0."""
+    var, axes = np.linalg.eigh(cov)
+    return np.maximum(var, np.finfo(float).tiny), axes
+
+
+def linearise_over_belief(sight: PendingFrame, x: Array, cov: Array, often: float = 1.0) -> Line:
+    """A track's line over a belief x (M,) of cov (M,M).
+
+    The residual is added as noise, as the tangent of a wide belief claims
+    too much: along each axis of cov, by Gauss–Hermite quadrature, counted
+    as `often`. Rows are rotated such that their noise is independent.
+    """
+    *_, own, memory = sight.at(x)
+    var, axes = _decompose_covariance(cov)
+    steps = np.sqrt(var)[:, None] * axes.T
+    points = x + NODES[:, None, None] * steps
+    g = sight.predict(points.reshape(-1, len(x)))[0].reshape(len(NODES), len(x), -1)
+    means, slopes = (np.einsum("k,kad->ad", weights, g) for weights in (WEIGHTS, WEIGHTS * NODES))
+    missed = np.sqrt(WEIGHTS)[:, None, None] * (g - means - NODES[:, None, None] * slopes)
+    slope = np.linalg.solve(steps, slopes).T
+    middle = g[len(NODES) // 2, 0]
+    middle = middle + (means - middle).sum(axis=0)
+    spread, turn = np.linalg.eigh(often * np.einsum("kad,kae->de", missed, missed) + np.diag(own))
+    return Line(turn.T @ slope, turn.T @ (sight.value - middle + slope @ x), spread, memory)
 
 
 @dataclass(eq=False, slots=True)

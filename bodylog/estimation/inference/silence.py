@@ -18,12 +18,12 @@ from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from .convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from .folds import Fold
-from .initial_path import stretch_priors
-from .instant import linearise_over_belief
 from .leave_one_out import remove_readings
 from .problem import FilterProblem
 from .scan import TraceDetail, filter_stretches
+from .sequential import linearise_over_belief
 from .solution import Smooth, Solution, assemble_smooth
+from .tangents import stretch_priors
 from .walk import filter_sequentially, frames_by_instant, write_lines
 
 BRIEF_SILENCE_S = 5.0

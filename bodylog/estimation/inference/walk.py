@@ -12,17 +12,14 @@ from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, 
 from ..noise.posture_prior import build_stationary_motion
 from .convergence import CONVERGED_MOVE, ROUGHLY_CONVERGED_MOVE, DidNotConverge
 from .filter_records import FilterReadings
-from .folded_readings import encoder_rows, fold_readings
-from .folds import Fold, choose_fold
+from .folds import Fold, choose_fold, encoder_rows, fold_readings
 from .gauss_newton import solve_by_gauss_newton
-from .initial_path import stretch_priors
-from .instant import Line
 from .problem import FilterProblem
 from .reacquisition import LONG_SILENCE_S
 from .scan import TraceDetail, filter_stretches
-from .sequential import SequentialFilter, State
+from .sequential import Line, SequentialFilter, State
 from .solution import Solution
-from .tangents import Tangents
+from .tangents import Tangents, stretch_priors
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,11 +11,10 @@ from ...body_model import BodyModel
 from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import EstimationSettings
 from ...types import Array, Features, Finding, Health, Series
-from ..noise.angle_unit import unit_of
+from ..noise.quantisation import unit_of
 from . import posture, touch, track
-from .contract import Sense, build_health
 from .long_arrays import any_of_row, index_true_rows
-from .records import Encoders, Evidence
+from .records import Encoders, Evidence, Sense, build_health
 from .track import find_ascending_times, find_longest_gap
 
 SENSES: tuple[tuple[str, Sense], ...] = (

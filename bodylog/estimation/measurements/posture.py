@@ -14,8 +14,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...types import Array, Features, PostureReadings
 from ..noise.correlated_noise import ErrorCorrelation
-from .contract import Measured, build_health
-from .records import Sighting
+from .records import Measured, Sighting, build_health
 from .track import find_ascending_times, find_longest_gap
 
 LASTS_S = 1.1

@@ -1,14 +1,14 @@
 """Records of measurements, shared by gathering, screening and estimation."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 
-from ...body_model import ForwardModel
-from ...types import Array, Fault, Finding, Health, Hypothesis
+from ...body_model import BodyModel, ForwardModel
+from ...types import Array, Fault, Features, Finding, Health, Hypothesis
 from ..noise.quantisation import quantisation_variance
 from .long_arrays import index_true_rows, noise_variance
 
@@ -152,3 +152,23 @@ class Evidence:
     joints: tuple[str, ...] = ()
     unit: str = "rad"
     rad_per_unit: float = 1.0
+
+
+class Measured(NamedTuple):
+    """Measurements of one name (t (N,) · values (N,D) ·
+    cov (N,D,D) or var (N,D) · model), and counts of use.
+    """
+
+    sighting: Sighting
+    health: Health
+
+
+Sense = Callable[[Features, BodyModel], Mapping[str, Measured]]
+"""Reads, by name, what the features contain and the body predicts, with any number of rows D."""
+
+
+def build_health(seen: int, used: int, reasons: Mapping[str, int], gap: float = 0.0) -> Health:
+    """Counts of use, without the reasons of no rejection; gap: the largest, in s."""
+    return Health(
+        seen, int(used), {reason: int(count) for reason, count in reasons.items() if count}, gap
+    )

@@ -9,9 +9,8 @@ import numpy as np
 from ...body_model import BodyModel
 from ...types import Array, Features, Series, Synchrony
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
-from .contract import Measured, build_health
 from .long_arrays import find_finite_rows as rows_seen
-from .records import Sighting
+from .records import Measured, Sighting, build_health
 from .track import find_ascending_times
 
 REASONS_WITHOUT_WEIGHT = {

@@ -7,10 +7,9 @@ import numpy as np
 from ...body_model import BodyModel, ForwardModel
 from ...types import Array, Features, Series
 from .arm_errors import RowExposure, learned_arm_errors, shift_by_rows
-from .contract import Measured, build_health
 from .long_arrays import find_finite_rows as seen_rows
 from .long_arrays import index_true_rows
-from .records import Sighting
+from .records import Measured, Sighting, build_health
 
 
 def read_tracks(features: Features, body: BodyModel) -> Mapping[str, Measured]:

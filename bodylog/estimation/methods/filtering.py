@@ -13,7 +13,7 @@ from ...body_model import BodyModel
 from ...settings import EstimationSettings
 from ...types import Array, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
-from ..faults.offset_step import total_free_energy
+from ..faults.encoder_offset import total_free_energy
 from ..faults.screening import screen_measurements
 from ..inference.convergence import DidNotConverge
 from ..inference.gauss_newton import solve_by_gauss_newton
@@ -23,7 +23,7 @@ from ..inference.solution import Solution
 from ..inference.walk import filter_roughly, filter_sequentially, find_initial_path, loses_encoder
 from ..measurements.gather import choose_initial_angles
 from ..measurements.timeline import build_timeline
-from ..noise import encoder_noise, typed
+from ..noise import encoder_noise, noise_model
 from ..noise.evidence_search import tune_by_evidence, with_preferred_order
 from ..noise.noise_model import resolve_noise_model, warn_of_few_readings, weigh_repeated_readings
 from ..noise.posture_prior import learn_posture_prior
@@ -79,16 +79,18 @@ def build_filter_problem(
 ) -> FilterProblem:
     """The problem with the encoders' noise model."""
     evidence = warn_of_few_readings(screen_measurements(features, body, settings), body, settings)
-    evidence = replace(evidence, sightings=typed.with_typed_variances(evidence.sightings, settings))
+    evidence = replace(
+        evidence, sightings=noise_model.with_typed_variances(evidence.sightings, settings)
+    )
     first = choose_initial_angles(evidence, settings, body.joints)
-    precision = typed.with_typed_noise(
+    precision = noise_model.with_typed_noise(
         resolve_noise_model(evidence, body, settings), settings, body.joints
     )
     evidence = replace(
         evidence,
         findings=(
             *evidence.findings,
-            *typed.remark_on_precision(settings, precision, evidence.sightings),
+            *noise_model.remark_on_precision(settings, precision, evidence.sightings),
         ),
     )
     evidence = weigh_repeated_readings(evidence, precision, settings)
@@ -101,7 +103,8 @@ def build_filter_problem(
     if settings.process is None:  # it is a white acceleration
         problem = with_preferred_order(problem)
         problem = replace(
-            problem, precision=typed.with_typed_noise(problem.precision, settings, body.joints)
+            problem,
+            precision=noise_model.with_typed_noise(problem.precision, settings, body.joints),
         )
     return find_initial_path(problem)
 
@@ -129,7 +132,7 @@ def tune_noise(
     found, warm = tune_by_evidence(problem, whole=settings.method == "smoother")
     # variances that are set replace learned ones afterwards
     return replace(
-        problem, precision=typed.with_typed_noise(found, settings, problem.evidence.joints)
+        problem, precision=noise_model.with_typed_noise(found, settings, problem.evidence.joints)
     ), warm
 
 
@@ -190,7 +193,7 @@ def relearn_noise(
     evident = encoder_noise.learn_encoder_noise(
         joints, precision.encoder, precision.process, precision.order, known
     ).process
-    held = typed.with_typed_noise(
+    held = noise_model.with_typed_noise(
         precision.held(evident, encoders), settings, problem.evidence.joints
     )
     return tune_noise(replace(problem, precision=held), settings)

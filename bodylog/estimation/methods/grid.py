@@ -14,9 +14,9 @@ from ..faults.screening import screen_measurements
 from ..measurements.gather import choose_initial_angles
 from ..measurements.records import Encoders, Evidence, Sighting, interpolate_values
 from ..measurements.timeline import Timeline, build_timeline
-from ..noise import typed
+from ..noise import noise_model
 from ..noise.noise_model import PAPER_VARIANCES, resolve_noise_model, warn_of_few_readings
-from .paper_touch import PaperTouch, build_paper_touch
+from .algorithm1 import PaperTouch, build_paper_touch
 from .results import Beliefs
 
 GRID_RATE_HZ = 20.0
@@ -104,7 +104,7 @@ def build_grid_problem(
     line = build_timeline(evidence, rate)
     t = line.t[line.outputs]
     paper = settings.precision == "fixed"
-    noise = typed.with_typed_noise(
+    noise = noise_model.with_typed_noise(
         resolve_noise_model(evidence, body, settings), settings, body.joints
     )
     encoders = (
@@ -122,13 +122,13 @@ def build_grid_problem(
     width = image_width(features, body) if paper else None
     seen = [
         s
-        for s in typed.with_typed_variances(evidence.sightings, settings)
+        for s in noise_model.with_typed_variances(evidence.sightings, settings)
         if not (felt and s.name == "touch")
     ]
     senses = [] if encoders is None else [encoders]
     senses += [
         _build_visual_sense(
-            s, t, noise.scale.get(s.name, 1.0), width, typed.typed_track_variance(settings, s.name)
+            s, t, noise.scale.get(s.name, 1.0), width, noise_model.typed_track_variance(settings, s.name)
         )
         for s in seen
     ]

@@ -12,7 +12,6 @@ import numpy as np
 from ...body_model import BodyModel
 from ...settings import EstimationSettings
 from ...types import Array, Estimate, Features
-from ..inference import adjoint
 from ..inference.convergence import (
     CONVERGED_MOVE,
     MAX_SWEEPS,
@@ -20,10 +19,8 @@ from ..inference.convergence import (
     measure_farthest_move,
     require_finite,
 )
-from ..inference.folded_readings import fold_readings
-from ..inference.folds import choose_fold
+from ..inference.folds import choose_fold, fold_readings
 from ..inference.gauss_newton import initial_sweep
-from ..inference.initial_path import hand_over_starts
 from ..inference.leave_one_out import (
     SmoothedWithResiduals,
     find_contradicted_readings,
@@ -34,7 +31,15 @@ from ..inference.leave_one_out import (
 from ..inference.problem import FilterProblem
 from ..inference.scan import TraceDetail, filter_stretches, restart_filter
 from ..inference.silence import smooth_across_silence
-from ..inference.solution import Smooth, Solution, assemble_smooth
+from ..inference.solution import (
+    Smooth,
+    Solution,
+    adjoints_at_start,
+    adjoints_for_next_round,
+    assemble_smooth,
+    smooth_states,
+)
+from ..inference.tangents import hand_over_starts
 from .explained import explained_estimate
 from .filtering import (
     build_filter_problem,
@@ -150,12 +155,12 @@ def solve_map_path(problem: FilterProblem, warm: Solution | None = None) -> Smoo
             trace.z,
         )
         if sweep or isinstance(warm, Smooth):
-            near = adjoint.adjoints_at_start(readings, trace, dynamics)
-            expected = adjoint.adjoints_for_next_round(near + beyond)
+            near = adjoints_at_start(readings, trace, dynamics)
+            expected = adjoints_for_next_round(near + beyond)
             if not moved and max(rest, move, _measure_end_moves(expected - ends, p)) < lasting:
                 return assemble_smooth(fold, readings, tangents, trace, expected, dynamics)
-            path, at_start = adjoint.smooth_states(readings, trace, expected, dynamics)
-            ends = adjoint.adjoints_for_next_round(at_start)
+            path, at_start = smooth_states(readings, trace, expected, dynamics)
+            ends = adjoints_for_next_round(at_start)
             beyond = at_start - near
             rest = _measure_end_moves(ends - expected, p)
         tangents.follow(problem, fold, path)

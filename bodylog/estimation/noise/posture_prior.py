@@ -9,8 +9,8 @@ import numpy as np
 
 from ...body_model import ForwardModel
 from ...types import Array
+from ..inference.filter_records import Stationary
 from ..inference.reacquisition import START_STD
-from ..inference.stationary import Stationary
 from ..measurements.records import Evidence
 from .noise_model import NoiseModel
 

@@ -2,9 +2,89 @@
 predict each other, which is no evidence of low noise.
 """
 
+from collections.abc import Mapping
+from dataclasses import replace
+from math import tau
+from typing import Any
+
 import numpy as np
 
-from ...types import Array
+from ...types import Array, Estimate, Fault, Features, Series
+
+JOINT_UNIT_KEY = "joint_unit"
+"""The key of an estimate's settings that names the joints' unit, where that is not rad."""
+
+
+def unit_of(joints: Series | None) -> tuple[str, float]:
+    """The unit of joint readings, and its size in rad, 1 where they are angles.
+
+    The size of undeclared units is a guess: of a turn of the least power
+    of two that holds all readings, as encoders count. A declared unit is
+    rad; whole numbers that span more than a turn are counts all the same.
+    """
+    if joints is None or not np.isfinite(joints.values).any():
+        return "rad", 1.0
+    span = _measure_reading_span(joints.values)
+    if joints.unit != "rad":
+        return joints.unit, _rad_per_unit(span)
+    known = joints.values[np.isfinite(joints.values)]
+    return (
+        ("counts", _rad_per_unit(span))
+        if span > tau and (known == np.round(known)).all()
+        else ("rad", 1.0)
+    )
+
+
+def _measure_reading_span(values: Array) -> float:
+    """The span of all readings (N,M) and of zero: of
+    counts and of percent, zero is an end or the middle.
+    """
+    return max(float(np.nanmax(values)), 0.0) - min(float(np.nanmin(values)), 0.0)
+
+
+def _rad_per_unit(span: float) -> float:
+    return tau / 2.0 ** np.ceil(np.log2(span)) if span > tau else 1.0
+
+
+def as_angles(features: Features, rad_per_unit: float) -> Features:
+    """The features with joint readings as angles, rad."""
+    joints = features.joints
+    assert joints is not None
+    return replace(
+        features, joints=replace(joints, values=rad_per_unit * joints.values, unit="rad")
+    )
+
+
+def in_units(found: Estimate, unit: str, rad_per_unit: float) -> Estimate:
+    """An estimate of angles, by encoders alone, in the unit that their readings have."""
+    scale = 1.0 / rad_per_unit
+    bias = None if found.bias is None else replace(found.bias, values=scale * found.bias.values)
+    return replace(
+        found,
+        joints=replace(found.joints, values=scale * found.joints.values),
+        rate=replace(found.rate, values=scale * found.rate.values),
+        cov=scale**2 * found.cov,
+        bias=bias,
+        faults=tuple(_fault_in_units(fault, unit, scale) for fault in found.faults),
+        settings=_settings_in_units(found.settings, scale),
+    )
+
+
+def _fault_in_units(fault: Fault, unit: str, scale: float) -> Fault:
+    std = None if fault.std is None else scale * fault.std
+    return replace(fault, size=scale * fault.size, std=std, unit=unit)
+
+
+def _settings_in_units(settings: Mapping[str, Any], scale: float) -> dict[str, Any]:
+    """The settings with variances of encoders and of motion in the readings' unit."""
+    variances = ("encoder", "process", "drift")
+    return {
+        name: [scale**2 * each for each in value]
+        if name in variances and isinstance(value, list)
+        else value
+        for name, value in settings.items()
+    }
+
 
 MULTIPLE_TOLERANCE = 0.02
 """Mean distance of steps from multiples of the least one,

@@ -9,7 +9,7 @@ import pytest
 from bodylog import body
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.faults import encoder_offset
-from bodylog.estimation.faults.offset_score import _score_offsets, offset_score
+from bodylog.estimation.faults.encoder_offset import _score_offsets, offset_score
 from bodylog.estimation.inference.gauss_newton import solve_by_gauss_newton
 from bodylog.estimation.methods import filtering
 from bodylog.settings import EstimationSettings, Settings

@@ -9,7 +9,6 @@ from scipy.integrate import trapezoid
 
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.noise import evidence_search
-from bodylog.estimation.noise import smoother_process as least
 from bodylog.settings import EstimationSettings
 from tests.estimation import conftest
 from tests.estimation.free_motion import white
@@ -34,7 +33,7 @@ def test_the_move_at_the_least_error_follows_from_the_spectrum(order, beyond):
 
     passed, spectrum = 1.0 / (1.0 + u ** (2 * order)), u**-power
     noise, moved = whole(passed**2), np.square(passed * (1.0 - passed))
-    strength = (least.move_at_least(power, order) - 1.0) * whole(moved) / whole(moved * spectrum)
+    strength = (evidence_search.move_at_least(power, order) - 1.0) * whole(moved) / whole(moved * spectrum)
     motion = strength * whole((1.0 - passed) ** 2 * spectrum)
     assert noise == pytest.approx((1.0 - 0.5 / order) * whole(passed), rel=2e-3)
     assert motion == pytest.approx(noise / (power - 1.0), rel=2e-3)

@@ -9,7 +9,7 @@ from bodylog.errors import EvidenceError
 from bodylog.estimation import METHODS, estimate_from_features
 from bodylog.estimation.faults.repeats import find_frozen_readings
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
-from bodylog.estimation.methods.finite import require_finite_estimate
+from bodylog.estimation.methods.consistency import require_finite_estimate
 from bodylog.settings import EstimationSettings
 from tests.estimation import conftest as worlds
 from tests.estimation.resting import Drawn, drawn, judged

@@ -16,10 +16,8 @@ from bodylog.body_model import BodyModel
 from bodylog.errors import LogError, ModelError, UsageError
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.inference.filter_records import FilterDynamics
-from bodylog.estimation.inference.instant import Line
-from bodylog.estimation.inference.sequential import SequentialFilter
-from bodylog.estimation.inference.step import FilterStep
-from bodylog.estimation.live.estimator import Belief, LiveEstimator
+from bodylog.estimation.inference.sequential import FilterStep, Line, SequentialFilter
+from bodylog.estimation.live import Belief, LiveEstimator
 from bodylog.estimation.measurements import touch
 from bodylog.estimation.noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.settings import EstimationSettings, Settings

@@ -8,8 +8,8 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.inference import gauss_newton, walk
 from bodylog.estimation.measurements.records import Sighting
+from bodylog.estimation.measurements.timeline import GAP_STEPS, list_track_sets
 from bodylog.estimation.methods import filtering
-from bodylog.estimation.noise.visibility import GAP_STEPS, list_track_sets
 from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import Arm
 

@@ -8,10 +8,10 @@ from scipy.linalg import expm, solve_continuous_lyapunov
 
 from bodylog.errors import UsageError
 from bodylog.estimation.inference import gauss_newton, reacquisition
+from bodylog.estimation.inference.filter_records import Stationary
 from bodylog.estimation.inference.silence import smooth_across_silence
-from bodylog.estimation.inference.stationary import Stationary
 from bodylog.estimation.inference.walk import filter_sequentially
-from bodylog.estimation.live.estimator import LiveEstimator
+from bodylog.estimation.live import LiveEstimator
 from bodylog.estimation.methods import filtering, smoother
 from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import discretised

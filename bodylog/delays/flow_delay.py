@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...types import Array, Series
-from .delay_profile import Delay, fit_profile_peak, jackknife_error
+from ..estimation.timing.delay_profile import Delay, fit_profile_peak, jackknife_error
+from ..types import Array, Series
 
 EARLIEST_S = -0.3
 LATEST_S = 0.5

@@ -1,1 +1,0 @@
-"""The live filter: the batch filter's steps, run as readings arrive."""

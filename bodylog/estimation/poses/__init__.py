@@ -1,1 +1,0 @@
-"""Still poses without motion between them: each one is estimated separately."""
