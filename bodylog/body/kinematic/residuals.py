@@ -235,7 +235,7 @@ def with_periodic_errors(rig: Rig, rows: ResidualRows, part: ResidualPart) -> Re
     )
     columns = rig.of_joints.start + joints
     by_angle = rows.design[..., columns] / rig.prior[1][columns] * PERIODIC_STD_RAD
-    angles = part.view.q[part.view.picture][:, None, joints]
+    angles = part.view.readings[part.view.picture][:, None, joints]
     design = np.concatenate(
         [rows.design, by_angle * np.cos(angles), by_angle * np.sin(angles)], axis=-1
     )
@@ -250,7 +250,7 @@ def _choose_inducing_centres(part: ResidualPart) -> Array:
 
 def _relinearise_residuals(rig: Rig, index: int, theta: Array, part: ResidualPart) -> ResidualRows:
     """The rows of a thing about another θ, with the same noise."""
-    seen = rig.see(rig.sights[index], theta, part.view.q, part.view.log)
+    seen = rig.see(rig.sights[index], theta, part.view.readings, part.view.log)
     return linearise_residuals(rig, theta, part.pairs, seen, part.view, part.rows.spread)
 
 
