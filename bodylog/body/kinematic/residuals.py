@@ -266,8 +266,6 @@ def forward_models(
     share = np.broadcast_to(part.rows.spread.share, part.pairs.y.shape[1])
     root = (rig.prior[1][:, None] * found.root)[used]
     lean = np.einsum("dpm,pk->dkm", solved.lean, found.root)
-    values, vectors = np.linalg.eigh(printed.curvature / rig.prior[1] / rig.prior[1][:, None])
-    unsure = rig.prior[1][:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     centres = _choose_inducing_centres(part)
     chain = printed.rig.sights[index].chain
     moved = not np.array_equal(chain.fixed, rig.sights[index].chain.fixed)
@@ -288,7 +286,6 @@ def forward_models(
             lean=lean * near,
             drift=part.drift * share,
             printed=printed.theta[used],
-            unsure=unsure[used],
             resting=chain.fixed if moved else None,
         )
     return made
