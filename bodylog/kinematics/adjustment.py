@@ -3,7 +3,7 @@ with joints' zeros within the error bars of what is known.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -100,11 +100,10 @@ def adjust(rig: Rig, data: Sequence[Posed], theta: Array, noise: Array, known: K
             prior = _with_known(prior, part, weight, std)
             found = _adjusted(rig, data, found.theta, found.noise, prior)
     unit = std * std[:, None]
-    away = found.theta[known.rows] - known.mean
-    known = replace(known, covariance=known.covariance + np.outer(away, away))
+    away = found.theta - known.mean
+    covariance = known.covariance + np.outer(away, away)
     inverse_of_loss = np.linalg.inv(found.normal.matrix)
-    covariance = _covariance(found.normal, prior.precision, known, std)
-    return Adjusted(rig, found.theta, covariance * unit, inverse_of_loss * unit, left_out)
+    return Adjusted(rig, found.theta, covariance, inverse_of_loss * unit, left_out)
 
 
 def _known_zeros(rig: Rig, known: Known) -> Known:
@@ -318,22 +317,6 @@ def _noise(
     return variance_by_kind(total, count, known, _LEAST_NOISE)
 
 
-def _covariance(found: _Normal, precision: Array, known: Known, std: Array) -> Array:
-    """Covariance (P,P) of θ in prior deviations: that of the
-    known rows, and the rest about them by the jackknife.
-    """
-    rows = known.rows
-    rest = np.setdiff1d(np.arange(len(std)), rows)
-    follow = np.zeros((len(std), len(rows)))
-    follow[rows] = np.eye(len(rows))
-    follow[rest] = -np.linalg.solve(
-        found.matrix[np.ix_(rest, rest)], found.matrix[np.ix_(rest, rows)]
-    )
-    covariance = follow @ (known.covariance / std[rows] / std[rows, None]) @ follow.T
-    covariance[np.ix_(rest, rest)] += _jackknife(found, precision, rest)
-    return np.asarray(covariance)
-
-
 def _left_out_losses(found: _Normal) -> Array:
     """Loss (G,) of each group about θ without it, along the quadratic loss about θ."""
     moved = np.linalg.solve(found.matrix - found.matrices, found.pulls[..., None])[..., 0]
@@ -342,18 +325,3 @@ def _left_out_losses(found: _Normal) -> Array:
         + 2.0 * np.einsum("gp,gp->g", moved, found.pulls)
         + np.einsum("gp,gpq,gq->g", moved, found.matrices, moved)
     )
-
-
-def _jackknife(found: _Normal, precision: Array, rows: Array) -> Array:
-    """Covariance of some rows (K,) of θ, the others held: how
-    they scatter as each group is left out, and their prior.
-
-    It holds whatever the residuals' distribution and their correlation within a group (Bell &
-    McCaffrey 2002 compare such estimates; the jackknife errs to the wide side).
-    """
-    own = np.ix_(rows, rows)
-    inverse = np.linalg.inv(found.matrix[own])
-    without = found.matrix[own] - found.matrices[:, rows[:, None], rows]
-    moved = np.linalg.solve(without, found.pulls[:, rows, None])[..., 0]
-    count = len(moved)
-    return np.asarray(moved.T @ moved * (count - 1) / count + inverse @ precision[own] @ inverse)

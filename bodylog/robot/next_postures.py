@@ -1,4 +1,4 @@
-"""Which postures to record next for a calibration:
+"""Which postures to record next for a body:
 within a URDF's limits, or among those of a table.
 """
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 def propose_next_postures(
     body: Path, count: int, urdf: Path | None, among: Path | None
 ) -> "Proposal":
-    """The postures that narrow a body's calibration most,
+    """The postures that tell a body most about all others,
     of a table of postures or at random within joint limits.
 
     UsageError without a URDF and a table.
@@ -63,7 +63,7 @@ def posture_lines(found: "Proposal") -> Iterator[str]:
     slides), and the error in the image that it leaves.
     """
     yield (
-        f"now the calibration predicts {'images' if found.unit == 'px' else 'points'} to ± "
+        f"now the body predicts {'images' if found.unit == 'px' else 'points'} to ± "
         f"{found.std_px[0]:.2f} {found.unit}; record, in this order:"
     )
     for number, (posture, left) in enumerate(zip(found.postures, found.std_px[1:], strict=True), 1):

@@ -60,6 +60,24 @@ def test_frame_tools_and_zeros_are_within_their_error_bars(arm, learned):
     assert found.trackers[0].place_std.max() < 0.01 and max(one.place_std.max() for one in found.markers) < 0.005
 
 
+@pytest.mark.parametrize(("seed", "joint"), [(1, "pan"), (2, "pan"), (3, "pan"), (1, "lift"), (2, "lift"), (3, "elbow")])
+def test_a_joint_that_stood_still_has_no_zero_or_an_honest_one(seed, joint):
+    """The tracker's frame takes up the first joint's zero; that of another shows through the joints around it."""
+    one = draw_tracked_arm(seed, poses=40, still=robots.JOINTS.index(joint))
+    found = calibration_of_body(learn(one.features).model)
+    by_joint = {zero.joint: zero for zero in found.zeros}
+    if joint == "pan":
+        assert not by_joint["pan"].identifiable and by_joint["pan"].std > 0.9 * by_joint["pan"].beforehand
+        assert by_joint["pan"].confused[0].startswith("tracker's turn")
+        lines = calibration.zero_lines(found.zeros)
+        assert any(line.startswith("pan") and "not identifiable: tracker's turn" in line for line in lines)
+        assert calibration.calibration_as_values(found)["zeros"]["pan"]["value"] is None
+    for name, true in zip(robots.JOINTS, one.zeros, strict=True):
+        zero = by_joint[name]
+        assert not zero.identifiable or abs(zero.value - true) < 3.0 * zero.std
+    assert sum(zero.identifiable for zero in found.zeros) == (1 if joint == "pan" else 2)
+
+
 @pytest.mark.soak
 def test_error_bars_are_those_of_the_scatter_over_drawn_arms():
     seeds = range(100, 140)
@@ -200,6 +218,10 @@ def test_real_arm_is_predicted_to_a_quarter_of_a_millimetre_by_its_calibration(m
     off = [np.linalg.norm(seen - predicted, axis=1) for predicted in (sense.kinematics(q), sense.means(q)[0])]
     alone, both = (np.sqrt(np.nanmean(np.square(one))) for one in off)
     assert alone < 0.25 and both < 0.12
+    # the first joint of the chain stood still: a tracker's frame turns as it does
+    zeros = {one.joint: one for one in calibration_of_body(found).zeros}
+    assert {name for name, one in zeros.items() if not one.identifiable} == {"external_E", "left_S", "left_T"}
+    assert zeros["external_E"].confused[0].startswith("tracker's turn")
 
 
 @pytest.mark.soak

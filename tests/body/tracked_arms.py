@@ -25,14 +25,18 @@ class TrackedArm:
     frame: np.ndarray
 
 
-def draw_tracked_arm(seed: int, poses: int = 60, targets: int = 2) -> TrackedArm:
+def draw_tracked_arm(seed: int, poses: int = 60, targets: int = 2, still: int | None = None) -> TrackedArm:
     """An arm with zeros, periodic errors of joints and their repeatability as the fit has them for its priors.
 
     The zeros of the first and of the last joint are 0: nothing tells them from the tracker's and the tools' places.
+    still: a joint that does not move, and is off by 3°.
     """
     draw = np.random.default_rng(seed)
     q = robots.angles(poses, seed + 100)
     zeros = np.array([0.0, *draw.normal(0.0, np.radians(2.0), 2), 0.0])
+    if still is not None:
+        q[:, still] = q[0, still]
+        zeros[still] = np.radians(3.0)
     a, b = draw.normal(0.0, 1e-3, (2, 4))
     true = q + zeros + a * np.cos(q) + b * np.sin(q) + draw.normal(0.0, 1e-4, q.shape)
     seen_from = make_transform(rotation_from_vector(draw.normal(0.0, 1.0, 3)), draw.normal(0.0, 2.0, 3))

@@ -91,14 +91,3 @@ def test_zeros_stay_near_what_is_known_and_the_step_widens_them():
     assert 0.8 * ZERO_SIGMA < abs(away[lift] / sigma) < 1.2 * ZERO_SIGMA
     assert (np.abs(away) < 1.1 * MOST_SIGMA * np.sqrt(np.diag(known.covariance))).all()
     np.testing.assert_allclose(found.covariance, known.covariance + np.outer(away, away), rtol=1e-9, atol=1e-18)
-
-
-def test_covariance_of_what_is_not_known_is_the_scatter_over_seeds():
-    """Camera and lens about known zeros: the jackknife against the scatter over drawn images."""
-    rows = np.arange(RIG.of_joints.start, RIG.of_joints.stop)
-    known = Known(rows, TRUTH[rows], np.diag(np.full(len(rows), 1e-8)))
-    found = [adjusted(seed, known) for seed in range(30)]
-    point = RIG.of_carrier(0)
-    scatter = np.var([one.theta[point] for one in found], axis=0, ddof=1)
-    stated = np.mean([np.diag(one.covariance)[point] for one in found], axis=0)
-    assert ((scatter / stated > 0.3) & (scatter / stated < 1.5)).all()

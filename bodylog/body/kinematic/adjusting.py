@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...kinematics.adjustment import Adjusted, Known, Posed, adjust
+from ...kinematics.calibration import Calibrated
 from ...kinematics.chain import chain_between
 from ...kinematics.identifiability import GIVEN
 from ...kinematics.links import FoundLinks, Space
@@ -17,6 +18,7 @@ from ...types import Array, Features, Series
 from ..data.pairs import Pairs
 from ..senses import encoder_function
 from .placements import Calibration, calibration_of, printed_unknowns
+from .residuals import Together, solve_together
 from .sag import Sag
 from .sightings import ThingSightings
 
@@ -70,58 +72,86 @@ class Surroundings:
     resting: Resting | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class Widened:
+    """A rig whose unknowns include the zeros of joints that
+    stood still, `names`, and what a process leaves of them.
+
+    start (P,): θ without a process, and with those zeros at 0.
+    """
+
+    rig: Rig
+    start: Array
+    names: tuple[str, ...]
+    both: Together
+
+
+def include_resting_joints(
+    found: Calibrated, both: Together, shown: Mapping[str, ThingSightings], beside: Surroundings
+) -> Widened:
+    """Learn the unknowns beside the process anew, together
+    with the zeros of joints that stood still.
+
+    What such a zero imitates, as a tracker's turn does, is as little known as the zero itself.
+    shown: the sightings, one for each sight.
+    """
+    resting = beside.resting
+    rig = found.rig
+    names = () if resting is None else _resting_joints(rig, resting)
+    if resting is None or not names:
+        return Widened(rig, found.theta, (), both)
+    wide = _widened(rig, names, resting)
+    start, theta = (_with_zeros(rig, one, wide) for one in (found.theta, both.theta))
+    parts = {}
+    for name, part in both.parts.items():
+        further = _further_readings(shown[name].whole, names, beside.logs)
+        parts[name] = replace(part, view=replace(part.view, further=further))
+    return Widened(wide, start, names, solve_together(wide, theta, parts))
+
+
 def adjust_calibration(
     links: FoundLinks,
-    parts: Mapping[str, ThingSightings],
+    shown: Mapping[str, ThingSightings],
     beside: Surroundings,
-    theta: Array,
-    covariance: Array,
+    wide: Widened,
     sag: Sag | None = None,
 ) -> tuple[Calibration, Adjusted, Adjusted]:
     """The calibration of least error, the adjustment behind it,
     and that of the body's own unknowns, as printed.
 
-    parts: the sightings, one for each sight.
-    theta (P,), covariance (P,P): of the rig of `links` beside a process of residuals. With sag its
-    own θ and covariance take their place, and each joint's compliance is one more unknown.
+    shown: the sightings, one for each sight. With sag its own θ and covariance take the place of
+    those beside the process, and each joint's compliance is one more unknown.
     """
-    rig = links.calibrated.rig
-    start = links.calibrated.theta
-    names = tuple[str, ...]()
-    rows = np.arange(len(theta))
-    if beside.resting is not None:
-        names = _resting_joints(rig, beside.resting)
-        rig, start = _widened(rig, start, names, beside.resting)
-    # zeros of further joints stand after the others, before the scales
-    moved = np.where(rows < links.calibrated.rig.of_scales.start, rows, rows + len(names))
-    known = Known(moved, theta, covariance)
-    if sag is not None:
-        doubt = np.concatenate(
-            [np.full(len(sag.compliance), sag.doubt), np.full(len(names), _FIXED)]
-        )
-        rig = replace(rig, sag_doubt=doubt)
-        start = np.concatenate([start, np.zeros(len(doubt))])
-        sagging = rig.of_sag.start + np.arange(len(sag.compliance))
-        mean = np.concatenate([sag.theta, sag.compliance])
-        known = Known(np.concatenate([moved, sagging]), mean, sag.covariance)
-    groups = _groups([one.whole for one in parts.values()], beside.logs)
-    data = [
-        _posed(one, group, names, beside.logs, sag)
-        for one, group in zip(parts.values(), groups, strict=True)
-    ]
-    found = adjust(rig, data, start, links.calibrated.noise, known)
-    own = np.ix_(moved, moved)
-    given = printed_unknowns(found)
     narrow = links.calibrated.rig
-    if names:
+    rig = wide.rig
+    theta = wide.both.theta
+    std = rig.prior[1]
+    covariance = std * (wide.both.root @ wide.both.root.T) * std[:, None]
+    if sag is not None:
+        rig = replace(rig, sag_doubt=np.full(len(sag.compliance), sag.doubt))
+        theta = np.concatenate([sag.theta, sag.compliance])
+        covariance = sag.covariance
+    known = Known(np.arange(len(theta)), theta, covariance)
+    groups = _groups([one.whole for one in shown.values()], beside.logs)
+    data = [
+        _posed(one, group, wide.names, beside.logs, sag)
+        for one, group in zip(shown.values(), groups, strict=True)
+    ]
+    start = np.concatenate([wide.start, np.zeros(len(rig.sag_doubt))])
+    found = adjust(rig, data, start, links.calibrated.noise, known)
+    # zeros of further joints stand after the others, before the scales
+    rows = np.arange(len(narrow.prior[0]))
+    own = np.where(rows < narrow.of_scales.start, rows, rows + len(wide.names))
+    given = printed_unknowns(found)
+    if wide.names:
         zeros = dict(zip(rig.joints, given[rig.of_joints], strict=True))
         narrow = _with_resting_zeros(narrow, zeros, beside.resting)
     printed = replace(
         found,
         rig=narrow,
-        theta=given[moved],
-        covariance=found.covariance[own],
-        curvature=found.curvature[own],
+        theta=given[own],
+        covariance=found.covariance[np.ix_(own, own)],
+        curvature=found.curvature[np.ix_(own, own)],
     )
     return calibration_of(found), found, printed
 
@@ -150,21 +180,24 @@ def _resting_joints(rig: Rig, resting: Resting) -> tuple[str, ...]:
     return tuple(name for name in found if name in resting.still and name not in rig.joints)
 
 
-def _widened(rig: Rig, theta: Array, names: tuple[str, ...], resting: Resting) -> tuple[Rig, Array]:
-    """The rig and θ with further joints, whose zeros are 0 at first and whose scales stay 1."""
-    if not names:
-        return rig, theta
+def _widened(rig: Rig, names: tuple[str, ...], resting: Resting) -> Rig:
+    """The rig with further joints, whose scales stay 1."""
     joints = (*rig.joints, *names)
     space = Space(resting.robot, joints, resting.still, resting.doubt)
     sights = tuple(
         replace(one, chain=space.chain(one.chain.start, one.chain.end)) for one in rig.sights
     )
     doubt = np.concatenate([rig.doubt, space.zero_std(names)])
-    scaled = len(rig.scale_doubt) > 0
-    scale_doubt = np.concatenate([rig.scale_doubt, np.full(len(names) if scaled else 0, _FIXED)])
-    wide = replace(rig, joints=joints, sights=sights, doubt=doubt, scale_doubt=scale_doubt)
-    theta = np.insert(theta, [rig.of_joints.stop] * len(names), 0.0)
-    return wide, np.concatenate([theta, np.zeros(len(names) if scaled else 0)])
+    scaled = len(names) if len(rig.scale_doubt) else 0
+    scale_doubt = np.concatenate([rig.scale_doubt, np.full(scaled, _FIXED)])
+    return replace(rig, joints=joints, sights=sights, doubt=doubt, scale_doubt=scale_doubt)
+
+
+def _with_zeros(rig: Rig, theta: Array, wide: Rig) -> Array:
+    """θ (P,) of a rig with further joints, whose zeros are 0."""
+    further = len(wide.joints) - len(rig.joints)
+    theta = np.insert(theta, [rig.of_joints.stop] * further, 0.0)
+    return np.concatenate([theta, np.zeros(len(wide.scale_doubt) - len(rig.scale_doubt))])
 
 
 _FIXED = 1e-9
@@ -179,16 +212,21 @@ def _posed(
     sag: Sag | None,
 ) -> Posed:
     """Sightings for the adjustment, with the readings of further joints, and with the torques."""
-    further = np.zeros((len(one.whole.x), len(names)))
-    for log in np.unique(one.whole.log):
-        rows = np.flatnonzero(one.whole.log == log)
-        further[rows] = _readings(logs[log], names, one.whole.t[rows])
-    readings = [one.whole.x, further]
+    further = _further_readings(one.whole, names, logs)
+    q = np.concatenate([one.whole.x, further], axis=1)
     if sag is not None:
-        readings += [sag.weights.torques(one.whole.x), np.zeros(further.shape)]
-    sighted = replace(one.sighted, q=np.concatenate(readings, axis=1))
+        q = np.concatenate([q, sag.weights.torques(q)], axis=1)
     variance = np.concatenate([one.whole.variance, np.zeros(further.shape)], axis=1)
-    return Posed(sighted, variance, one.whole.log, group)
+    return Posed(replace(one.sighted, q=q), variance, one.whole.log, group)
+
+
+def _further_readings(whole: Pairs, names: Sequence[str], logs: Sequence[Recording]) -> Array:
+    """Readings (N,K), rad or m, of joints that stood still, at each image."""
+    found = np.zeros((len(whole.x), len(names)))
+    for log in np.unique(whole.log) if names else ():
+        rows = np.flatnonzero(whole.log == log)
+        found[rows] = _readings(logs[log], names, whole.t[rows])
+    return found
 
 
 def _readings(log: Recording, names: Sequence[str], t: Array) -> Array:

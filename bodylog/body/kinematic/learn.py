@@ -20,7 +20,14 @@ from .. import exploration_report
 from ..gp.model import GP
 from ..learning import LearnedBody
 from ..senses import encoder_function
-from .adjusting import Resting, Surroundings, adjust_calibration, recorded_logs
+from .adjusting import (
+    Resting,
+    Surroundings,
+    Widened,
+    adjust_calibration,
+    include_resting_joints,
+    recorded_logs,
+)
 from .lengths import find_stretched_link
 from .model import KinematicGP
 from .move_findings import move_findings
@@ -255,14 +262,12 @@ def learn_residuals(
     worst = min(gains, key=lambda name: gains[name])
     if gains[worst] < 0.0:
         return leave_urdf_unused(found, f"{worst} is {-gains[worst]:.0f} nats likelier without it")
-    covariance = rig.prior[1] * (both.root @ both.root.T) * rig.prior[1][:, None]
-    calibration, adjusted, printed = adjust_calibration(
-        links, shown, beside, both.theta, covariance
-    )
-    sag = _find_sag(links, both, beside)
+    wide = include_resting_joints(calibrated, both, shown, beside)
+    calibration, adjusted, printed = adjust_calibration(links, shown, beside, wide)
+    sag = _find_sag(wide, beside)
     described = dict[str, str]()
     if sag is not None:
-        sagging, bent, _ = adjust_calibration(links, shown, beside, both.theta, covariance, sag)
+        sagging, bent, _ = adjust_calibration(links, shown, beside, wide, sag)
         share = left_out_share(adjusted, bent)
         described[SAG] = describe_sag(share, sagging)
         if share < 1.0:
@@ -300,14 +305,14 @@ def learn_residuals(
     )
 
 
-def _find_sag(links: FoundLinks, both: Together, beside: Surroundings) -> Sag | None:
+def _find_sag(wide: Widened, beside: Surroundings) -> Sag | None:
     """Sag beside the process; None where the URDF has no masses, or zeros are given."""
     resting = beside.resting
-    rig = links.calibrated.rig
     if resting is None or resting.doubt <= GIVEN:
         return None
+    rig = wide.rig
     weights = collect_weights(resting.robot, rig.joints, resting.still)
-    return solve_with_sag(rig, both.theta, both.parts, weights) if weights.parts else None
+    return solve_with_sag(rig, wide.both.theta, wide.both.parts, weights) if weights.parts else None
 
 
 def _remove_tracks(found: LearnedBody, tracks: set[str]) -> LearnedBody:

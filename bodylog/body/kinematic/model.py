@@ -30,9 +30,9 @@ class KinematicGP(GP):
     root's columns · drift (D,) px²: variance of an error that lasts longer than a log · base: the
     chain from the robot's root to the marker, or to a moving camera, if known.
 
-    printed (P,): θ of the calibration, which has the least error without the process · unsure
-    (P,w): the inverse of its information is unsure unsureᵀ · resting (K+1,4,4): the fixed steps of
-    the chain with the zeros of joints that stood still, as printed; None where none did.
+    printed (P,): θ of the calibration, which has the least error without the process · resting
+    (K+1,4,4): the fixed steps of the chain with the zeros of joints that stood still, as printed;
+    None where none did.
     """
 
     rig: Rig
@@ -41,7 +41,6 @@ class KinematicGP(GP):
     lean: Array
     drift: Array
     printed: Array
-    unsure: Array
     base: Base | None = None
     resting: Array | None = None
 
@@ -95,13 +94,6 @@ class KinematicGP(GP):
         """Predict points (C,3) m of the marker at x (N,M) rad by the calibration: (N,C,2) px."""
         sight = replace(self._printed_sight, points=points)
         return np.asarray(self.rig.see(sight, self.printed, np.atleast_2d(x)).image)
-
-    def calibration_doubt(self, x: Array) -> Array:
-        """Effect (N,D,w), px, of one standard deviation of each
-        direction of the calibration that images leave open.
-        """
-        seen = self.rig.see(self._printed_sight, self.printed, x)
-        return np.asarray(seen.design[:, 0] @ self.unsure)
 
     def design(self, x: Array) -> Array:
         """Derivative by θ of kinematics and camera at x (N,M) rad: (N,D,P) px per unit of θ."""

@@ -1,9 +1,9 @@
-"""Which postures to record next: those whose sightings
-would narrow the calibration most, one after the other.
+"""Which postures to record next: those after which a body is least
+unsure of what every other posture would show.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,7 +18,11 @@ from .placements import CALIBRATION, IMAGE_SIZES
 CANDIDATES = 2000
 """Random postures that are weighed."""
 _MOST_VISIBLE = 300
-"""Visible ones that are weighed; the cost is quadratic in them."""
+"""Visible ones that are weighed, and predicted; the cost is quadratic in them."""
+_MOST_ROWS = 1200
+"""Coordinates of all tracks at all those postures."""
+_PASSES = 3
+"""Most times that each posture chosen is exchanged for the best beside the others."""
 _NEAREST = 0.5
 _FARTHEST = 2.0
 """Depths of postures, over the least and the greatest depth of the sightings learned from."""
@@ -32,11 +36,12 @@ _SEED = 0
 @dataclass(frozen=True, eq=False)
 class Proposal:
     """Postures (N,M), rad or m where `sliding`, in the order
-    of their worth · nats (N,) each adds to the ones before.
+    of their worth · nats (N,): by how much each one, after those before it, lowers the entropy of a
+    coordinate that a visible posture would show.
 
-    std_px (N+1,): root mean square std of where visible postures will be seen, by what the
-    calibration does not know: now, and after each posture; px in images, and mm in space
-    where there are no images.
+    std_px (N+1,): root mean square std of where visible postures will be seen, by what the body
+    does not know: now, and after each posture; px in images, and mm in space where there are no
+    images.
     """
 
     joints: tuple[str, ...]
@@ -47,14 +52,60 @@ class Proposal:
     unit: str = "px"
 
 
-def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal:
-    """The best of some postures (K,M) to record, chosen
-    greedily by the nats that each adds about the calibration.
+@dataclass(frozen=True, eq=False)
+class _Predicted:
+    """What a body predicts of K postures, R coordinates each: covariance (KR,KR), without noise ·
+    noise (K,R) of a sighting · there (K,): which show a track at all · known (KR,): coordinates of
+    visible tracks, which are to be predicted well.
+    """
 
-    Predictions are Gaussian together, through the unknowns that the adjustment's information leaves
-    open, and each posture adds most to the determinant of that information, given those before it
-    (D-optimality; Fedorov 1972). EvidenceError
-    where too few are visible.
+    covariance: Array
+    noise: Array
+    there: Array
+    known: Array
+
+    def after(self, taken: Sequence[int]) -> "_Predicted":
+        """The same once some postures are seen (R&W 2.24)."""
+        width = self.noise.shape[1]
+        rows = (width * np.array(taken, int)[:, None] + np.arange(width)).reshape(-1)
+        inner = self.covariance[np.ix_(rows, rows)] + np.diag(self.noise[taken].reshape(-1))
+        lean = np.linalg.solve(np.linalg.cholesky(inner), self.covariance[rows])
+        return replace(self, covariance=self.covariance - lean.T @ lean)
+
+    def entropies(self) -> Array:
+        """Mean entropy (K,), nats, of a known coordinate after each posture; inf where unseen."""
+        width = self.noise.shape[1]
+        known = self.covariance[self.known]
+        noise = self.noise.reshape(-1)[self.known]
+        variance = np.diag(self.covariance)[self.known]
+        found = np.full(len(self.noise), np.inf)
+        for k in np.flatnonzero(self.there):
+            rows = slice(k * width, (k + 1) * width)
+            inner = self.covariance[rows, rows] + np.diag(self.noise[k])
+            less = np.einsum("nr,rn->n", known[:, rows], np.linalg.solve(inner, known[:, rows].T))
+            found[k] = 0.5 * np.log(np.maximum(variance - less, 0.0) + noise).mean()
+        return found
+
+    @property
+    def entropy(self) -> float:
+        """Mean entropy, nats, of a known coordinate, but for a constant."""
+        variance = np.maximum(np.diag(self.covariance), 0.0) + self.noise.reshape(-1)
+        return float(0.5 * np.log(variance[self.known]).mean())
+
+    @property
+    def rms_std(self) -> float:
+        """Root mean square std of the known coordinates."""
+        return float(np.sqrt(max(float(np.diag(self.covariance)[self.known].mean()), 0.0)))
+
+
+def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal:
+    """The best of some postures (K,M) to record: after
+    them the body predicts all visible ones of them best.
+
+    Best is least mean entropy: each prediction counts by its share, so that the postures of which
+    the body is least sure, and its error bars least true, do not decide alone. The postures are
+    chosen one by one, and each is then exchanged for the best beside the others (Fedorov 1972).
+    EvidenceError where too few are visible.
     """
     senses = kinematic_senses(body, CALIBRATION)
     shown = [is_surely_visible(body, sense, candidates) for sense in senses.values()]
@@ -63,79 +114,83 @@ def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal
         raise EvidenceError(
             f"only {len(seen)} of {len(candidates)} postures would be seen, {count} are needed"
         )
-    seen = seen[
-        np.unique(np.linspace(0, len(seen) - 1, min(len(seen), _MOST_VISIBLE)).round().astype(int))
-    ]
-    there = np.array(shown)[:, seen]
-    covariance, noise = _predict_all_tracks(body, senses, candidates[seen], there)
-    units = [sense.unit for sense in senses.values()]
-    unit = "px" if "px" in units else units[0]
-    counts = there & (np.array(units) == unit)[:, None]
-    sizes = [len(sense.outputs) for sense in senses.values()]
-    known = np.repeat(counts.T, sizes, axis=1).reshape(-1)
-    nats = list[float]()
-    left = [_rms_std_of_visible(covariance, known)]
-    chosen = list[int]()
+    width = sum(len(sense.outputs) for sense in senses.values())
+    most = min(len(seen), _MOST_VISIBLE, max(count, _MOST_ROWS // width))
+    seen = seen[np.linspace(0, len(seen) - 1, most).round().astype(int)]
+    predicted, unit = _predict_all_tracks(body, senses, candidates[seen], np.array(shown)[:, seen])
+    chosen = _choose_postures(predicted, count)
+    # recorded in the order in which they tell most
+    left = [predicted]
+    order = list[int]()
     for _ in range(count):
-        best, gained = _most_useful(covariance, noise, there, chosen)
-        rows = _posture_rows(best, len(noise[0]))
-        inner = covariance[np.ix_(rows, rows)] + np.diag(noise[best])
-        covariance = covariance - covariance[:, rows] @ np.linalg.solve(inner, covariance[rows])
-        chosen.append(best)
-        nats.append(gained)
-        left.append(_rms_std_of_visible(covariance, known))
+        entropies = left[-1].entropies()
+        order.append(min(set(chosen) - set(order), key=lambda k: (entropies[k], k)))
+        left.append(left[-1].after(order[-1:]))
     rig = next(iter(senses.values())).rig
     sliding = tuple(rig.slides(m) for m in range(len(body.joints)))
-    return Proposal(
-        body.joints, sliding, candidates[seen[chosen]], np.array(nats), np.array(left), unit
-    )
+    nats = -np.diff([one.entropy for one in left])
+    std = np.array([one.rms_std for one in left])
+    return Proposal(body.joints, sliding, candidates[seen[order]], nats, std, unit)
+
+
+def _choose_postures(predicted: _Predicted, count: int) -> list[int]:
+    """The numbers of `count` postures of least entropy: one by one, then exchanged."""
+    chosen = list[int]()
+    told = predicted
+    for _ in range(count):
+        chosen.append(_best_posture(told, chosen))
+        told = told.after(chosen[-1:])
+    for _ in range(_PASSES):
+        before = chosen.copy()
+        for place in range(count):
+            others = chosen[:place] + chosen[place + 1 :]
+            chosen[place] = _best_posture(predicted.after(others), others)
+        if chosen == before:
+            break
+    return chosen
+
+
+def _best_posture(predicted: _Predicted, taken: Sequence[int]) -> int:
+    """The posture, not among those taken, after which the predictions have least entropy."""
+    entropies = predicted.entropies()
+    entropies[list(taken)] = np.inf
+    return int(np.argmin(entropies))
 
 
 def _predict_all_tracks(
     body: BodyModel, senses: Mapping[str, KinematicGP], x: Array, there: Array
-) -> tuple[Array, Array]:
-    """Covariance (KR,KR) of the predictions of all tracks
-    at x (K,M) by the calibration, posture by posture, and noise (K,R).
+) -> tuple[_Predicted, str]:
+    """The predictions of all tracks at x (K,M), posture by posture, and the unit of those that count.
 
-    R: u and v, or x, y and z, of each track, without covariance where it is not there (S,K). The residual process
-    counts as noise: six sightings teach it little beyond their own surroundings.
+    A posture has u and v, or x, y and z, of each track, without covariance where it is not there
+    (S,K). Tracks share the unknowns; each has a residual process of its own.
     """
-    each = zip(senses.values(), there, strict=True)
-    rows = np.concatenate(
-        [np.where(one[:, None, None], sense.calibration_doubt(x), 0.0) for sense, one in each],
+    count = len(x)
+    sizes = [len(sense.outputs) for sense in senses.values()]
+    unknown = np.concatenate(
+        [
+            np.where(one[:, None, None], sense.unknowns(x), 0.0)
+            for sense, one in zip(senses.values(), there, strict=True)
+        ],
         axis=1,
     )
-    count, width = rows.shape[:2]
-    flat = rows.reshape(count * width, -1)
-    covariance = flat @ flat.T
+    width = unknown.shape[1]
+    flat = unknown.reshape(count * width, -1)
+    covariance = (flat @ flat.T).reshape(count, width, count, width)
     noise = np.empty((count, width))
     end = 0
-    for name, sense in senses.items():
-        columns = slice(end, end := end + len(sense.outputs))
-        noise[:, columns] = GP.predict(sense, x)[2] + np.array(body.noise.senses[name])
-    return covariance, noise
-
-
-def _most_useful(
-    covariance: Array, noise: Array, there: Array, taken: list[int]
-) -> tuple[int, float]:
-    """The posture whose sighting adds most nats about the calibration, and how many."""
-    gains = np.full(there.shape[1], -np.inf)
-    for k in np.setdiff1d(np.flatnonzero(there.any(axis=0)), taken).tolist():
-        rows = _posture_rows(k, noise.shape[1])
-        inner = covariance[np.ix_(rows, rows)] + np.diag(noise[k])
-        gains[k] = 0.5 * (np.linalg.slogdet(inner)[1] - np.log(noise[k]).sum())
-    best = int(np.argmax(gains))
-    return best, float(gains[best])
-
-
-def _posture_rows(posture: int, width: int) -> Array:
-    return np.arange(posture * width, (posture + 1) * width)
-
-
-def _rms_std_of_visible(covariance: Array, known: Array) -> float:
-    """Root mean square std of the predictions that are of visible tracks."""
-    return float(np.sqrt(max(float(np.diag(covariance)[known].mean()), 0.0)))
+    for (name, sense), one in zip(senses.items(), there, strict=True):
+        process = GP.covariance(sense, x)[0] * one * one[:, None]
+        for d in range(len(sense.outputs)):
+            covariance[:, end, :, end] += process * sense.share[d]
+            noise[:, end] = body.noise.senses[name][d]
+            end += 1
+    units = [sense.unit for sense in senses.values()]
+    unit = "px" if "px" in units else units[0]
+    counts = there & (np.array(units) == unit)[:, None]
+    known = np.repeat(counts.T, sizes, axis=1).reshape(-1)
+    whole = covariance.reshape(count * width, count * width)
+    return _Predicted(whole, noise, np.any(there, axis=0), known), unit
 
 
 def random_postures(body: BodyModel, limits: Mapping[str, Limits]) -> Array:

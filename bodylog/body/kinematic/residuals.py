@@ -235,7 +235,7 @@ def with_periodic_errors(rig: Rig, rows: ResidualRows, part: ResidualPart) -> Re
     )
     columns = rig.of_joints.start + joints
     by_angle = rows.design[..., columns] / rig.prior[1][columns] * PERIODIC_STD_RAD
-    angles = part.view.q[part.view.picture][:, None, joints]
+    angles = part.view.readings[part.view.picture][:, None, joints]
     design = np.concatenate(
         [rows.design, by_angle * np.cos(angles), by_angle * np.sin(angles)], axis=-1
     )
@@ -250,7 +250,7 @@ def _choose_inducing_centres(part: ResidualPart) -> Array:
 
 def _relinearise_residuals(rig: Rig, index: int, theta: Array, part: ResidualPart) -> ResidualRows:
     """The rows of a thing about another θ, with the same noise."""
-    seen = rig.see(rig.sights[index], theta, part.view.q, part.view.log)
+    seen = rig.see(rig.sights[index], theta, part.view.readings, part.view.log)
     return linearise_residuals(rig, theta, part.pairs, seen, part.view, part.rows.spread)
 
 
@@ -266,8 +266,6 @@ def forward_models(
     share = np.broadcast_to(part.rows.spread.share, part.pairs.y.shape[1])
     root = (rig.prior[1][:, None] * found.root)[used]
     lean = np.einsum("dpm,pk->dkm", solved.lean, found.root)
-    values, vectors = np.linalg.eigh(printed.curvature / rig.prior[1] / rig.prior[1][:, None])
-    unsure = rig.prior[1][:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     centres = _choose_inducing_centres(part)
     chain = printed.rig.sights[index].chain
     moved = not np.array_equal(chain.fixed, rig.sights[index].chain.fixed)
@@ -288,7 +286,6 @@ def forward_models(
             lean=lean * near,
             drift=part.drift * share,
             printed=printed.theta[used],
-            unsure=unsure[used],
             resting=chain.fixed if moved else None,
         )
     return made

@@ -71,7 +71,7 @@ def solve_with_sag(
 
     theta (P,): near the solution.
     """
-    torques = {name: weights.torques(part.view.q) for name, part in parts.items()}
+    torques = {name: weights.torques(part.view.readings) for name, part in parts.items()}
     largest = max(float(np.abs(one).max(initial=0.0)) for one in torques.values())
     if largest == 0.0:
         return None

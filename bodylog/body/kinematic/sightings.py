@@ -65,7 +65,8 @@ class PointMeans:
     picture (n,) of N · share (n,C) of each point.
 
     q (N,M) rad or m · log (N,) of each image · where (C,2): the points on their board, in REACH of
-    its diagonal; (C,0) of a single point.
+    its diagonal; (C,0) of a single point · further (N,K): readings of joints that stood still,
+    where their zeros are unknowns.
     """
 
     q: Array
@@ -73,6 +74,7 @@ class PointMeans:
     where: Array
     picture: Array
     share: Array
+    further: Array | None = None
 
     @property
     def x(self) -> Array:
@@ -80,6 +82,11 @@ class PointMeans:
         process: angles, and the position on the board.
         """
         return np.concatenate([self.q[self.picture], self.share @ self.where], axis=1)
+
+    @property
+    def readings(self) -> Array:
+        """Readings (N,M+K) of all joints of each image."""
+        return self.q if self.further is None else np.concatenate([self.q, self.further], axis=1)
 
     def of(self, values: Array) -> Array:
         """Values (n,…) of the rows from values of all points (N,C,…)."""

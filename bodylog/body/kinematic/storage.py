@@ -13,7 +13,7 @@ from ...types import Array
 from ..gp.model import GP
 from .model import KinematicGP
 
-# k steps and one, h steps, p unknowns, q and w directions of them; digits are sizes
+# k steps and one, h steps, p unknowns, q directions of them; digits are sizes
 SHAPES = {
     "chain": "k44",
     "steps": "h4",
@@ -26,7 +26,6 @@ SHAPES = {
     "lean": "dqn",
     "drift": "d",
     "printed": "p",
-    "unsure": "pw",
     "points": "13",
 }
 BASE = {"base": "x44", "base_steps": "y4", "base_tool": "44"}
@@ -41,7 +40,7 @@ _MARKS = {_SCALED: "unknown", _RESTED: "known"}
 that stood still have zeros.
 """
 _THINGS = ("marker", "camera")
-_UNKNOWNS = ("theta", "root", "lean", "drift", "printed", "unsure")
+_UNKNOWNS = ("theta", "root", "lean", "drift", "printed")
 _NAMES = ("camera", "camera_link", "marker", "marker_link", "sight", "start", "end")
 
 
@@ -77,7 +76,6 @@ def kinematic_arrays(model: KinematicGP) -> dict[str, Array]:
             "lean": model.lean,
             "drift": model.drift,
             "printed": model.printed,
-            "unsure": model.unsure,
             "points": sight.points,
         }
     )
