@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from ..body_model import UNUSED_URDF, WITHOUT_URDF, BodyModel
@@ -27,13 +28,16 @@ def learn_body(
     update: BodyModel | None = None,
     keep: "Keep" = "explained",
     advice: str = "",
+    lasting: Mapping[str, tuple[float, float]] = MappingProxyType({}),
 ) -> "LearnedBody":
     """Call `learning.learn_from_features`; the import
     is late, since predicting needs none of it.
     """
     from . import learning
 
-    return learning.learn_from_features(features, settings, provenance, update, keep, advice)
+    return learning.learn_from_features(
+        features, settings, provenance, update, keep, advice, lasting
+    )
 
 
 def with_kinematics(
@@ -66,6 +70,7 @@ def with_kinematics(
             update,
             "telling",
             _advise_on_vague_track(settings, robot),
+            found.lasting,
         )
     except EvidenceError as problem:
         raise EvidenceError(

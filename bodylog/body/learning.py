@@ -15,6 +15,7 @@ from . import exploration_report, noise_estimates, pose_errors
 from .data import trainable
 from .data.exploration import select_joints
 from .data.pairs import (
+    NO_ERRORS,
     Pairs,
     SmoothedJoint,
     drop_impossible_values,
@@ -41,7 +42,7 @@ class LearnedBody:
 
     poor: tracks, and why, that a Gaussian process alone cannot explain, kept for kinematics ·
     vague: tracks that it explains, and why one image of them tells nothing about the joints ·
-    faint: warnings for joints whose motion the senses hardly show.
+    faint: warnings for joints whose motion the senses hardly show · lasting: errors of encoders.
     """
 
     model: BodyModel
@@ -51,6 +52,7 @@ class LearnedBody:
     poor: Mapping[str, str] = field(default_factory=dict)
     vague: Mapping[str, str] = field(default_factory=dict)
     faint: tuple[Finding, ...] = ()
+    lasting: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @one_thread("scipy.linalg")
@@ -61,12 +63,13 @@ def learn_from_features(
     update: BodyModel | None = None,
     keep: Keep = "explained",
     advice: str = "",
+    lasting: Mapping[str, tuple[float, float]] = NO_ERRORS,
 ) -> LearnedBody:
     """Learn a body model from the features of one or many exploration logs.
 
     A body to update keeps its joints, its given senses, and touch unless a log has
     touches; its own samples count as one more log. `keep`: see `Keep` · advice: what to
-    do about a track that tells nothing. Where logs have a reference, its angles are
+    do about a track that tells nothing · lasting: see `smooth_all_joints`. Where logs have a reference, its angles are
     used and the encoders' function is learned as well.
 
     LogError without joints, ConfigError for an unknown joint, ModelError for another robot's body,
@@ -77,7 +80,7 @@ def learn_from_features(
     angled = [encoder_function.with_true_angles(f, update) for f in features]
     if update is None and not any(name != "hand" for f in features for name in f.tracks):
         raise EvidenceError(_nothing_seen(angled))  # before joints are smoothed, which takes long
-    available = smooth_all_joints(angled, wanted)
+    available = smooth_all_joints(angled, wanted, lasting)
     chosen = _choose_moved_joints(angled, available, wanted)
     chosen, unseen = (chosen, []) if wanted else select_joints(features, chosen, settings.fit)
     corners = _board_of_each_corner(features) if keep == "all" else {}
@@ -124,6 +127,7 @@ def learn_from_features(
         {name: reason for name, reason in poor.items() if name in senses},
         vague,
         tuple(exploration_report.faint_findings(chosen, gps, learned)),
+        lasting,
     )
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import sqrt
+from math import log, sqrt
 from typing import TYPE_CHECKING, Any
 
 from ..body_model import BodyModel, ForwardModel
@@ -24,6 +24,11 @@ SHARED_DELAY_SIGMA = 4.0
 MAX_ERROR_RATIO = 0.95
 """Largest ratio of held-out errors after and before a
 correction; above it, the delay was the arm's shape.
+"""
+
+SAME_LASTING = 0.3
+"""Share by which σ and τ of errors that last may still differ: of 20 time constants that an
+exploration has, σ is known to a sixth and τ to a third.
 """
 
 COARSE_NOISE_SHARE = 0.005
@@ -260,7 +265,9 @@ def _alternate_from(begin: _Turn | None, explored: _Exploration) -> _Turn:
             for found, delays in zip(features, late, strict=True)
         ]
         origin = {**explored.provenance, **({"delay": dict(own)} if own else {})}
-        found = body.learn_body(timely, explored.settings, origin, known, explored.keep)
+        found = body.learn_body(
+            timely, explored.settings, origin, known, explored.keep, lasting=errors.lasting
+        )
         sure = replace(
             found.model, senses={n: s for n, s in found.model.senses.items() if n not in found.poor}
         )
@@ -268,7 +275,7 @@ def _alternate_from(begin: _Turn | None, explored: _Exploration) -> _Turn:
             replace(one, joints=correction.shift_features(all_of, delays).joints)
             for one, all_of, delays in zip(timely, features, late, strict=True)
         ]
-        residuals, rest = _remaining_errors(motors, sure, known)
+        residuals, rest = _remaining_errors(motors, sure, known, errors)
         return _Turn(found, late, residuals, own, errors, rest)
 
     own = (
@@ -291,11 +298,16 @@ def _alternate_from(begin: _Turn | None, explored: _Exploration) -> _Turn:
         if not surest and errors == turn.errors:
             break
         after = learn_turn(*_add_measured_delays(turn, surest), errors)
-        grown = set(surest) - started or bool(errors) > bool(turn.errors)
+        moved = errors.play or errors.rows
+        grown = set(surest) - started or bool(moved) > bool(turn.errors.play or turn.errors.rows)
         cameras = correction.list_track_cameras(after.found.model.senses)
         judged = surest if errors == turn.errors else cameras
         least = MAX_ERROR_RATIO if grown else 1.0
-        if _held_out_error(after, judged) > least * _held_out_error(turn, judged):
+        if errors.lasting != turn.errors.lasting:
+            # what lasts moves no measurement, and makes error bars true
+            if _misstated_bars(after) > _misstated_bars(turn):
+                break
+        elif _held_out_error(after, judged) > least * _held_out_error(turn, judged):
             break
         turn = after
         started = started | set(surest)
@@ -320,7 +332,19 @@ def _add_measured_errors(own: "ArmErrors", rest: "ArmErrors") -> "ArmErrors":
             rows[name] = more
         elif abs(more.seconds) > more.std:
             rows[name] = replace(before, seconds=before.seconds + more.seconds, std=more.std)
-    return ArmErrors(play, rows)
+    alike = _last_alike(own.lasting, rest.lasting)
+    return ArmErrors(play, rows, dict(own.lasting if alike else rest.lasting))
+
+
+def _last_alike(
+    one: Mapping[str, tuple[float, float]], other: Mapping[str, tuple[float, float]]
+) -> bool:
+    """Whether errors {joint: (σ rad, τ s)} differ by less than an exploration tells."""
+    both = zip(sorted(one.items()), sorted(other.items()), strict=False)
+    pairs = [(a, b) for (_, first), (_, second) in both for a, b in zip(first, second, strict=True)]
+    return one.keys() == other.keys() and all(
+        abs(a - b) < SAME_LASTING * max(a, b) for a, b in pairs
+    )
 
 
 def _error_findings(errors: "ArmErrors") -> Iterator[Finding]:
@@ -330,6 +354,11 @@ def _error_findings(errors: "ArmErrors") -> Iterator[Finding]:
     for name, (size, std) in errors.play.items():
         text = f"{name}: {degrees(size):.2f} ± {degrees(std):.2f}° of play"
         yield Finding("info", f"{text}; the body is learned over the angles of the links")
+    if errors.lasting:
+        sizes = ", ".join(f"{name} {1e3 * std:.2g}" for name, (std, _) in errors.lasting.items())
+        seconds = max(seconds for _, seconds in errors.lasting.values())
+        text = f"encoders: errors last {seconds:.2g} s, mrad: {sizes}"
+        yield Finding("info", f"{text}; the body's noise and error bars allow for them")
     for name, one in errors.rows.items():
         apart = f"{1e3 * abs(one.seconds) * one.span:.0f} ± {1e3 * one.std * one.span:.0f} ms"
         yield Finding(
@@ -376,11 +405,17 @@ def _held_out_error(turn: _Turn, cameras: Iterable[str]) -> float:
     )
 
 
+def _misstated_bars(turn: _Turn) -> float:
+    """How far (in logarithms) squared held-out errors are from the stated variances, on average."""
+    found = [one.value for one in turn.found.scores if one.name.startswith("nis/held_out/")]
+    return abs(log(max(sum(found) / len(found), 1e-9)))
+
+
 def _remaining_errors(
-    timely: Sequence[Features], model: BodyModel, known: BodyModel | None
+    timely: Sequence[Features], model: BodyModel, known: BodyModel | None, errors: "ArmErrors"
 ) -> "tuple[Sequence[Mapping[str, Delay]], ArmErrors]":
-    """Each log's remaining delays, the play and what is
-    left of row times, by a body learned with the logs.
+    """Each log's remaining delays, the play, what lasts of encoder errors
+    and what is left of row times, by a body learned with the logs and these errors.
 
     timely: with readings of the motors.
     """
@@ -389,7 +424,7 @@ def _remaining_errors(
 
     explored = [_explored_log(one, model, known) for one in timely]
     logs = [one for one in explored if one is not None]
-    measured, rest = gp_likelihood.measure_arm_errors(logs, model.joints)
+    measured, rest = gp_likelihood.measure_arm_errors(logs, model.joints, errors)
     if any(one.reference is not None for one in timely):
         rest = ArmErrors(rows=rest.rows)  # a reference has the angles of the links
     delays = iter(measured)

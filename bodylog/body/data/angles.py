@@ -12,6 +12,8 @@ STILL = 1e-3
 """rad: assumed std of encoders in still poses, which
 poses alone do not determine; a servo's resolution.
 """
+FORGOTTEN = 8.0
+"""Time constants after which what lasts is taken to be gone: 3e-4 of it would be left."""
 _SAME = 1e-6
 
 
@@ -33,10 +35,14 @@ class Angles(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Moving:
-    """A moving joint with its chain of readings."""
+    """A moving joint with its chain of readings, and the error of its encoder
+    that lasts: std rad and seconds, an Ornstein–Uhlenbeck process.
+    """
 
     chain: ReadingChain
     motion: WhiteMotion
+    std: float = 0.0
+    seconds: float = 1.0
 
     @property
     def t(self) -> Array:
@@ -45,11 +51,23 @@ class Moving:
 
     def at(self, t: Array) -> tuple[Array, Array]:
         """The smoothed angle."""
-        return smooth_angles(self.chain, self.motion, t)
+        mean, variance = smooth_angles(self.chain, self.motion, t)
+        return mean, variance + self.std**2
 
     def coupling(self, t: Array) -> tuple[Array, Array, Array]:
-        """Smoothing correlates the errors of neighbours."""
-        return covariance_between_times(self.chain, self.motion, t)
+        """Smoothing correlates the errors of neighbours, and what lasts is common to them."""
+        near = covariance_between_times(self.chain, self.motion, t)
+        if not self.std:
+            return near
+        i, j = np.tril_indices(len(t), -1)
+        apart = np.abs(t[i] - t[j]) / self.seconds
+        kept = apart < FORGOTTEN
+        # a product of two covariances is one; this one ends, and is exp(-apart) to 0.005
+        left = 1.0 - apart[kept] / FORGOTTEN
+        value = self.std**2 * np.exp(-apart[kept] * (1.0 - 1.0 / FORGOTTEN)) * left
+        lasting = (i[kept], j[kept], value)
+        first, second, third = (np.concatenate(both) for both in zip(near, lasting, strict=True))
+        return first, second, third
 
 
 @dataclass(frozen=True, eq=False)

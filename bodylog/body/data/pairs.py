@@ -1,8 +1,9 @@
 """Training pairs from features: smoothed joint angles with their variance beside each sighting."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -23,6 +24,7 @@ _ABSURD = 1e12
 _VAGUE = 0.1
 # px or mm: larger than any image, and farther than any tracker measures
 _FAR = 1e6
+NO_ERRORS: Mapping[str, tuple[float, float]] = MappingProxyType({})
 _COLUMNS = ("x", "variance", "y", "floor", "block", "log", "t")
 
 
@@ -52,11 +54,14 @@ class Pairs:
 
 @dataclass(frozen=True, eq=False)
 class SmoothedJoint:
-    """One joint over all logs: its angles in each, and one white acceleration for all."""
+    """One joint over all logs: its angles in each, one white acceleration
+    for all, and the std (rad) of its encoder's error that lasts.
+    """
 
     name: str
     angles: tuple[Angles, ...]
     acceleration: WhiteMotion
+    lasting: float = 0.0
 
     @cached_property
     def range(self) -> float:
@@ -67,9 +72,13 @@ class SmoothedJoint:
 
 
 def smooth_all_joints(
-    features: Sequence[Features], wanted: tuple[str, ...] | None
+    features: Sequence[Features],
+    wanted: tuple[str, ...] | None,
+    lasting: Mapping[str, tuple[float, float]] = NO_ERRORS,
 ) -> list[SmoothedJoint]:
     """The joints with readings in all logs, or those wanted.
+
+    lasting {joint: (std rad, seconds)}: of its encoder's error.
 
     LogError without readings, ConfigError for an unknown name, EvidenceError where logs share no
     joint or a wanted joint has too few readings.
@@ -90,7 +99,9 @@ def smooth_all_joints(
         raise EvidenceError(f"{missing[0]}, but [body] joints names it; type: bodylog info LOG")
     still = [f.poses for f in features]
     return [
-        _smooth_joint_over_logs(n, readings, still) for n in wanted or common if n not in sparse
+        _smooth_joint_over_logs(n, readings, still, lasting.get(n, (0.0, 1.0)))
+        for n in wanted or common
+        if n not in sparse
     ]
 
 
@@ -226,7 +237,7 @@ def _require_readings(features: Features, index: int, count: int) -> Series:
 
 
 def _smooth_joint_over_logs(
-    name: str, readings: Sequence[Series], still: Sequence[bool]
+    name: str, readings: Sequence[Series], still: Sequence[bool], lasting: tuple[float, float]
 ) -> SmoothedJoint:
     columns = [(r.t, r.values[:, r.names.index(name)]) for r in readings]
     chains = {k: build_reading_chain(*column) for k, column in enumerate(columns) if not still[k]}
@@ -234,11 +245,12 @@ def _smooth_joint_over_logs(
     each = {
         k: pooled if len(chains) == 1 else fit_white_motion([one], 2) for k, one in chains.items()
     }
-    moving = {k: Moving(one, _likelier_motion(one, each[k])) for k, one in chains.items()}
+    moving = {k: Moving(one, _likelier_motion(one, each[k]), *lasting) for k, one in chains.items()}
     return SmoothedJoint(
         name,
         tuple(moving.get(k) or poses_with_readings(*column) for k, column in enumerate(columns)),
         pooled,
+        lasting[0],
     )
 
 

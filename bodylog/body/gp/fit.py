@@ -52,6 +52,14 @@ class Coupling:
     joint: Array
     value: Array
 
+    def rows(self, chosen: Array, count: int) -> "Coupling":
+        """The covariance between some of `count` samples, in ascending order."""
+        place = np.full(count, -1)
+        place[chosen] = np.arange(len(chosen))
+        i, j = place[self.i], place[self.j]
+        kept = (i >= 0) & (j >= 0)
+        return Coupling(i[kept], j[kept], self.joint[kept], self.value[kept])
+
 
 @dataclass(frozen=True, eq=False)
 class Samples:
@@ -66,9 +74,10 @@ class Samples:
     coupling: Coupling | None = None
 
     def rows(self, chosen: Array) -> "Samples":
-        """Return some rows, without their coupling."""
+        """Return some rows, in ascending order."""
         variance = None if self.variance is None else self.variance[chosen]
-        return Samples(self.x[chosen], self.y[chosen], self.floor[chosen], variance)
+        coupling = None if self.coupling is None else self.coupling.rows(chosen, len(self.x))
+        return Samples(self.x[chosen], self.y[chosen], self.floor[chosen], variance, coupling)
 
 
 @dataclass(frozen=True, eq=False)

@@ -55,7 +55,9 @@ def learn_track(whole: Pairs, chosen: Sequence[SmoothedJoint], fit: FitSettings)
         data = Samples(
             part.x, part.y, part.floor, part.variance, correlate_angle_errors(part, chosen)
         )
-        kernels = fit_kernels(data, ROTATION, True, fit.seed)
+        # outputs share a kernel where their noise is alike, which what lasts is not
+        alike = not any(joint.lasting for joint in chosen)
+        kernels = fit_kernels(data, ROTATION, alike, fit.seed)
         sound = _believable_rows(data, kernels)
         if sound.all():
             break

@@ -1,5 +1,5 @@
-"""What an arm and its cameras keep from log to log: play between
-motors and links, and rows of pictures that are exposed in turn.
+"""What an arm and its cameras keep from log to log: play between motors and
+links, errors of encoders that last, and rows of pictures that are exposed in turn.
 """
 
 from collections.abc import Mapping
@@ -50,19 +50,25 @@ class RowExposure:
 class ArmErrors:
     """Play {joint: (rad, std)}, from one end to the
     other, and {camera: RowExposure} of its pictures.
+
+    lasting {joint: (σ rad, τ s)}: an Ornstein–Uhlenbeck error of the encoder.
     """
 
     play: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     rows: Mapping[str, RowExposure] = field(default_factory=dict)
+    lasting: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         """Whether there are any."""
-        return bool(self.play or self.rows)
+        return bool(self.play or self.rows or self.lasting)
 
     def as_provenance(self) -> dict[str, Any]:
         """Plain numbers for a body's provenance."""
         rows = {name: asdict(one) for name, one in self.rows.items()}
-        return {ARM_ERRORS: {"play": {k: list(v) for k, v in self.play.items()}, "rows": rows}}
+        play, lasting = (
+            {name: list(pair) for name, pair in one.items()} for one in (self.play, self.lasting)
+        )
+        return {ARM_ERRORS: {"play": play, "rows": rows, "lasting": lasting}}
 
 
 def learned_arm_errors(body: BodyModel | None) -> ArmErrors:
@@ -71,17 +77,23 @@ def learned_arm_errors(body: BodyModel | None) -> ArmErrors:
     """
     given = {} if body is None else body.provenance.get(ARM_ERRORS, {})
     try:
-        play = {str(k): (float(v[0]), float(v[1])) for k, v in given.get("play", {}).items()}
+        play, lasting = (
+            {str(k): (float(v[0]), float(v[1])) for k, v in given.get(part, {}).items()}
+            for part in ("play", "lasting")
+        )
         rows = {str(k): RowExposure(**v) for k, v in given.get("rows", {}).items()}
-        numbers = [n for v in play.values() for n in v]
+        numbers = [n for one in (play, lasting) for v in one.values() for n in v]
+        if not all(v > 0.0 for pair in lasting.values() for v in pair):
+            numbers.append(np.nan)
         numbers += [float(n) for one in rows.values() for n in asdict(one).values()]
     except (AttributeError, IndexError, KeyError, TypeError, ValueError):
         numbers = [np.nan]
     if not all(map(isfinite, numbers)):
         raise ModelError(
-            f"provenance.{ARM_ERRORS}: found {given!r}, possible: play and rows in numbers"
+            f"provenance.{ARM_ERRORS}: found {given!r}, possible: play, rows and lasting in "
+            "numbers"
         )
-    return ArmErrors(play, rows)
+    return ArmErrors(play, rows, lasting)
 
 
 def shift_by_rows(track: Series, rows: RowExposure | None) -> Array:

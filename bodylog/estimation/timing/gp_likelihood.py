@@ -6,11 +6,12 @@ the links within half the play p, y − J s p has the process's mean m and, with
 K. So θ = (τ, ρ, p) is (AᵀK⁻¹A)⁻¹ AᵀK⁻¹(m − y) with the slopes A = (ẏ, −r ẏ, −J s), by Gauss–Newton.
 Position and speed are interpolated from the same images, so their noise e, ė adds tr(K⁻¹ E[e ėᵀ])
 and tr(K⁻¹ E[ė ėᵀ]) to the sums, which are subtracted. Residuals of the learned mean are a weaker
-test: where paths hardly cross, the mean absorbs the delay.
+test: where paths hardly cross, the mean absorbs the delay. Errors of encoders that last are looked
+for where play and row times are taken out (`lasting_likelihood`), and are part of K from then on.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +29,12 @@ from ..measurements.track_curve import (
     track_curve,
 )
 from .delay_profile import MAX_DELAY_S, Delay
+from .lasting_likelihood import (
+    LEAST_RAD,
+    TrackResiduals,
+    lasting_covariance,
+    measure_lasting_errors,
+)
 
 Prior = Callable[[Array], tuple[Array, Array]]
 """The prior of a track at angles (B,M) rad: mean (D,) px and covariance (D,B,B) px²."""
@@ -39,6 +46,10 @@ ROW_TIME_STD = 0.03
 """s: of a picture's row time; most pictures take less than 1/30 s."""
 PLAY_SIGMAS = 3.0
 """Standard deviations from zero of a joint's play that is taken."""
+LASTING_MEANS = 400
+"""Most means of all logs that errors which last are looked for with."""
+LASTING_STEP_S = 0.1
+"""s between them at least: a track longer than they reach gives its middle."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,9 +107,14 @@ class _Search:
     each camera, and half a play of each joint, in this order.
     """
 
-    def __init__(self, logs: Sequence[ExploredLog], joints: tuple[str, ...]) -> None:
+    def __init__(
+        self, logs: Sequence[ExploredLog], joints: tuple[str, ...], known: ArmErrors
+    ) -> None:
         self.logs = logs
         self.joints = joints
+        lasting = [known.lasting.get(name, (0.0, 1.0)) for name in joints]
+        self.lasting = np.array([std for std, _ in lasting])
+        self.seconds = max((seconds for std, seconds in lasting if std), default=1.0)
         self.curves = [one for k, log in enumerate(logs) for one in _curves_of_log(k, log)]
         self.late = list(dict.fromkeys((one.log, one.camera) for one in self.curves))
         self.cameras = list(dict.fromkeys(one.camera for one in self.curves))
@@ -157,11 +173,23 @@ class _Search:
 
     def _sum_up(self, sizes: Array) -> tuple[Array, Array]:
         """AᵀK⁻¹(y − J s p − m) (P,) and AᵀK⁻¹A (P,P) about these sizes."""
-        half = np.maximum(sizes[self.play], LEAST_PLAY)
-        slacks = [read_slack(log.encoders.t, log.encoders.values, half) for log in self.logs]
         pull = np.zeros(len(sizes))
         weight = np.zeros((len(sizes), len(sizes)))
-        for one in self.curves:
+        for one, own, aligned in self._align_curves(self.curves, sizes):
+            pulled, weighed = _curve_sums(one, aligned, self.lasting, self.seconds)
+            pull[own] += pulled * one.share
+            weight[np.ix_(own, own)] += weighed * one.share
+        return pull, weight
+
+    def _align_curves(
+        self, curves: Sequence[_PriorCurve], sizes: Array
+    ) -> Iterator[tuple[_PriorCurve, Array, "_Aligned"]]:
+        """Yield curves that are long enough where parameters of these
+        sizes (P,) move them, with the numbers of their own parameters.
+        """
+        half = np.maximum(sizes[self.play], LEAST_PLAY)
+        slacks = [read_slack(log.encoders.t, log.encoders.values, half) for log in self.logs]
+        for one in curves:
             t = self.logs[one.log].encoders.t
             slack = np.column_stack([np.interp(one.curve.at, t, s) for s in slacks[one.log].T])
             own = np.array(
@@ -172,15 +200,35 @@ class _Search:
                 ]
             )
             rows = one.curve.predicted[:, -1] - self.middle[one.camera]
-            pulled, weighed = _curve_sums(one, rows, slack, sizes[own])
-            pull[own] += pulled * one.share
-            weight[np.ix_(own, own)] += weighed * one.share
-        return pull, weight
+            aligned = _align_curve(one, rows, slack, sizes[own])
+            if len(aligned.kept) >= MIN_READINGS:
+                yield one, own, aligned
+
+    def find_lasting(self, sizes: Array) -> dict[str, tuple[float, float]]:
+        """Errors {joint: (rad, s)} of encoders that last, beside parameters of these sizes."""
+        curves = [one for k, log in enumerate(self.logs) for one in _longest_curves(k, log)]
+        curves = [one for one in curves if (one.log, one.camera) in self.late]
+        parts = [
+            _residuals_of_curve(one, aligned)
+            for one, _, aligned in self._align_curves(curves, sizes)
+        ]
+        try:
+            found = measure_lasting_errors(parts)
+        except np.linalg.LinAlgError:
+            return {}
+        if found is None:
+            return {}
+        stds, seconds, _ = found
+        return {
+            name: (std, seconds)
+            for name, std in zip(self.joints, stds.tolist(), strict=True)
+            if std > LEAST_RAD
+        }
 
     def name_errors(
         self, free: Array, sizes: Array, errors: Array
     ) -> tuple[list[dict[str, Delay]], ArmErrors]:
-        """The delays by log, and what all logs share."""
+        """The delays by log, and what all logs share but errors that last."""
         delays: list[dict[str, Delay]] = [{} for _ in self.logs]
         for (log, name), size, error in zip(self.late, sizes, errors, strict=False):
             if abs(size) <= MAX_DELAY_S and error < 0.5 * MAX_DELAY_S:
@@ -199,15 +247,22 @@ class _Search:
 
 
 def measure_arm_errors(
-    logs: Sequence[ExploredLog], joints: tuple[str, ...]
+    logs: Sequence[ExploredLog], joints: tuple[str, ...], known: ArmErrors
 ) -> tuple[list[dict[str, Delay]], ArmErrors]:
-    """What is left of each camera's delay in each log, and the row
-    times and play that all logs share, as far as their evidence asks for them.
+    """What is left of each camera's delay in each log, and the row times, play and errors
+    that last which all logs share, as far as their evidence asks for them.
+
+    known: the errors that the body was learned with.
     """
-    search = _Search(logs, joints)
+    search = _Search(logs, joints, known)
     if not search.curves:
         return [{} for _ in logs], ArmErrors()
-    return search.name_errors(*search.choose_errors())
+    free, sizes, errors = search.choose_errors()
+    delays, found = search.name_errors(free, sizes, errors)
+    # a body learned without the play or the row times that there are has errors of its own
+    if found.play.keys() == known.play.keys() and found.rows.keys() <= known.rows.keys():
+        found = replace(found, lasting=search.find_lasting(sizes))
+    return delays, found
 
 
 def _curves_of_log(number: int, log: ExploredLog) -> Iterator[_PriorCurve]:
@@ -222,15 +277,43 @@ def _curves_of_log(number: int, log: ExploredLog) -> Iterator[_PriorCurve]:
             yield _PriorCurve(number, camera, curve, *prior(curve.x), 1.0 / len(found))
 
 
+def _longest_curves(number: int, log: ExploredLog) -> Iterator[_PriorCurve]:
+    """Yield the curve of each camera's longest track, or of its middle."""
+    for camera, tracks in log.tracks.items():
+        track, prior = max(tracks, key=lambda one: np.isfinite(one[0].values).all(axis=1).sum())
+        most = max(LASTING_MEANS // len(log.tracks), 2 * MIN_READINGS)
+        reach = 0.5 * most * LASTING_STEP_S
+        middle = 0.5 * (track.t[0] + track.t[-1])
+        part = track.cut(max(middle - reach, track.t[0]), min(middle + reach, track.t[-1]))
+        curve = track_curve(log.encoders, part, most)
+        if curve:
+            yield _PriorCurve(number, camera, curve, *prior(curve.x), 1.0)
+
+
 def _row_span(one: _PriorCurve) -> float:
     """How many rows (px) a curve goes over."""
     low, high = one.span
     return high - low
 
 
-def _curve_sums(one: _PriorCurve, rows: Array, slack: Array, sizes: Array) -> tuple[Array, Array]:
-    """AᵀK⁻¹(y − J s p − m) (C,) and AᵀK⁻¹A (C,C) of a curve, less their noise, for its
-    delay, row time and plays of these sizes (C,); zeros where too little is left.
+@dataclass(frozen=True, eq=False)
+class _Aligned:
+    """A curve moved by its parameters: place, speed (B,2), loose (B,2,M): its slopes by half the
+    plays; rows (B,) px from the middle. kept (R,): numbers of its means that are no blunders ·
+    placed, moved (R,N): weights of the images in place and speed.
+    """
+
+    place: Array
+    speed: Array
+    loose: Array
+    rows: Array
+    kept: Array
+    placed: Array
+    moved: Array
+
+
+def _align_curve(one: _PriorCurve, rows: Array, slack: Array, sizes: Array) -> _Aligned:
+    """A curve moved by its delay, row time and plays of these sizes (C,).
 
     rows (B,) px from the middle · slack (B,M).
     """
@@ -239,31 +322,67 @@ def _curve_sums(one: _PriorCurve, rows: Array, slack: Array, sizes: Array) -> tu
     loose = curve.jac * slack[:, None]
     place = place - loose @ sizes[2:]
     off = np.linalg.norm(place - curve.predicted, axis=1)
-    pull = np.zeros(len(sizes))
-    weight = np.zeros((len(sizes), len(sizes)))
-    if sound.sum() < MIN_READINGS:
-        return pull, weight
     # positions far from the learned mean are blunders, too
-    kept = np.flatnonzero(sound & (off <= BLUNDER_MEDIANS * median_by_pivot(off[sound])))
-    noise = curve.noise + np.einsum("bdm,bm->bd", np.square(curve.jac[kept]), curve.encoder[kept])
+    most = BLUNDER_MEDIANS * median_by_pivot(off[sound]) if sound.any() else 0.0
+    kept = np.flatnonzero(sound & (off <= most))
     placed, moved = (
         _scatter_weights(part[kept], first[kept], len(curve.t)) for part in (value, slope)
     )
-    cross = moved @ placed.T
-    own = moved @ moved.T
-    timed = np.column_stack([np.ones(len(kept)), -rows[kept]])
+    return _Aligned(place, speed, loose, rows, kept, placed, moved)
+
+
+def _curve_sums(
+    one: _PriorCurve, aligned: _Aligned, lasting: Array, seconds: float
+) -> tuple[Array, Array]:
+    """AᵀK⁻¹(y − J s p − m) (C,) and AᵀK⁻¹A (C,C) of a curve, less their noise, for
+    its delay, row time and plays.
+
+    lasting (M,) rad, seconds: errors of encoders that the body is learned with.
+    """
+    curve = one.curve
+    kept = aligned.kept
+    pull = np.zeros(2 + len(lasting))
+    weight = np.zeros((len(pull), len(pull)))
+    noise = curve.noise + np.einsum("bdm,bm->bd", np.square(curve.jac[kept]), curve.encoder[kept])
+    cross = aligned.moved @ aligned.placed.T
+    own = aligned.moved @ aligned.moved.T
+    timed = np.column_stack([np.ones(len(kept)), -aligned.rows[kept]])
     for d, prior in enumerate(one.cov):
-        known = prior[np.ix_(kept, kept)] + np.diag(noise[:, d])
+        common = lasting_covariance(curve.jac[kept, d], curve.at[kept], lasting, seconds)
+        known = prior[np.ix_(kept, kept)] + np.diag(noise[:, d]) + common
         inverse = np.linalg.inv(known)
         blur = curve.blur[d] / curve.images
-        slopes = np.column_stack([speed[kept, d, None] * timed, -loose[kept, d]])
-        residual = place[kept, d] - one.mean[d]
+        slopes = np.column_stack([aligned.speed[kept, d, None] * timed, -aligned.loose[kept, d]])
+        residual = aligned.place[kept, d] - one.mean[d]
         lean = inverse @ slopes
         pull += lean.T @ residual
         weight += lean.T @ slopes
         pull[:2] -= blur * (timed.T @ (inverse * cross).sum(axis=1))
         weight[:2, :2] -= blur * (timed.T @ (inverse * own) @ timed)
     return pull, weight
+
+
+def _residuals_of_curve(one: _PriorCurve, aligned: _Aligned) -> TrackResiduals:
+    """A curve's residuals as rows: all means of the first output, then of the next."""
+    curve = one.curve
+    kept = aligned.kept
+    count = len(kept)
+    outputs = len(one.mean)
+    prior = np.zeros((outputs, count, outputs, count))
+    noise = np.zeros(prior.shape)
+    near = aligned.placed @ aligned.placed.T / curve.images
+    for d in range(outputs):
+        read = (np.square(curve.jac[kept, d]) * curve.encoder[kept]).sum(axis=1)
+        prior[d, :, d] = one.cov[d][np.ix_(kept, kept)] + np.diag(read)
+        noise[d, :, d] = curve.noise[d] * near
+    size = outputs * count
+    return TrackResiduals(
+        (aligned.place[kept] - one.mean).T.ravel(),
+        prior.reshape(size, size),
+        noise.reshape(size, size),
+        curve.jac[kept].swapaxes(0, 1).reshape(size, -1),
+        np.tile(curve.at[kept], outputs),
+    )
 
 
 def _scatter_weights(weights: Array, first: Array, count: int) -> Array:
