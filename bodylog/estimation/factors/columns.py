@@ -48,13 +48,15 @@ class Path:
 class Column:
     """A global parameter that changes nothing: what a column may override.
 
-    name · std, mean: of its size before the log · bends: whether it moves the links themselves.
+    name · std, mean: of its size before the log · bends: whether it moves the links themselves ·
+    group: the one whose standard deviation, times std, is learned from the log; None for std alone.
     """
 
     name: str
     std: float
     mean: float = 0.0
     bends: bool = False
+    group: int | None = None
 
     def moves_links(self, path: Path) -> Array:
         """What a unit moves the links by (K,M) rad."""

@@ -14,7 +14,7 @@ from ..timing.gp_likelihood import PLAY_STD
 from .columns import Column, Delay, Path, Play
 from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
-from .load import Load
+from .load import FIRST_BEND
 from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import FactorProblem, Noise
 
@@ -66,21 +66,16 @@ class Explanation:
         """Whether errors that last win over none, beside the columns."""
         return self.lasting > EVIDENCE_THRESHOLD_NATS
 
-    def settled_columns(self, causal: bool) -> tuple[Column, ...]:
-        """The columns about the sizes that the log gives: for a filter, which knows play and row
-        times from the first reading on as it knows the noise, within their standard deviations.
+    def settle_columns(self, problem: FactorProblem, causal: bool) -> FactorProblem:
+        """The problem with these columns: for a filter of the sizes that the log gives, which it
+        knows from the first reading on as it knows the noise, with their covariance.
         """
-        stds = np.sqrt(np.diag(self.learned.sizes_cov))
-        each = zip(self.columns, self.learned.sizes.tolist(), stds.tolist(), strict=True)
-        return tuple(
-            # sizes of a load are not known one by one
-            replace(
-                column,
-                mean=size,
-                std=std if causal and not isinstance(column, Load) else column.std,
-            )
-            for column, size, std in each
+        sizes = zip(self.columns, self.learned.sizes.tolist(), strict=True)
+        about = tuple(
+            replace(one, mean=size) if causal or isinstance(one, Play) else one
+            for one, size in sizes
         )
+        return replace(problem, columns=about, settled=self.learned.sizes_cov if causal else None)
 
 
 def explain(
@@ -90,14 +85,12 @@ def explain(
     is_of_counts: Callable[[Noise], bool],
     halves: Array,
     loads: tuple[Column, ...],
-    doubtful: bool,
 ) -> Explanation:
     """The most probable explanation of a log: white noise alone, or errors of its hardware.
 
     noise: white noise alone, with the offsets that are known · step_s: the encoders' usual step ·
     is_of_counts: whether errors that last are those of whole counts · halves (M,) rad: half of
-    each joint's play in the exploration · loads: columns of a load · doubtful: encoders were found
-    to be off, which may be a load instead.
+    each joint's play in the exploration · loads: columns of a load.
     """
     white = _learn(problem, noise, step_s, rounds=2)
     sides = [_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)]
@@ -125,19 +118,23 @@ def explain(
         lasting = _learn(loose, loosely.noise, step_s, loosely.path)
     else:
         gains.clear()
-    loaded = replace(problem, columns=(*problem.columns, *loads))
-    bent = _learn(loaded, lasting.noise, step_s, lasting.path) if loads else lasting
-    gain = lasting.nats - bent.nats
-    # what lasts so long looks like a load, too: error bars hold both
-    ambiguous = doubtful and _is_long(lasting.noise)
-    least = -EVIDENCE_THRESHOLD_NATS if ambiguous else EVIDENCE_THRESHOLD_NATS
-    if loads and gain > least:
-        gains["load"] = gain
-        problem = loaded
-        lasting = bent
+    if loads:
+        loaded = replace(problem, columns=(*problem.columns, *loads))
+        groups = (FIRST_BEND,) * len(problem.start)
+        each = [replace(one, groups=groups) for one in _lasting(white.noise)]
+        bents = [_learn(loaded, one, step_s, lasting.path) for one in each]
+        bent = _best(bents)
+        print("   load", lasting.nats, [b.nats for b in bents], lasting.noise.joints.error, lasting.noise.joints.seconds, "->", bent.noise.groups, bent.noise.joints.error, bent.noise.joints.seconds, bent.noise.joints.at_link)
+        gain = lasting.nats - bent.nats
+        # what lasts so long stands for a load: neither is simpler
+        if gain > (0.0 if _is_long(lasting.noise) else EVIDENCE_THRESHOLD_NATS):
+            gains["load"] = gain
+            problem = loaded
+            lasting = bent
     found = learn_noise(problem, lasting.noise, lasting.path, step_s, rounds=2)
     gained = white.nats - found.nats
-    without = _learn(problem, white.noise, step_s, lasting.path).nats if gains else white.nats
+    plain = replace(white.noise, groups=lasting.noise.groups)
+    without = _learn(problem, plain, step_s, lasting.path).nats if gains else white.nats
     delays = tuple(_delays_left(problem, found, step_s))
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
 

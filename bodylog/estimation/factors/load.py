@@ -11,8 +11,8 @@ from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from .columns import Column, Path
 
-LOAD_STD = 0.02
-"""rad: prior standard deviation of what a joint bends by under a load, 1.1°."""
+FIRST_BEND = 5e-3
+"""rad of what a joint bends by, with which the search begins."""
 LEAST_LEVER = 1e-3
 """Share of the longest lever below which a joint carries nothing."""
 
@@ -69,21 +69,22 @@ def _bend_by_levers(levers: Callable[[Array], Array], known: Array) -> Iterator[
         def sink(angles: Array, j: int = j) -> Array:
             return np.asarray(-levers(angles)[:, j] / longest[j])
 
-        yield Load("payload", LOAD_STD, joint=j, shape=sink)
+        yield Load("payload", 1.0, group=j, joint=j, shape=sink)
 
 
 def _bend_linearly(known: Array) -> Iterator[Load]:
-    """Yield how each joint is off at the middle of the log, and by the angle of each."""
+    """Yield how each joint is off at the middle of the log,
+    and by the angle of each: as much more a radian away.
+    """
     middle = known.mean(axis=0)
-    reach = np.maximum(np.ptp(known, axis=0), 1e-6)
     for j in range(known.shape[1]):
-        yield Load("posture", LOAD_STD, joint=j, shape=_keep_constant)
+        yield Load("posture", 1.0, group=j, joint=j, shape=_keep_constant)
         for other in range(known.shape[1]):
 
             def lean(angles: Array, other: int = other) -> Array:
-                return np.asarray((angles[:, other] - middle[other]) / reach[other])
+                return np.asarray(angles[:, other] - middle[other])
 
-            yield Load("posture", LOAD_STD, joint=j, shape=lean)
+            yield Load("posture", 1.0, group=j, joint=j, shape=lean)
 
 
 def _keep_constant(angles: Array) -> Array:

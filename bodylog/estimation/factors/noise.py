@@ -25,6 +25,8 @@ LOG_ERROR = (float(np.log(5e-4)), 2.0)
 """The same of ln σ (rad): 0.01 to 30 mrad."""
 LOG_SCALE = (0.0, 1.0)
 """The same of the factor on the variance of images."""
+LOG_GROUP = (float(np.log(5e-3)), 1.5)
+"""The same of ln σ of what links bend by (rad): 0.25 to 100 mrad."""
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
 LONGEST_S = 60.0
@@ -109,12 +111,18 @@ def _errors(joints: JointNoise) -> Array:
 
 
 def _to_vector(noise: Noise) -> Array:
-    """Logarithms of white (M,), process (M,), [σ (M,), τ (),] and scales."""
+    """Logarithms of white (M,), process (M,), [σ (M,), τ (),] scales and groups."""
     joints = noise.joints
     errors = _errors(joints)
     lasting = [np.log(errors), np.log(joints.seconds[joints.learned][:1])] if len(errors) else []
     return np.concatenate(
-        [np.log(joints.white), np.log(joints.process), *lasting, np.log(noise.scales)]
+        [
+            np.log(joints.white),
+            np.log(joints.process),
+            *lasting,
+            np.log(noise.scales),
+            np.log(noise.groups),
+        ]
     )
 
 
@@ -135,7 +143,9 @@ def _from_vector(p: Array, like: Noise) -> Noise:
         seconds[joints.learned] = np.exp(rest[count])
         made = replace(made, error=error, seconds=seconds)
         rest = rest[count + 1 :]
-    return Noise(made, tuple(np.exp(rest).tolist()))
+    factors = np.exp(rest).tolist()
+    first = len(like.scales)
+    return Noise(made, tuple(factors[:first]), tuple(factors[first:]))
 
 
 def _units(problem: FactorProblem, noise: Noise) -> Array:
@@ -145,8 +155,9 @@ def _units(problem: FactorProblem, noise: Noise) -> Array:
     seen = [max(images.values.size, 2) for images in problem.images]
     count = len(_errors(noise.joints))
     lasting = [0.4] * (count + (count > 0))
+    groups = [0.4] * len(noise.groups)
     return np.concatenate(
-        [np.sqrt(2.0 / read), [0.3] * m, lasting, np.sqrt(2.0 / np.array(seen, float))]
+        [np.sqrt(2.0 / read), [0.3] * m, lasting, np.sqrt(2.0 / np.array(seen, float)), groups]
     )
 
 
@@ -160,7 +171,9 @@ def _limits(start: Noise, step_s: float) -> Array:
     count = len(_errors(joints))
     error = [(np.log(1e-6), np.log(0.3))] * count
     lasting = [*error, (shortest, np.log(LONGEST_S))] if count else []
-    return np.array([*white, *process, *lasting, *[(-wide, wide)] * len(start.scales)])
+    scales = [(-wide, wide)] * len(start.scales)
+    groups = [(np.log(1e-5), np.log(0.3))] * len(start.groups)
+    return np.array([*white, *process, *lasting, *scales, *groups])
 
 
 def _cost(linear: Linearised, p: Array) -> tuple[float, Array]:
@@ -185,6 +198,8 @@ def _prior(p: Array, noise: Noise) -> tuple[float, Array]:
         mean[rest + count], std[rest + count] = LOG_SECONDS
         rest += count + 1
     mean[rest:], std[rest:] = LOG_SCALE
+    groups = len(p) - len(noise.groups)
+    mean[groups:], std[groups:] = LOG_GROUP
     away = (p - mean) / std
     return float(0.5 * away @ away), np.asarray(away / std)
 
@@ -206,7 +221,7 @@ def _slopes(linear: Linearised, beliefs: Smoothed, pairs: PairFactors) -> Array:
             change("error")[joints.learned],
             change("seconds")[joints.learned].sum(keepdims=True),
         ]
-    return np.concatenate([*parts, _scale_slopes(linear, beliefs)])
+    return np.concatenate([*parts, _scale_slopes(linear, beliefs), _group_slopes(linear, beliefs)])
 
 
 def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
@@ -275,6 +290,18 @@ def _start_costs(linear: Linearised, joints: JointNoise, expected: _Expected) ->
     precision = joints.start_precision()[:, -1, -1]
     p = joints.states
     return np.asarray(0.5 * (precision * expected.pairs[0, :, p - 1, p - 1] - np.log(precision)))
+
+
+def _group_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+    """Slopes by the logarithms of the groups' standard deviations."""
+    columns = linear.problem.columns
+    means = np.array([column.mean for column in columns])
+    square = np.square(beliefs.sizes[0] - means) + np.diag(beliefs.sizes_cov[0])
+    slopes = np.zeros(len(linear.noise.groups))
+    for column, one in zip(columns, square / linear.noise.column_stds(columns) ** 2, strict=True):
+        if column.group is not None:
+            slopes[column.group] += 1.0 - one
+    return slopes
 
 
 def _scale_slopes(linear: Linearised, beliefs: Smoothed) -> Array:

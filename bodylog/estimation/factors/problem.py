@@ -2,6 +2,7 @@
 noise that is assumed, and the columns of its border.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,10 +21,19 @@ from .solve import System
 class Noise:
     """What is assumed of joints and encoders, and factors
     on the stated variance of each sense's images.
+
+    groups (G,): standard deviation of each group of columns before the log.
     """
 
     joints: JointNoise
     scales: tuple[float, ...]
+    groups: tuple[float, ...] = ()
+
+    def column_stds(self, columns: Sequence[Column]) -> Array:
+        """Standard deviation (C,) of each column's size before the log."""
+        return np.array(
+            [one.std * (1.0 if one.group is None else self.groups[one.group]) for one in columns]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +42,8 @@ class FactorProblem:
 
     t (N,) s, values (N,M) rad, NaN where missing, relative (N,M): readings and their
     variances over the encoder's · believed (N,M), and of each sense's images (F,):
-    shares that are not taken for outliers · start (M,) rad · nearest: whether an image
+    shares that are not taken for outliers · start (M,) rad · settled (C,C): covariance of the
+    columns' sizes where these are known · nearest: whether an image
     may be of a time before its knot as well, as a filter's may not.
     """
 
@@ -46,6 +57,7 @@ class FactorProblem:
     nearest: bool = True
     believed: Array | None = None
     images_believed: tuple[Array, ...] | None = None
+    settled: Array | None = None
 
     @cached_property
     def images(self) -> tuple[Images, ...]:
@@ -157,7 +169,7 @@ def build_system(linear: Linearised) -> System:
     )
     logs_of_pairs = logs_of_pairs - 0.5 * np.log(fresh).sum(axis=1)
     means = np.array([column.mean for column in problem.columns])
-    precision = np.array([1.0 / column.std**2 for column in problem.columns])
+    precision = noise.column_stds(problem.columns) ** -2.0
     system = System(
         info,
         right,
@@ -170,6 +182,7 @@ def build_system(linear: Linearised) -> System:
         means,
         precision,
         pairs,
+        problem.settled,
     )
     return system.about_means()
 

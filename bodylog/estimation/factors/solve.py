@@ -28,7 +28,8 @@ class System:
     info (K,S,S), right (K,S,R), square (K,R,R), logs (K,): at knots · pair_info (K-1,2S,2S),
     pair_right (K-1,2S,R), pair_square (K-1,R,R), pair_logs (K-1,) · means, precision (C,): of the
     columns' sizes before the log. The first right-hand side is about the means · joints: the
-    factors that pairs are made of.
+    factors that pairs are made of · settled (C,C): covariance of sizes that are known
+    about their means, and that a filter does not learn again.
     """
 
     info: Array
@@ -42,6 +43,7 @@ class System:
     means: Array
     precision: Array
     joints: PairFactors
+    settled: Array | None = None
 
     def about_means(self) -> "System":
         """The same with the means of the columns' sizes in the
@@ -228,9 +230,15 @@ def _forward(
     pivots = np.log(np.einsum("kss->ks", factors)).sum(axis=1)
     gone = np.zeros(count)
     gone[1:] = np.cumsum(system.logs[:-1] + system.pair_logs + pivots[:-1])
-    nats = gone + logs + 0.5 * log_det + _column_nats(schur, system.precision)
-    sizes_cov = np.linalg.inv(schur[:, 1:, 1:] + np.diag(system.precision))
-    sizes = (sizes_cov @ schur[:, 1:, :1])[..., 0]
+    nats = gone + logs + 0.5 * log_det
+    if system.settled is None:
+        nats = nats + _column_nats(schur, system.precision)
+        sizes_cov = np.linalg.inv(schur[:, 1:, 1:] + np.diag(system.precision))
+        sizes = (sizes_cov @ schur[:, 1:, :1])[..., 0]
+    else:
+        nats = nats + 0.5 * schur[:, 0, 0]
+        sizes_cov = np.repeat(system.settled[None], count, axis=0)
+        sizes = np.zeros((count, r - 1))
     mean = paths[..., 0] - np.einsum("ksc,kc->ks", paths[..., 1:], sizes)
     return Marginals(mean, inverse, sizes + system.means, sizes_cov, paths[..., 1:], nats)
 

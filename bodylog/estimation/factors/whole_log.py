@@ -107,14 +107,13 @@ class SolvedLog:
 
 
 def explain_log(
-    problem: FilterProblem, halves: Array, loads: tuple[Column, ...], doubtful: bool
+    problem: FilterProblem, halves: Array, loads: tuple[Column, ...]
 ) -> ExplainedLog | None:
     """Explain a log by white noise alone, or by errors of
     its hardware; None where it has no readings or no images.
 
     problem: with the encoder offsets that were found · halves (M,)
-    rad: half of each joint's play in the exploration · loads: columns of a load · doubtful:
-    encoders were found to be off, which may be a load instead.
+    rad: half of each joint's play in the exploration · loads: columns of a load.
     """
     encoders = problem.evidence.encoders
     sightings = tuple(
@@ -133,16 +132,13 @@ def explain_log(
         partial(_is_of_counts, encoders=encoders),
         halves,
         loads,
-        doubtful,
     )
     return ExplainedLog(fine, found, found.learned.nats + _outliers(coarse))
 
 
 def solve_log(problem: FilterProblem, found: ExplainedLog, causal: bool) -> SolvedLog:
     """The beliefs at each instant by what came before (causal) or by the whole log."""
-    fine = replace(
-        found.fine, columns=found.explanation.settled_columns(causal), nearest=not causal
-    )
+    fine = replace(found.explanation.settle_columns(found.fine, causal), nearest=not causal)
     fine = _weighed(fine, found.noise, rough=False)
     solution = solve(fine, found.noise, causal=causal)
     instants = _at_instants(problem, fine, solution, causal)

@@ -141,6 +141,33 @@ def subtract_displacement(sighting: Sighting, moved: CameraDisplacement) -> Sigh
     return replace(sighting, model=unsure, values=sighting.values - off, displaced=before + off)
 
 
+def restore_displacements(evidence: Evidence) -> Evidence:
+    """The evidence as if no camera had moved."""
+    sightings = tuple(
+        one
+        if one.displaced is None
+        else replace(
+            one,
+            model=_without_added_variance(one.model),
+            values=one.values + one.displaced,
+            displaced=None,
+        )
+        for one in evidence.sightings
+    )
+    faults = tuple(one for one in evidence.faults if one.kind != FaultKind.DISPLACED)
+    hypotheses = tuple(
+        replace(one, chosen=False) if one.name == "camera moved" else one
+        for one in evidence.hypotheses
+    )
+    return replace(evidence, sightings=sightings, faults=faults, hypotheses=hypotheses)
+
+
+def _without_added_variance(model: ForwardModel) -> ForwardModel:
+    while isinstance(model, _ModelWithAddedVariance):
+        model = model._plain
+    return model
+
+
 def find_displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[CameraDisplacement]:
     """Return the displacements of one camera's tracks that win EVIDENCE_THRESHOLD_NATS, by time, or
     else the most likely one.

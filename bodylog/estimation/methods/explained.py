@@ -10,11 +10,12 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...settings import EstimationSettings
-from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, Finding
-from ..factors.columns import Play
+from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
+from ..factors.columns import Column, Play
 from ..factors.hypotheses import DRIFTS_S, Explanation
-from ..factors.load import LOAD_STD, Load, hand_levers, load_columns, load_sentence
+from ..factors.load import FIRST_BEND, Load, hand_levers, load_columns, load_sentence
 from ..factors.whole_log import ExplainedLog, Instants, SolvedLog, explain_log, solve_log
+from ..faults.moved_camera import restore_displacements
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.problem import FilterProblem
 from ..measurements.arm_errors import learned_arm_errors
@@ -55,7 +56,7 @@ def explained_estimate(
     doubtful = beliefs.faults and hand_levers(body.senses) is not None
     if lasting is None and not doubtful and _count_from_start(problem, beliefs.faults) < 2:
         return kept
-    std = LOAD_STD if lasting is None else lasting.std
+    std = FIRST_BEND if lasting is None else lasting.std
     try:
         made = _explain_estimate(method, body, problem, first, beliefs, settings, std, halves)
     except np.linalg.LinAlgError as singular:
@@ -85,20 +86,13 @@ def _explain_estimate(
         return why
     assert problem.evidence.encoders is not None  # or bars are widened
     loads = load_columns(body, problem.evidence.encoders.values)
-    off = has_offsets(problem, first)
-    found = explain_log(problem, halves, loads, off)
+    found = explain_log(problem, halves, loads)
     if found is None:
         return "no images show the joints"
     causal = settings.method != "smoother"
-    simpler = None
-    if off:
-        without = _without_offsets(problem, first)
-        simpler = explain_log(without, halves, loads, off)
-    if simpler is not None and simpler.nats - found.nats <= _allowance_for_offsets(
-        simpler, problem, beliefs.faults
-    ):
-        problem = without
-        found = simpler
+    simpler = _explain_without_faults(problem, first, found, beliefs.faults, halves, loads)
+    if simpler is not None:
+        problem, found = simpler
         beliefs = replace(beliefs, faults=())
     else:
         why = reason_of_disagreement(problem, beliefs, found, causal)
@@ -130,22 +124,63 @@ def _known_halves(body: BodyModel) -> Array:
     return np.array([0.5 * play[name][0] if name in play else 0.0 for name in body.joints])
 
 
-def _allowance_for_offsets(
-    found: ExplainedLog, problem: FilterProblem, faults: tuple[Fault, ...]
+def _explain_without_faults(
+    problem: FilterProblem,
+    first: FilterProblem,
+    found: ExplainedLog,
+    faults: tuple[Fault, ...],
+    halves: Array,
+    loads: tuple[Column, ...],
+) -> tuple[FilterProblem, ExplainedLog] | None:
+    """The most probable explanation without encoder offsets, or with no
+    moved camera either, where that is as good as with faults; else None.
+    """
+    best = None
+    for without in _drop_faults(problem, first):
+        simpler = explain_log(without, halves, loads)
+        assert simpler is not None  # as the log with faults has one
+        cameras = len(first.evidence.faults) - len(without.evidence.faults)
+        allowance = _allowance_for_faults(simpler, problem, faults, cameras)
+        print("   COMPARE none - faults nats:", simpler.nats - found.nats, "allowed", allowance, [c.name for c in simpler.explanation.columns], simpler.explanation.gains, simpler.noise.joints.error, simpler.noise.joints.seconds, simpler.noise.groups, "| with faults", found.explanation.gains, found.noise.joints.error, found.noise.joints.seconds, [(x.name,x.kind) for x in faults], [(x.name,x.kind,round(x.since,2)) for x in problem.evidence.faults],[(x.name,x.kind,round(x.since,2)) for x in first.evidence.faults])
+        if simpler.nats - found.nats <= allowance and (
+            best is None or simpler.nats < best[1].nats
+        ):
+            best = (without, simpler)
+    return best
+
+
+def _drop_faults(problem: FilterProblem, first: FilterProblem) -> Iterator[FilterProblem]:
+    """Yield the problem without the encoder offsets that were
+    found, and without the displacements of cameras, too.
+    """
+    drift = replace(problem.precision, drift=first.precision.drift)
+    evidence = replace(first.evidence, hypotheses=problem.evidence.hypotheses)
+    plain = replace(problem, evidence=evidence, precision=drift, alternatives={})
+    if has_offsets(problem, first):
+        yield plain
+    if any(one.kind == FaultKind.DISPLACED for one in evidence.faults):
+        yield replace(plain, evidence=restore_displacements(evidence))
+
+
+def _allowance_for_faults(
+    found: ExplainedLog, problem: FilterProblem, faults: tuple[Fault, ...], cameras: int
 ) -> float:
-    """Nats by which a log without encoder offsets may be less likely than with them.
+    """Nats by which a log without encoder offsets and this number
+    of moved cameras may be less likely than with them.
 
     What lasts for long would be an offset itself. Play and one load explain several offsets at
     once, and one encoder more that is off from the first reading on counts as one fault more. A
-    load in the shape of the hand's levers is a fault as an offset is.
+    load is as simple as an offset of one encoder; the sizes of a displacement cost no evidence.
     """
     joints = found.noise.joints
     passing = bool((joints.seconds[joints.learned] < DRIFTS_S).all())
+    moves = cameras * EVIDENCE_THRESHOLD_NATS
+    gains = found.explanation.gains
     if (off := _count_from_start(problem, faults)) > 1:
-        return (off - 1) * EVIDENCE_THRESHOLD_NATS
-    if any(column.name == "payload" for column in found.explanation.columns):
-        return 0.0
-    return EVIDENCE_THRESHOLD_NATS if passing and "play" in found.explanation.gains else -np.inf
+        return moves + (off - 1) * EVIDENCE_THRESHOLD_NATS
+    if "load" in gains:
+        return moves
+    return EVIDENCE_THRESHOLD_NATS if passing and "play" in gains and not cameras else -np.inf
 
 
 def _count_from_start(problem: FilterProblem, faults: tuple[Fault, ...]) -> int:
@@ -160,13 +195,6 @@ def _count_from_start(problem: FilterProblem, faults: tuple[Fault, ...]) -> int:
 def has_offsets(problem: FilterProblem, first: FilterProblem) -> bool:
     """Whether encoder offsets were found since the first problem."""
     return problem.evidence.faults != first.evidence.faults or bool(problem.alternatives)
-
-
-def _without_offsets(problem: FilterProblem, first: FilterProblem) -> FilterProblem:
-    """The problem without the offsets that were found, and the evidence beside it."""
-    evidence = replace(first.evidence, hypotheses=problem.evidence.hypotheses)
-    precision = replace(problem.precision, drift=first.precision.drift)
-    return replace(problem, evidence=evidence, precision=precision, alternatives={})
 
 
 def _with_explanation(
