@@ -22,7 +22,7 @@ class Options:
     furniture. split_joints: arm, head and gripper publish on separate topics. camera:
     the first camera's mount. hardware: errors of real joints and encoders, as typed
     (`parse_hardware`). scene: "bare" has no feature; links and wall have a texture
-    instead.
+    instead, and before a camera on the wrist there are stones.
     """
 
     seed: int = 0
