@@ -47,7 +47,7 @@ from .io.text_paths import with_text_paths
 from .logs.limits import LIMITS
 from .logs.protocol import Progress
 from .settings import Settings, settings_as_values
-from .types import Features, Finding, FrameConsumer, Recording
+from .types import SURFACE_CHANGES, Features, Finding, FrameConsumer, Recording
 
 DEFAULTS = Settings()
 
@@ -493,7 +493,28 @@ def diagnose_log(
     )
     if repair is not None:
         logs_doctor.rewrite_sound_messages(log, repair, limits)
-    return Result(repair, Scores(late.scores), findings=(*findings, *late.findings))
+    return Result(
+        repair,
+        Scores(late.scores),
+        findings=(*findings, *late.findings),
+        settings={SURFACE_CHANGES: late.changes} if late.changes else {},
+        faults=late.faults,
+    )
+
+
+@with_text_paths
+def diagnose_together(results: Sequence[Result], body: Path) -> Result | None:
+    """What logs tell together that `diagnose_log` judged by a body of the robot's surface: a
+    fault that all have in common. None where fewer than two of them show the arm.
+    """
+    from .body import storage
+    from .surface import findings as surface_findings
+
+    changes = [one.settings[SURFACE_CHANGES] for one in results if SURFACE_CHANGES in one.settings]
+    if len(changes) < 2:
+        return None
+    findings, faults = surface_findings.examine_together(changes, storage.load_body(body))
+    return Result(None, findings=findings, faults=faults)
 
 
 def requested_folders(option: str, *paths: Path | None) -> tuple[Output, ...]:

@@ -309,6 +309,10 @@ None; load: weight, nats, rad {joint}, or None; late {camera: seconds, std, nats
 
 SURFACE_VIEWS = "surface"
 """In an estimate's settings: what a report shows of each camera by the robot's own surface."""
+SURFACE_CHANGES = "surface_changes"
+"""In an estimate's settings: shift_px of the still scene, and every hypothesis on what changed
+since the body was learned, by camera of a body of the robot's surface.
+"""
 LASTING_ERROR = "lasting_error"
 """Key of an estimate's settings for errors of encoders
 that last: std (rad), seconds, nats, nees_if_white.

@@ -108,6 +108,9 @@ def _examine_logs(
         results, code = collect_results(
             logs, lambda log: pipeline.diagnose_log(log, repair, settings, tick, body)
         )
+    whole = None if body is None else pipeline.diagnose_together([*results.values()], body)
+    if whole is not None:
+        results[" ".join(results)] = whole
     if as_json:
         print_json([result_entry(result, path) for path, result in results.items()])
     else:

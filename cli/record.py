@@ -80,7 +80,7 @@ SCENARIO is one of {", ".join(choices.VARIANTS)}.
     type=NearestChoice(choices.SCENES),
     default="plain",
     show_default=True,
-    help="bare: no feature; links and wall have a texture.",
+    help="bare: no feature; links and wall, or stones before a wrist, have a texture.",
 )
 @click.option(
     "--hardware",

@@ -3,12 +3,12 @@ by a body, or by one learned from the log itself.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..body_model import BodyModel
 from ..checks import require_same_camera, require_same_size
@@ -34,11 +34,14 @@ all of a minute at 100 Hz, as motion needs neighbours.
 @dataclass(frozen=True, eq=False)
 class ExaminedDelays:
     """Delays of cameras with standard errors (s) as scores, what was found about them, and what
-    differs from the logs that a body was learned from."""
+    differs from the logs that a body was learned from.
+
+    changes: what each camera weighed about that, by which several logs are judged together."""
 
     scores: tuple[Score, ...] = ()
     findings: tuple[Finding, ...] = ()
     faults: tuple[Fault, ...] = ()
+    changes: Mapping[str, Any] = field(default_factory=dict)
 
 
 def measure_image_delays(log: Path, body: BodyModel | None, settings: Settings) -> ExaminedDelays:

@@ -174,7 +174,7 @@ def _agreement_sentence(found: Estimate) -> str:
     if not found.can.repairs:
         return f"{text}; {found.method} does not look for encoder offsets"
     if limits := found.settings.get(LEAST_OFFSETS):
-        return f"{text}; {_least_offset_sentence(limits)}"
+        return f"{text}; {describe_least_offsets(limits)}"
     judged = (
         isinstance(found.settings.get(MEASURED_DELAYS), Mapping) and found.settings[MEASURED_DELAYS]
     )
@@ -183,7 +183,7 @@ def _agreement_sentence(found: Estimate) -> str:
     )
 
 
-def _least_offset_sentence(limits: Mapping[str, Any]) -> str:
+def describe_least_offsets(limits: Mapping[str, Any]) -> str:
     """Which offsets the robot's surface would not show: no error bar holds them."""
     shown = [
         f"{joint} {quantity_text(float(one['value']), None, one['unit'])}"

@@ -10,11 +10,15 @@ from ..types import Array
 
 @dataclass(frozen=True, eq=False)
 class JointCurve:
-    """Joint angles q (K,M), rad or m, at times t (K,) s, ascending; slopes (K,M) per s."""
+    """Joint angles q (K,M), rad or m, at times t (K,) s, ascending; slopes (K,M) per s.
+
+    error: what the angles are off by, from noise of the encoders; None where that is not known.
+    """
 
     t: Array
     q: Array
     slopes: Array
+    error: "CurveError | None" = None
 
     @cached_property
     def _pieces(self) -> Array:
@@ -40,8 +44,37 @@ class JointCurve:
         return angle, (slope + share * (2.0 * square + share * (3.0 * cube))) * inside
 
 
-def curve_through_samples(t: Array, q: Array) -> JointCurve:
+@dataclass(frozen=True, eq=False)
+class CurveError:
+    """The error of smoothed joint angles, a stationary process for each joint: std (M,), rad or m,
+    and rate (M,) 1/s, the frequency above which smoothing takes the noise out.
+
+    A motion whose third derivative is white with density q (rad²/s⁵), read every Δ s with variance
+    σ², leaves the error spectrum σ²Δ / (1 + (ω/ω₀)⁶), ω₀⁶ = q/(σ²Δ) (Wiener).
+    """
+
+    std: Array
+    rate: Array
+
+    def correlation(self, joint: int, lag: Array) -> Array:
+        """Correlation of a joint's error over lags (…) s: its spectrum's transform."""
+        z = self.rate[joint] * np.abs(lag)
+        turn = np.sqrt(0.75) * z
+        ring = np.exp(-0.5 * z) * (np.cos(turn) + np.sqrt(3.0) * np.sin(turn))
+        return np.asarray(0.5 * (np.exp(-z) + ring))
+
+
+def curve_error(noise: Array, process: Array, every_s: Array) -> CurveError:
+    """The error for variances of noise (M,), densities of the
+    process (M,) rad²/s⁵, and steps between readings (M,) s.
+    """
+    density = noise * every_s
+    rate = (process / density) ** (1.0 / 6.0)
+    return CurveError(np.sqrt(density * rate / 3.0), rate)
+
+
+def curve_through_samples(t: Array, q: Array, error: CurveError | None = None) -> JointCurve:
     """The curve through samples q (K,M) at t (K,) s,
     K at least 2, with slopes by central differences.
     """
-    return JointCurve(t, q, np.gradient(q, t, axis=0))
+    return JointCurve(t, q, np.gradient(q, t, axis=0), error)

@@ -98,14 +98,27 @@ def whiten_residuals(values: Array, seen: LandmarkSightings, std_px: float) -> A
     r̃_i = (r_i − ρ_i r_{i−1}) / (σ √(1 − ρ_i²)), ρ_i = exp(−(t_i
     − t_{i−1}) / ℓ), ρ = 0 at the first row of a piece.
     """
+    rho, scale = _whitening_of_rows(seen, std_px)
+    shape = (-1, *[1] * (values.ndim - 1))
+    before = np.roll(values, 1, axis=0)
+    return np.asarray((values - rho.reshape(shape) * before) / scale.reshape(shape))
+
+
+def whiten_back(values: Array, seen: LandmarkSightings, std_px: float) -> Array:
+    """The transpose of `whiten_residuals`: what innovations (R,…) weigh as sums over residuals."""
+    rho, scale = _whitening_of_rows(seen, std_px)
+    shape = (-1, *[1] * (values.ndim - 1))
+    scaled = values / scale.reshape(shape)
+    return np.asarray(scaled - np.roll(rho.reshape(shape) * scaled, -1, axis=0))
+
+
+def _whitening_of_rows(seen: LandmarkSightings, std_px: float) -> tuple[Array, Array]:
+    """ρ (R,), 0 at the first row of a piece, and the deviation (R,) px of each innovation."""
     gaps = np.diff(seen.t, prepend=-np.inf)
     gaps[seen.begins] = np.inf
     gaps[np.diff(seen.log, prepend=-1) != 0] = np.inf
     rho = np.exp(-gaps / RESIDUAL_TIME_S)
-    shape = (-1, *[1] * (values.ndim - 1))
-    before = np.roll(values, 1, axis=0)
-    scale = std_px * np.sqrt(np.maximum(1.0 - rho**2, 1e-6))
-    return np.asarray((values - rho.reshape(shape) * before) / scale.reshape(shape))
+    return rho, std_px * np.sqrt(np.maximum(1.0 - rho**2, 1e-6))
 
 
 def reduce_normal(

@@ -5,13 +5,15 @@ link's landmarks share, and a block sandwich, the larger.
 import numpy as np
 
 from ..types import Array
-from .landmark_adjustment import RESIDUAL_STD_PX
+from .landmark_adjustment import RESIDUAL_STD_PX, whiten_back
 from .landmark_fit import LandmarkFit
 
 COMMON_STD_PX = 0.7
 """Error that all landmarks of a link share at one instant:
 highlights and silhouettes move alike (0.5 to 1 px).
 """
+_LEAST_MOTION_PX = 0.05
+"""Motion of a joint's corners by the error of its angle, below which that error is left out."""
 BLOCK_S = 2.0
 """Blocks of the sandwich: one link's rows within this time."""
 ZERO_FLOOR_PX = 1.0
@@ -37,15 +39,16 @@ def unknowns_covariance(fit: LandmarkFit) -> Array:
     """Covariance (P,P) of φ; the prior's for unknowns that were not estimated.
 
     The larger, for each unknown, of two: the residual model (each piece an Ornstein-Uhlenbeck
-    process, and one that a link's pieces share), and a sandwich over blocks of one link and
-    BLOCK_S. Factors and floors from the scatter of disjoint logs then widen zeros and row time.
+    process, one that a link's pieces share, and the errors of the smoothed joints), and a sandwich
+    over blocks of one link and BLOCK_S. Factors and floors from the scatter of disjoint logs then widen zeros and row time.
     """
     part = np.ix_(fit.free, fit.free)
     inverse = np.linalg.inv(fit.reduced.matrix[part])
     prior = (fit.model.prior_precision + fit.reduced.from_prior)[part]
     weighted, scores = _scores_of_rows(fit)
     flat = weighted.reshape(-1, weighted.shape[2])
-    modelled = inverse @ (prior + (flat.T @ flat + _shared_meat(fit, weighted))[part]) @ inverse
+    meat = flat.T @ flat + _shared_meat(fit, weighted) + _motion_meat(fit, weighted)
+    modelled = inverse @ (prior + meat[part]) @ inverse
     scatter = inverse @ (prior + _block_meat(fit, scores)[part]) @ inverse
     std = np.sqrt(np.diag(modelled))
     widen = np.maximum(np.sqrt(np.diag(scatter)) / std, 1.0)
@@ -79,6 +82,31 @@ def _shared_meat(fit: LandmarkFit, weighted: Array) -> Array:
     np.add.at(sums, groups, weighted)
     flat = sums.reshape(-1, weighted.shape[2])
     return np.asarray((COMMON_STD_PX / RESIDUAL_STD_PX) ** 2 * flat.T @ flat)
+
+
+def _motion_meat(fit: LandmarkFit, weighted: Array) -> Array:
+    """Scatter (P,P) of the scores by what the smoothed joints are off by at each instant."""
+    seen = fit.seen
+    result = np.zeros((len(fit.phi), len(fit.phi)))
+    by_residual = whiten_back(weighted, seen, RESIDUAL_STD_PX)
+    predicted = fit.model.predict(fit.phi, seen, fit.landmarks.body, fit.landmarks.places)
+    for log, motion in enumerate(fit.model.motions):
+        rows = np.flatnonzero(seen.log == log)
+        if motion.error is None or not len(rows):
+            continue
+        t, number = np.unique(seen.t[rows], return_inverse=True)
+        number = number.reshape(-1)
+        order = np.argsort(number, kind="stable")
+        begins = np.searchsorted(number[order], np.arange(len(t)))
+        lags = t[:, None] - t
+        for joint, std in enumerate(motion.error.std):
+            moved = predicted.by_joints[rows, :, joint] * std
+            if np.sqrt(np.square(moved).sum(axis=1).mean()) < _LEAST_MOTION_PX:
+                continue
+            scores = np.einsum("nip,ni->np", by_residual[rows], moved)
+            sums = np.add.reduceat(scores[order], begins, axis=0)
+            result += sums.T @ motion.error.correlation(joint, lags) @ sums
+    return result
 
 
 def _block_meat(fit: LandmarkFit, scores: Array) -> Array:

@@ -8,7 +8,7 @@ widened along what it frees. Evidence and posterior follow in closed form:
     ln Z_h = ½ ln |Λ_h| − ½ ln |Λ_h + D| + ½ (b + Λ_h m)ᵀ (Λ_h + D)⁻¹ (b + Λ_h m) − ½ mᵀ Λ_h m
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -136,3 +136,55 @@ def _weigh_hypothesis(
     return ChangeHypothesis(
         name, float(nats), value, float(np.sqrt(left)), float(np.sqrt(variance))
     )
+
+
+def join_changes(
+    logs: Sequence[Sequence[ChangeHypothesis]], learned_from: int
+) -> list[ChangeHypothesis]:
+    """The hypotheses of several logs with one change in common, from those of each log (same order).
+
+    learned_from: the number of logs behind the belief. Its own error is in every log alike: of a
+    log's variance the share 1 / (learned_from + 1), as its logs tell as much as this one each. A
+    joint whose offset differs between logs is no better than the sound hypothesis. The camera's
+    evidence is the product of the logs', as if it had moved differently in each: a lower bound.
+    """
+    sound = [changes[0] for changes in logs]
+    found = [ChangeHypothesis(SOUND, 0.0)]
+    for each in list(zip(*logs, strict=True))[1:]:
+        gains = np.array([one.nats - alone.nats for one, alone in zip(each, sound, strict=True)])
+        if each[0].beforehand:
+            found.append(_join_offsets(each, gains, learned_from))
+        else:
+            found.append(ChangeHypothesis(each[0].name, float(gains.sum())))
+    return found
+
+
+def _join_offsets(
+    logs: Sequence[ChangeHypothesis], gains: Array, learned_from: int
+) -> ChangeHypothesis:
+    """One offset in all logs, unless those with gains (L,) > 0 are better off with their own."""
+    prior = logs[0].beforehand ** 2
+    posterior = np.array([one.std**2 for one in logs])
+    variance = 1.0 / np.maximum(1.0 / posterior - 1.0 / prior, 1e-6 / prior)
+    measured = np.array([one.value for one in logs]) / posterior * variance
+    share = 1.0 / (learned_from + 1.0)
+    std = np.sqrt(variance)
+    sound = (1.0 - share) * np.diag(variance) + share * np.outer(std, std)
+    nats, apart = (
+        _ln_density(measured, sound + added) - _ln_density(measured, sound)
+        for added in (np.full(sound.shape, prior), prior * np.diag(gains > 0.0))
+    )
+    gain = prior * np.linalg.inv(sound + prior).sum(axis=0)
+    return ChangeHypothesis(
+        logs[0].name,
+        min(nats, 0.0) if apart > nats else nats,
+        float(gain @ measured),
+        float(np.sqrt(prior * (1.0 - gain.sum()))),
+        logs[0].beforehand,
+    )
+
+
+def _ln_density(measured: Array, covariance: Array) -> float:
+    """Logarithm of a normal density about 0, less its constant."""
+    nats = np.linalg.slogdet(covariance)[1] + measured @ np.linalg.solve(covariance, measured)
+    return float(-0.5 * nats)

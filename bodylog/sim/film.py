@@ -100,7 +100,9 @@ def side_items(stage: Stage) -> Iterator[Item]:
 
 def _film_camera(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item]:
     rng = stage.chance(view.stream)
-    wall = cameras.draw_background(view.camera, rng, stage.wish.options.scene == "bare")
+    # a wall that turns with the camera would be no texture of the scene
+    textured = stage.wish.options.scene == "bare" and stage.mount is None
+    wall = cameras.draw_background(view.camera, rng, textured)
     noise = cameras.sensor_noise(view.camera, rng)
     shot: _Shot | None = None
     for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, view.offset_ns):

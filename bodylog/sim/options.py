@@ -15,13 +15,14 @@ class Options:
     """Options of a recording; duration (s), noise (encoders, rad), variant and place: the
     scenario's own when None.
 
-    size: image size in px. marker: a blue ball on the arm, for a second visual sense. cameras: 2
-    adds one at the side. turning: the head turns, one more joint. feature: the thing on the arm, or
-    for a camera on the wrist the one in the scene; feature_size in m. clutter: things of the
-    feature's colour, a foreign tag and furniture. split_joints: arm, head and gripper publish on
-    separate topics. camera: the first camera's mount. hardware: errors of real joints and encoders,
-    as typed (`parse_hardware`). scene: "bare" has no feature; links and wall have a texture
-    instead.
+    size: image size in px. marker: a blue ball on the arm, for a second visual sense.
+    cameras: 2 adds one at the side. turning: the head turns, one more joint. feature:
+    the thing on the arm, or for a camera on the wrist the one in the scene;
+    feature_size in m. clutter: things of the feature's colour, a foreign tag and
+    furniture. split_joints: arm, head and gripper publish on separate topics. camera:
+    the first camera's mount. hardware: errors of real joints and encoders, as typed
+    (`parse_hardware`). scene: "bare" has no feature; links and wall have a texture
+    instead, and before a camera on the wrist there are stones.
     """
 
     seed: int = 0

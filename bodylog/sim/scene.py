@@ -19,6 +19,9 @@ _STUDS = 14
 _STUD_M = (0.004, 0.009)
 _STUD_GREY = ((25.0, 60.0), (190.0, 230.0))
 """Dark and light ones, as grey levels: no colour of a feature."""
+_STONES = 160
+_STONE_M = (0.004, 0.014)
+"""Stones before a camera on the wrist, where a bare scene has no other texture."""
 _POST = 0.05
 _POST_OF_SIDE = 0.35
 """Length of the post that holds a plate clear of the limb: m, and in sides of the tag."""
@@ -125,9 +128,10 @@ def before_the_wrist(
     the arm is at home: the feature `distance` m ahead.
     """
     place = camera.position + distance * camera.rotation[2]
-    return Scene(
-        _make_feature(options, place, camera.rotation.T), None, *_make_clutter(options, camera, rng)
-    )
+    feature = _make_feature(options, place, camera.rotation.T)
+    things, boxes = _make_clutter(options, camera, rng)
+    stones = _scatter_stones(place, distance, rng) if options.scene == "bare" else ()
+    return Scene(feature, None, (*things, *stones), boxes)
 
 
 def studs(cylinders: Iterable[Cylinder], rng: np.random.Generator) -> tuple[tuple[str, Ball], ...]:
@@ -141,6 +145,16 @@ def studs(cylinders: Iterable[Cylinder], rng: np.random.Generator) -> tuple[tupl
             grey = rng.uniform(*_STUD_GREY[number % 2])
             ball = Ball(one.rotation @ local + one.place, rng.uniform(*_STUD_M), (grey, grey, grey))
             found.append((one.link, ball))
+    return tuple(found)
+
+
+def _scatter_stones(place: Array, distance: float, rng: np.random.Generator) -> tuple[Ball, ...]:
+    """Stones at rest, as far around `place` (3,) m as the camera is from it (m)."""
+    found = []
+    for number in range(_STONES):
+        grey = rng.uniform(*_STUD_GREY[number % 2])
+        aside = rng.uniform(-0.8, 0.8, 3) * distance
+        found.append(Ball(place + aside, rng.uniform(*_STONE_M), (grey, grey, grey)))
     return tuple(found)
 
 

@@ -337,11 +337,12 @@ def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointCurve":
     import numpy as np
 
     from ..body.data import angle_smoother
-    from ..kinematics.joint_motion import curve_through_samples
+    from ..kinematics.joint_motion import curve_error, curve_through_samples
 
     grid = np.arange(joints.t[0], joints.t[-1], _GRID_S)
     columns = []
-    for name in names:
+    noise = np.empty((3, len(names)))
+    for joint, name in enumerate(names):
         readings = joints.values[:, list(joints.names).index(name)]
         finite = np.isfinite(readings)
         signal = angle_smoother.build_reading_chain(joints.t[finite], readings[finite])
@@ -349,7 +350,9 @@ def smoothed_motion(joints: Series, names: Sequence[str]) -> "JointCurve":
         # a joint's own readings may begin later and end earlier than those of other topics
         within = np.clip(grid, signal.t[0], signal.t[-1])
         columns.append(angle_smoother.smooth_angles(signal, motion, within)[0])
-    return curve_through_samples(grid, np.stack(columns, axis=1))
+        every_s = (signal.t[-1] - signal.t[0]) / (signal.count.sum() - 1.0)
+        noise[:, joint] = motion.encoder, motion.process, every_s
+    return curve_through_samples(grid, np.stack(columns, axis=1), curve_error(*noise))
 
 
 def _track_each_log(

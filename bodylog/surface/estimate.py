@@ -3,7 +3,7 @@ offsets that the surface shows, and the postures that its images tell.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from ..errors import EvidenceError, ModelError
 from ..findings.log_estimate import LogWithBody, estimate_log, infer
 from ..types import (
     ALTERNATIVE_SEPARATOR,
+    SURFACE_CHANGES,
     SURFACE_VIEWS,
     Array,
     Estimate,
@@ -81,20 +82,26 @@ _BLUR_PX = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class CameraJudgement:
-    """What one camera tells of a log: delay (s) ± std, every hypothesis, and sentences; None
-    without images of an arm.
+class CameraChanges:
+    """What one camera tells of what changed since the body was learned: every hypothesis.
 
-    identifiable: joints of which the log shows an offset as large as a faulty joint commonly has ·
-    shift: of the still scene, px, None where scenes differ · linked: the corners by the links that
-    they follow.
+    identifiable: joints of which it shows an offset as large as a faulty joint commonly has ·
+    shift: of the still scene, px, None where scenes differ.
     """
 
     camera: str
-    delay: tuple[float, float]
     changes: "Sequence[ChangeHypothesis]"
     identifiable: tuple[str, ...]
     shift: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class CameraJudgement(CameraChanges):
+    """What one camera tells of a log: changes, its delay (s) ± std, and the corners by the links
+    that they follow.
+    """
+
+    delay: tuple[float, float]
     linked: LinkedTracks
 
 
@@ -175,6 +182,34 @@ def _with_surface_readings(
     return replace(features, joints=replace(joints, values=joints.values - less), postures=postures)
 
 
+def judge_together(
+    logs: Sequence[Mapping[str, Any]], learned: BodyModel
+) -> Iterator[tuple[str, int, Fault | None, Mapping[str, Any]]]:
+    """Yield what several logs of one robot tell together: camera, the number of logs that show the
+    arm, the fault that all have in common, and the smallest offsets that would be seen.
+
+    logs: of each log the changes that its estimate's settings hold (SURFACE_CHANGES).
+    """
+    from ..kinematics.landmark_hypotheses import ChangeHypothesis, join_changes
+
+    assert learned.surface is not None
+    names = {joint: name for name, joint in learned.surface.joint_of.items()}
+    for camera in learned.surface.cameras:
+        each = [one[camera.name] for one in logs if camera.name in one]
+        if len(each) < 2:
+            continue
+        changes = join_changes(
+            [[ChangeHypothesis(**change) for change in one["changes"]] for one in each],
+            len(camera.delays),
+        )
+        sure = _identifiable_joints(changes, learned.surface)
+        shifts = [one["shift_px"] for one in each]
+        shift = None if None in shifts else max(shifts)
+        joined = CameraChanges(camera.name, changes, sure, shift)
+        least = _smallest_shown_offsets(joined, learned, names, {})
+        yield camera.name, len(each), _winning_fault(joined, 0.0, learned), least
+
+
 def _add_offset_variances(found: Estimate, faults: Sequence[Fault]) -> Estimate:
     """The estimate with the surface's faults, and the variances of the offsets taken out."""
     cov = found.cov.copy()
@@ -238,14 +273,20 @@ def judge_by_camera(
         # camera that is free would win by thousands of nats on a sound log
         loose = staged_fit(hypotheses.widen_zero_belief(model, belief, True), start, part)
         changes = changes if loose is None else _weighed_changes(loose, belief, may_move)
+    linked = link_tracks(fit.model, fit.phi, seen)
+    sure = _identifiable_joints(changes, surface)
+    return CameraJudgement(camera.name, changes, sure, shift, late, linked)
+
+
+def _identifiable_joints(
+    changes: "Sequence[ChangeHypothesis]", surface: Surface
+) -> tuple[str, ...]:
     names = {joint: name for name, joint in surface.joint_of.items()}
-    sure = tuple(
+    return tuple(
         names[one.name]
         for one in changes
         if one.beforehand and _least_offset(one) <= one.beforehand
     )
-    linked = link_tracks(fit.model, fit.phi, seen)
-    return CameraJudgement(camera.name, late, changes, sure, shift, linked)
 
 
 def _weighed_changes(
@@ -438,6 +479,8 @@ def _with_judgement(
         findings.append(Finding("info", describe_postures(one.camera, reading)))
     views = views_as_values(one.linked, surface_space(learned.surface))
     settings[SURFACE_VIEWS] = {**settings.get(SURFACE_VIEWS, {}), one.camera: views}
+    changes = {"shift_px": one.shift, "changes": [asdict(change) for change in one.changes]}
+    settings[SURFACE_CHANGES] = {**settings.get(SURFACE_CHANGES, {}), one.camera: changes}
     return replace(found, settings=settings, findings=tuple(findings))
 
 
@@ -458,7 +501,7 @@ def _describe_other_scene(one: CameraJudgement) -> Finding:
 
 
 def _smallest_shown_offsets(
-    one: CameraJudgement, learned: BodyModel, names: Mapping[str, str], by_others: Mapping[str, Any]
+    one: CameraChanges, learned: BodyModel, names: Mapping[str, str], by_others: Mapping[str, Any]
 ) -> dict[str, Any]:
     """The smallest offset of each joint that any camera
     would show: {"value", "unit"}; None where none would.
@@ -484,7 +527,7 @@ def _least_offset(change: "ChangeHypothesis") -> float:
     return max(LEAST_SIGMA * change.std, LEAST_OFFSET * (0.1 if slides else 1.0))
 
 
-def _winning_fault(one: CameraJudgement, since: float, learned: BodyModel) -> Fault | None:
+def _winning_fault(one: CameraChanges, since: float, learned: BodyModel) -> Fault | None:
     """The fault that wins, if one does, from `since` (s) on; it has a std where its size is known."""
     from ..kinematics.landmark_hypotheses import CAMERA, SOUND
 

@@ -2,16 +2,18 @@
 --urdf ROBOT.urdf`: delay, lens, row time, joint zeros.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from ..body_model import BodyModel
 from ..delays import findings as delay_findings
 from ..delays.findings import ExaminedDelays, middle_of_recording
 from ..errors import EvidenceError, ModelError
 from ..settings import Settings
-from ..types import Finding, Recording, Score
+from ..types import SURFACE_CHANGES, Fault, Finding, Recording, Score
 from .calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, agrees_with, calibrate_cameras
+from .estimate import estimate_by_surface, judge_by_camera, judge_together
 from .tracks import LinkedTracks, describe_foreign, link_tracks
 
 SIGNIFICANT_SIGMA = 3.0
@@ -60,7 +62,6 @@ def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedD
     from ..findings.faults import fault_warnings
     from ..findings.joints_only import read_joints_alone
     from ..findings.log_estimate import LogWithBody
-    from .estimate import estimate_by_surface
 
     read, features = read_joints_alone(log, settings, body)
     found = estimate_by_surface(LogWithBody(log, read, features, body, settings, settings))
@@ -71,7 +72,30 @@ def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedD
         tuple(list_delays(found)),
         tuple(Finding(one.severity, f"{log}: {one.text}") for one in all_findings),
         found.faults,
+        found.settings.get(SURFACE_CHANGES, {}),
     )
+
+
+def examine_together(
+    logs: Sequence[Mapping[str, Any]], body: BodyModel
+) -> tuple[tuple[Finding, ...], tuple[Fault, ...]]:
+    """What several logs tell together that a body of the robot's surface judged, each by its
+    `ExaminedDelays.changes`: a fault that all have in common, and what would not be seen.
+    """
+    from ..fault_kinds import fault_warning
+    from ..findings.verdict import describe_least_offsets
+
+    findings = list[Finding]()
+    faults = list[Fault]()
+    for camera, count, fault, least in judge_together(logs, body):
+        where = f"{camera}: {count} logs together"
+        if fault is None:
+            text = f"no fault in common; {describe_least_offsets(least)}"
+            findings.append(Finding("info", f"{where}: {text}"))
+        else:
+            findings.append(Finding("warning", f"{where}: {fault_warning(fault)}"))
+            faults.append(fault)
+    return tuple(findings), tuple(faults)
 
 
 def linked_cameras(
@@ -83,7 +107,6 @@ def linked_cameras(
     """
     from ..body import storage
     from .calibration import smoothed_motion
-    from .estimate import judge_by_camera
 
     if body is None:
         for found in calibrate_cameras([(log, read)], settings):

@@ -10,6 +10,7 @@ from bodylog.kinematics.landmark_hypotheses import (
     SOUND,
     ChangeHypothesis,
     information_of_log,
+    join_changes,
     weigh_hypotheses,
     widen_zero_belief,
 )
@@ -88,3 +89,42 @@ def test_evidence_is_that_of_the_gaussian():
     gain = wide @ design.T @ np.linalg.inv(design @ wide @ design.T + np.eye(40))
     expected = 0.1**2 / wide[index, index] * (gain @ z)[index]
     assert found[JOINTS[2]].value == pytest.approx(expected, rel=1e-4)
+    alone = join_changes([list(found.values())], 3)
+    for one, joined in zip(found.values(), alone, strict=True):
+        assert joined.name == one.name
+        assert joined.nats == pytest.approx(one.nats - found[SOUND].nats, abs=1e-3)
+        assert (joined.value, joined.std) == pytest.approx((one.value, one.std), rel=1e-6)
+
+
+def changes_by_measurements(measured: Array, own: Array, prior: float) -> list[list[ChangeHypothesis]]:
+    """Of logs the hypotheses of one joint, whose offset each measures with std `own`."""
+    std = (own**-2.0 + prior**-2.0) ** -0.5
+    value = std**2 / own**2 * measured
+    nats = np.log(std / prior) + 0.5 * (value / std) ** 2
+    each = zip(nats, value, std, strict=True)
+    return [[ChangeHypothesis(SOUND, 0.0), ChangeHypothesis("elbow", *one, prior), ChangeHypothesis(CAMERA, 1.0)] for one in each]
+
+
+def test_logs_together_have_the_evidence_of_one_offset_and_of_the_body_s_error():
+    prior, learned_from, own = 0.1, 3, np.full(4, 0.012)
+    measured = np.array([0.024, 0.031, 0.02, 0.028])
+    sound, joint, camera = join_changes(changes_by_measurements(measured, own, prior), learned_from)
+    shared = own[0] ** 2 / (learned_from + 1.0)
+    covariance = np.eye(4) * (own**2 - shared) + shared
+    wide = covariance + prior**2
+
+    def ln_density(spread: Array) -> float:
+        return float(-0.5 * np.linalg.slogdet(spread)[1] - 0.5 * measured @ np.linalg.solve(spread, measured))
+
+    assert joint.nats == pytest.approx(ln_density(wide) - ln_density(covariance), abs=1e-6)
+    assert joint.value == pytest.approx(prior**2 * np.linalg.solve(wide, measured).sum(), rel=1e-6)
+    assert joint.std**2 == pytest.approx(prior**2 - prior**4 * np.linalg.inv(wide).sum(), rel=1e-6)
+    assert (sound.nats, camera.nats) == (0.0, 4.0)
+    assert joint.std > own[0] / 2.0  # four logs are no surer than their body
+
+
+def test_offset_of_one_log_is_none_of_all_logs():
+    logs = changes_by_measurements(np.array([0.0, 0.087, 0.001]), np.full(3, 0.004), 0.1)
+    assert join_changes(logs, 6)[1].nats == 0.0
+    same = changes_by_measurements(np.array([0.085, 0.087, 0.089]), np.full(3, 0.004), 0.1)
+    assert join_changes(same, 6)[1].nats > 100.0

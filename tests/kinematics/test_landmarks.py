@@ -7,11 +7,13 @@ import pytest
 
 from bodylog.errors import ModelError
 from bodylog.kinematics import urdf
+from bodylog.kinematics.joint_motion import CurveError, JointCurve, curve_through_samples
 from bodylog.kinematics.landmark_adjustment import (
     Landmarks,
     adjust_landmarks,
     assign_pieces,
     reduce_normal,
+    whiten_back,
     whiten_residuals,
 )
 from bodylog.kinematics.landmark_errors import condition_on_unknown, unknowns_covariance
@@ -81,6 +83,52 @@ def test_camera_and_delay_are_found_within_their_errors(seed):
     assert found.phi[delay] == pytest.approx(0.06, abs=0.003)
     assert (np.abs(found.phi - phi) < 3.5 * std)[:7].all()
     assert len(found.used) > 0.8 * part.count
+
+
+def smoothed_with_errors(real: JointCurve, error: CurveError, seed: int) -> JointCurve:
+    """A motion with errors of this kind drawn onto its angles."""
+    rng = np.random.default_rng(seed)
+    lags = real.t[:, None] - real.t
+    drawn = [
+        np.linalg.cholesky(error.correlation(joint, lags) + 1e-6 * np.eye(len(real.t))) @ rng.standard_normal(len(real.t))
+        for joint in range(real.q.shape[1])
+    ]
+    return curve_through_samples(real.t, real.q + error.std * np.stack(drawn, axis=1), error)
+
+
+def test_error_bar_of_a_delay_holds_the_errors_of_smoothed_joints():
+    """A few mrad of smoothed noise at slow motion shift a delay by more than corners do."""
+    full = motion(70)
+    real = curve_through_samples(full.t[::10], full.q[::10])
+    truly = model([real])
+    phi = truth(truly)
+    delay = truly.of_delays.start
+    part, body = seen(truly, phi, 71, pieces=40)
+    places = np.array([truly.bodies[b].centre for b in body])
+    free = np.arange(len(phi)) == delay
+    free[:7] = True
+    squares = np.empty((6, 2))
+    for draw in range(6):
+        error = CurveError(np.full(4, 0.006), np.full(4, 6.0))
+        built = model([smoothed_with_errors(real, error, draw)])
+        found, placed, reduced = adjust_landmarks(built, phi, part, Landmarks(body, places), free, steps=5)
+        for column, one in enumerate((error, None)):
+            told = replace(built, motions=(replace(built.motions[0], error=one),))
+            fit = LandmarkFit(told, found, free, part, np.arange(40), placed, reduced)
+            squares[draw, column] = found[delay] ** 2 / unknowns_covariance(fit)[delay, delay]
+    held, without = squares.mean(axis=0)
+    assert held < 2.0
+    assert without > 2.0 * held
+
+
+def test_innovations_are_weighed_back_by_the_transpose():
+    built = model([motion(80)])
+    part, _ = seen(built, truth(built), 81, pieces=4)
+    rng = np.random.default_rng(5)
+    residual, innovation = rng.standard_normal((2, len(part.t), 2))
+    forth = (innovation * whiten_residuals(residual, part, 0.8)).sum()
+    back = (residual * whiten_back(innovation, part, 0.8)).sum()
+    assert forth == pytest.approx(back, rel=1e-12)
 
 
 def test_joints_of_another_time_explain_little():

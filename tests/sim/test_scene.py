@@ -1,4 +1,5 @@
 import inspect
+from types import SimpleNamespace
 
 import click
 import cv2
@@ -10,7 +11,7 @@ from bodylog_cli.record import record as command
 from bodylog.errors import UsageError
 from bodylog.sim import record_scenario
 from bodylog.sim.options import Options
-from bodylog.sim.scene import FOREIGN_TAG, TAG, Cylinder, studs
+from bodylog.sim.scene import FOREIGN_TAG, TAG, Cylinder, before_the_wrist, studs
 from tests.seeds import seeds
 
 from . import reading
@@ -177,3 +178,18 @@ def test_bare_arm_has_studs_on_its_links_and_no_feature(tmp_path):
     topics = reading.read(tmp_path / "bare.mcap")
     assert "/robot_description" in topics
     assert "/truth/effector_pixel" not in topics
+
+
+def test_bare_camera_on_the_wrist_sees_stones_at_rest(tmp_path):
+    """They lie around the place that it looks at, grey, and no wall turns with it."""
+    stage = SimpleNamespace(position=np.array([0.4, 0.0, 0.5]), rotation=np.eye(3)[[0, 2, 1]])
+    found = before_the_wrist(Options(scene="bare", camera="wrist"), stage, 0.5, np.random.default_rng(3))
+    assert found.feature is None and found.link is None
+    places = np.array([stone.place for stone in found.things])
+    ahead = stage.position + 0.5 * stage.rotation[2]
+    assert len(places) > 100 and np.abs(places - ahead).max() < 0.5
+    assert all(len(set(stone.colour)) == 1 for stone in found.things)
+    record_scenario("reach", tmp_path / "a.mcap", duration=0.2, size=(160, 120), scene="bare", camera="wrist")
+    record_scenario("reach", tmp_path / "b.mcap", duration=0.2, size=(160, 120), scene="bare", camera="wrist")
+    assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
+    assert "/truth/effector_pixel" not in reading.read(tmp_path / "a.mcap")

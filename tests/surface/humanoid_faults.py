@@ -11,7 +11,7 @@ import numpy as np
 from bodylog.body_model import BodyModel
 from bodylog.delays.findings import middle_of_recording
 from bodylog.kinematics.joint_motion import JointCurve
-from bodylog.kinematics.landmark_hypotheses import ChangeHypothesis
+from bodylog.kinematics.landmark_hypotheses import join_changes
 from bodylog.recording import recording
 from bodylog.settings import KinematicsSettings, Settings
 from bodylog.surface import calibration, estimate, tracks
@@ -67,32 +67,18 @@ def judge(number: int, learned: BodyModel, joint: str) -> CameraJudgement:
     """An episode with 5° added to a joint's readings, "" for none, by a body."""
     motion = motion_of(number, learned.joints)
     offset = INJECTED * (np.array(learned.joints) == joint)
-    moved = JointCurve(motion.t, motion.q + offset, motion.slopes)
+    moved = replace(motion, q=motion.q + offset)
     assert learned.surface is not None
     camera = learned.surface.cameras[0]
     return estimate.judge_by_camera(Path(f"{G1}#{number}"), episode(number), learned.surface, camera, moved)
 
 
-def join_changes(one: ChangeHypothesis, other: ChangeHypothesis) -> ChangeHypothesis:
-    """A hypothesis of two logs: of a joint one offset for both, the product of the logs' likelihoods times the prior.
-    The body's own doubt counts twice, as if the logs were judged by two bodies."""
-    nats = one.nats + other.nats
-    if not one.beforehand:
-        return ChangeHypothesis(one.name, nats)
-    prior = one.beforehand**2
-    means, variances = np.array([one.value, other.value]), np.array([one.std, other.std]) ** 2
-    variance = 1.0 / ((1.0 / variances).sum() - 1.0 / prior)
-    value = variance * float((means / variances).sum())
-    nats += 0.5 * float(np.log(prior * variance / variances.prod()))
-    nats -= 0.5 * float((means**2 / variances).sum() - value**2 / variance)
-    return ChangeHypothesis(one.name, nats, value, float(np.sqrt(variance)), one.beforehand)
-
-
 def judge_pair(pair: tuple[int, int], joint: str) -> JudgedPair:
     learned = body_without(pair)
     both = [judge(number, learned, joint) for number in pair]
-    changes = [join_changes(*two) for two in zip(both[0].changes, both[1].changes, strict=True)]
-    sure = tuple(dict.fromkeys((*both[0].identifiable, *both[1].identifiable)))
+    assert learned.surface is not None
+    changes = join_changes([one.changes for one in both], len(learned.surface.cameras[0].delays))
+    sure = estimate._identifiable_joints(changes, learned.surface)
     joined = replace(both[0], changes=changes, identifiable=sure)
     faults = [estimate._winning_fault(one, 0.0, learned) for one in (joined, *both)]
     shown = [_describe(fault) for fault in faults]

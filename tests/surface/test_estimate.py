@@ -1,6 +1,6 @@
 """Judging a log by the robot's own surface: where landmarks are looked for, and which offsets a log shows."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +9,7 @@ import pytest
 from bodylog.kinematics.landmark_hypotheses import CAMERA, OFFSET_STD, SOUND, ChangeHypothesis
 from bodylog.kinematics.landmarks import LandmarkBelief
 from bodylog.surface import estimate as surface_estimate
+from bodylog.surface import findings as surface_findings
 from tests.kinematics.landmark_arm import JOINTS, model, motion, truth
 from tests.surface import humanoid_faults
 
@@ -45,7 +46,7 @@ def test_joint_is_identifiable_where_a_common_fault_would_be_found():
 @pytest.mark.parametrize("shift, faults", [(None, []), (8.0, ["moved"])])
 def test_camera_is_not_judged_by_another_scene(shift, faults):
     changes = [ChangeHypothesis(SOUND, 0.0), joint_change(JOINTS[0], 0.003), ChangeHypothesis(CAMERA, 20.0)]
-    judged = surface_estimate.CameraJudgement("camera", (0.0, 0.001), changes, (JOINTS[0],), shift, None)
+    judged = surface_estimate.CameraChanges("camera", changes, (JOINTS[0],), shift)
     learned = SimpleNamespace(surface=SimpleNamespace(joint_of={name: name for name in JOINTS}))
     fault = surface_estimate._winning_fault(judged, 0.0, learned)
     assert [one.kind for one in [fault] if one is not None] == faults
@@ -55,6 +56,34 @@ def test_camera_is_not_judged_by_another_scene(shift, faults):
         assert "whether the camera moved is not judged" in finding.text and "20 nats" in finding.text
         quiet = replace(judged, changes=[ChangeHypothesis(SOUND, 0.0), ChangeHypothesis(CAMERA, 2.0)])
         assert surface_estimate._describe_other_scene(quiet).severity == "info"
+
+
+def changes_of_log(elbow, shift=0.2):
+    """What an estimate's settings hold of a log that tells the elbow's offset to 1°, and of the pan nothing."""
+    std = 1.0 / np.sqrt(np.radians(1.0) ** -2.0 + OFFSET_STD**-2.0)
+    value = -elbow * (std / np.radians(1.0)) ** 2
+    nats = float(np.log(std / OFFSET_STD) + 0.5 * (value / std) ** 2)
+    changes = [ChangeHypothesis(SOUND, 0.0), ChangeHypothesis("pan", -0.2, 0.0, 0.099, OFFSET_STD),
+               ChangeHypothesis("elbow", nats, value, std, OFFSET_STD), ChangeHypothesis(CAMERA, -5.0)]  # fmt: skip
+    return {"camera": {"shift_px": shift, "changes": [asdict(one) for one in changes]}}
+
+
+def test_logs_tell_together_what_none_of_them_tells_alone():
+    camera = SimpleNamespace(name="camera", delays=np.zeros(8))
+    surface = SimpleNamespace(joint_of={"pan": "pan", "elbow": "elbow"}, cameras=(camera,))
+    learned = SimpleNamespace(surface=surface, joints=("pan", "elbow"))
+    logs = [changes_of_log(np.radians(size)) for size in (2.6, 3.1, 2.9, 3.4)]
+    for one in logs:
+        (shown,) = [change for change in one["camera"]["changes"] if change["name"] == "elbow"]
+        assert abs(shown["value"]) < surface_estimate._least_offset(ChangeHypothesis(**shown))
+    (text,), (fault,) = surface_findings.examine_together(logs, learned)
+    assert fault.name == "elbow" and np.degrees(fault.size) == pytest.approx(3.0, abs=0.1)
+    assert 0.5 < np.degrees(fault.std) < 0.65
+    assert text.severity == "warning" and "camera: 4 logs together: encoders elbow" in text.text
+    (text,), faults = surface_findings.examine_together([changes_of_log(0.0)] * 3, learned)
+    assert not faults and text.severity == "info"
+    assert "no fault in common" in text.text and "elbow" in text.text and "of pan none would be found" in text.text
+    assert surface_findings.examine_together(logs[:1], learned) == ((), ())
 
 
 @pytest.mark.soak
