@@ -13,7 +13,7 @@ from pathlib import Path
 from ..errors import OutputError, UsageError
 from ..io import episodes, remote
 from ..io.atomic_files import ensure_dir
-from ..io.locks import lock_handle
+from ..io.temporary import lock_handle
 from ..io.values import read_json
 
 BATCH = ".bodylog-batch"

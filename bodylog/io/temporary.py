@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 
 from ..runtime import signals
-from .locks import lock_handle
 
 PART = ".bodylog.part"
 """Suffix of half-written files."""
@@ -19,10 +18,14 @@ FOREIGN_S = 86400.0
 """Left-overs of another machine, whose locks may be
 invisible here, are removed after so many s without a write.
 """
-
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 _live: set[Path] = set()
 _registry = _thread.allocate_lock()
+try:
+    import fcntl
+except ImportError:
+    # Windows: nothing is locked, and so nothing that another process may hold is removed
+    fcntl = None  # type: ignore[assignment]
 
 
 @contextmanager
@@ -183,3 +186,16 @@ def _remove_path(path: Path) -> None:
 
 
 signals.at_end.append(remove_temporary_files)
+
+
+def lock_handle(handle: int, wait: bool) -> bool:
+    """Whether the file or folder of an open handle is now
+    locked; False where it cannot be, or another holds it.
+    """
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

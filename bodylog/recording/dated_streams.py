@@ -24,8 +24,7 @@ from ..settings import Settings
 from . import role_values
 from .clock_steps import ClockStep, Mended, Times, mend_clocks
 from .clocks import Timing, order_by_time
-from .joint_names import topic_name
-from .roles import Role, pose_field
+from .roles import Role, pose_field, topic_name
 from .stamp_field import stamp_field
 
 _MINUTE = 60_000_000_000

@@ -41,8 +41,8 @@ from ..types import (
 from . import cameras, joint_topics, roles
 from .clocks import largest_gap, seconds_since
 from .dated_streams import Stream, joints_of, read_streams
-from .joint_names import JOINTS, topic_name
 from .joint_topics import common_unit, own_names, streams_of
+from .roles import JOINTS, topic_name
 from .saved_settings import is_ours, restore_settings
 from .stream_findings import log_findings
 
@@ -264,7 +264,7 @@ def _read_named_tracks(
     }
     if not any(isinstance(source, TopicSource | TableSource) for source in rest.values()):
         return {}, ()
-    from . import space_points, topic_tracks
+    from . import topic_tracks
 
     asked = replace(settings, features=rest)
     timing = next((stream.timing for stream in joint_topics.streams_of(streams)), None)
@@ -275,7 +275,7 @@ def _read_named_tracks(
     )
     findings = list[Finding]()
     for name, (track, health) in found.items():
-        track, more = space_points.points_in_mm(name, track)
+        track, more = topic_tracks.points_in_mm(name, track)
         found[name] = track, health
         findings += more
     return found, tuple(findings)

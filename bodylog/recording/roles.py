@@ -14,8 +14,6 @@ from ..logs.records import Topic
 from ..logs.topic_names import PREFIX, TRACK
 from ..settings import TopicSettings
 from .cameras import cameras_by_name, is_video_source
-from .joint_names import joint_topic_roles as joint_topics
-from .joint_names import topic_name
 
 ROLES = ("joints", "camera", "skin", "truth", "reference")
 _ANGLES = ("joints", "truth", "reference")
@@ -41,6 +39,9 @@ _TOUCHED = re.compile(r"skin|tactile|touch|prox", re.IGNORECASE)
 _COLOUR = re.compile(r"rgb|colou?r", re.IGNORECASE)
 _DEPTH = re.compile(r"depth|disparity|mask|segment", re.IGNORECASE)
 _GREY = re.compile(r"mono|gr[ae]y|infra|(^|[/_])ir([/_\d]|$)", re.IGNORECASE)
+_STATES = re.compile(r"(/joint_?states?)+$", re.IGNORECASE)
+JOINTS = "joints/"
+"""Prefix of one joint topic's delay, before the topic's name: delay = {"joints/head" = 0.02}."""
 
 
 class Role(NamedTuple):
@@ -109,7 +110,9 @@ def _sources_declared(role: str, settings: TopicSettings) -> Mapping[str, str | 
     """The sources in robot.toml for a role: cameras and joints may have several."""
     if role == "camera":
         return cameras_by_name(settings)
-    return joint_topics(settings.joints) if role == "joints" else {role: getattr(settings, role)}
+    return (
+        joint_topic_roles(settings.joints) if role == "joints" else {role: getattr(settings, role)}
+    )
 
 
 def _further_joint_topics(
@@ -343,3 +346,21 @@ def array_field(definition: Definition) -> str | None:
             if single and wanted == "f":
                 return f"{field.name}[:].{single[0].name}"
     return None
+
+
+def topic_name(topic: str) -> str:
+    """A joint topic's name without generic words such as joint_states."""
+    return _STATES.sub("", topic).strip("/") or topic.strip("/")
+
+
+def joint_topic_roles(declared: str | tuple[str, ...] | None) -> dict[str, str]:
+    """Roles of the joint topics in robot.toml: joints, and joints/NAME for those after the first."""
+    found: dict[str, str] = {}
+    for topic in (declared,) if isinstance(declared, str) else declared or ():
+        name = topic_name(topic)
+        if any(topic_name(other) == name for other in found.values()):
+            raise ConfigError(
+                f"[topics] joints: two topics both get the name {name!r}; leave one out"
+            )
+        found[f"{JOINTS}{name}" if found else "joints"] = topic
+    return found

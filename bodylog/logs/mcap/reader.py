@@ -33,8 +33,7 @@ from .chunks import (
     unpack_chunk,
 )
 from .records import HEAD, MAGIC, Record, parse_record
-from .survey import McapSurvey
-from .time_ranges import spans_of
+from .survey import McapSurvey, spans_of
 
 _TOGETHER = 16 << 20
 

@@ -14,7 +14,7 @@ from ...io import atomic_files, yaml_text
 from ...io.contained import is_inside
 from ..diagnostics import Diagnostics
 from ..limits import Input
-from ..mcap.time_ranges import widen_time_span
+from ..mcap.survey import widen_time_span
 from ..protocol import Log
 from ..records import Batch, Finding, Topic
 from ..topics import TopicTable

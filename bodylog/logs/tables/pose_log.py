@@ -11,8 +11,7 @@ from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
 from ..encode.cdr import CdrField
 from ..encode.schemas import ros2msg_definition
-from ..images.codecs import check_size
-from ..images.header_sizes import stated_size
+from ..images.codecs import check_size, stated_size
 from ..joint_units import UNIT
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Outgoing, Topic
