@@ -175,7 +175,7 @@ def _log_location(log: str) -> str:
 
 
 def is_claimed_by_more(folder: Path, logs: Mapping[str, str]) -> bool:
-    """Whether a batch of other logs as well has noted meanwhile that the folder holds its results."""
+    """Whether a batch of other logs as well has noted meanwhile that the folder is its own."""
     found = read_claimed_logs(folder)
     return bool(found) and found != {name: _log_location(log) for name, log in logs.items()}
 

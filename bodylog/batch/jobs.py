@@ -154,7 +154,7 @@ def _list_episodes(path: Path) -> list[Path]:
 
 
 def _match_pattern(pattern: str) -> list[Path]:
-    """The paths that match a pattern, without results of batches; UsageError if there are too many."""
+    """The paths that match a pattern, without results of batches; UsageError for too many."""
     if re.search(r"[*?\[].*/\.\.(/|$)", pattern):
         raise UsageError(
             f"{pattern}: a pattern goes back (..) after a wildcard; name the folders to "

@@ -91,7 +91,7 @@ def delay_by_flow(read: Recording, seen: GridFlow | None) -> FlowDelay | None:
 
 
 def pool_row_times(found: Sequence[FlowDelay | None]) -> Delay | None:
-    """The time (s) that a rolling shutter takes, of several logs of one camera: the mean by the logs'
+    """The time (s) that a rolling shutter takes, of logs of one camera: the mean by the logs'
     errors, with an error that grows with their scatter, and ROW_TIME_FLOOR_BY_FLOW_S. None of fewer
     than LEAST_LOGS.
     """

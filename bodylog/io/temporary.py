@@ -1,4 +1,4 @@
-"""Temporary files and folders: unique names, locked while in use, removed however the process ends."""
+"""Temporary files and folders: unique, locked while in use, removed however the process ends."""
 
 import _thread
 import os
@@ -65,7 +65,7 @@ def remove_stale(folder: Path, pattern: str) -> None:
 
 
 def remove_killed(*folders: Path) -> None:
-    """Remove left-overs of killed processes: half-written files in `folders`, and scratch folders."""
+    """Remove left-overs of killed processes: half-written files in `folders`, scratch folders."""
     for folder in folders:
         remove_stale(folder, f".*{PART}")
     # users may have folders of this name

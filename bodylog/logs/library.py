@@ -115,7 +115,7 @@ class OpenLog:
         return self._batches(None if topics is None else self._ids(topics))
 
     def messages(self, topics: Sequence[str] | None = None) -> Iterator[Message]:
-        """Decoded messages in file order; `rejected` counts by topic those that cannot be decoded."""
+        """Decoded messages in file order; `rejected` counts by topic those that do not decode."""
         wanted = (
             self.topics
             if topics is None

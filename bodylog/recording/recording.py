@@ -415,7 +415,7 @@ def _numbered_frames(
 def _message_decoders(
     batch: Batch, decode: Callable[[Payload, int], Array]
 ) -> Iterator[Callable[[int], Array]]:
-    """A decoder for each message of a batch, on a copy of its bytes unless the batch's stay valid."""
+    """A decoder for each message of a batch, on a copy of its bytes unless they stay valid."""
     keep = is_mapped(batch.data)
     return (
         partial(decode, payload if keep else bytes(payload)) for payload in payload_views(batch)

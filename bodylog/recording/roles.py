@@ -152,7 +152,7 @@ def _tracks_alone(topics: Sequence[Topic]) -> bool:
 def _main_joints(
     topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]
 ) -> Sequence[Topic]:
-    """The topics without joint states that are about as frequent as the best but name fewer joints."""
+    """Topics without joint states that are about as frequent as the best but name fewer joints."""
     ranks = {
         topic.name: rank
         for topic in topics
@@ -327,7 +327,7 @@ def _default_field(role: str, topic: Topic) -> str | None:
 
 
 def array_field(definition: Definition) -> str | None:
-    """Path of the first array of numbers: `data`, or within an array of structs `data[:].prox[0]`."""
+    """Path of the first array of numbers: `data`, or in an array of structs `data[:].prox[0]`."""
     fields = definition.types[definition.root]
     for wanted in ("f", "iu"):
         for field in fields:
@@ -354,7 +354,7 @@ def topic_name(topic: str) -> str:
 
 
 def joint_topic_roles(declared: str | tuple[str, ...] | None) -> dict[str, str]:
-    """Roles of the joint topics in robot.toml: joints, and joints/NAME for those after the first."""
+    """Roles of joint topics in robot.toml: joints, then joints/NAME for those after the first."""
     found: dict[str, str] = {}
     for topic in (declared,) if isinstance(declared, str) else declared or ():
         name = topic_name(topic)

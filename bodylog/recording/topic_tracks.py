@@ -114,7 +114,7 @@ def _require_topic(log: Log, name: str, source: TopicSource) -> Topic:
 def _read_positions(
     log: Log, topic: Topic, name: str, source: TopicSource
 ) -> tuple[tuple[str, ...], TopicColumns]:
-    """The path ends that give positions, and their columns; ConfigError, with advice, if none does."""
+    """Path ends that give positions, and their columns; ConfigError, with advice, if none does."""
     path = source.path or ""
     if not path and (several := BY_TYPE.get(topic.type)):
         reason = f"[features] {name}: {topic.name} ({topic.type}) holds several places; say which"

@@ -1,4 +1,4 @@
-"""The robot of a body: its URDF, from a file or the log, and its cameras as the log describes them."""
+"""The robot of a body: its URDF, from a file or the log, and cameras as the log describes them."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -335,7 +335,7 @@ def named_urdf(log: Path, settings: Settings) -> str:
 def describe_logged_camera(
     topic: str | None, description: "Described", robot: Robot
 ) -> CameraHint | None:
-    """What a log's description tells of the camera of an image topic; None without its CameraInfo."""
+    """What a log's description says of an image topic's camera; None without its CameraInfo."""
     info = _find_camera_info(topic, description.cameras)
     if info is None:
         return None

@@ -485,7 +485,7 @@ def _least_offset(change: "ChangeHypothesis") -> float:
 
 
 def _winning_fault(one: CameraJudgement, since: float, learned: BodyModel) -> Fault | None:
-    """The fault that wins, if one does, from `since` (s) on; it has a std where its size is known."""
+    """The fault that wins, if one does, from `since` (s) on; with a std where its size is known."""
     from ..kinematics.landmark_hypotheses import CAMERA, SOUND
 
     assert learned.surface is not None

@@ -96,7 +96,7 @@ def table_beside(film: Path) -> Path | None:
 
 
 def times_beside(film: Path) -> Array | None:
-    """The times (N,) s of the table beside a video; None without one, LogError if it has no times."""
+    """The times (N,) s of the table beside a video; None without one, LogError without times."""
     table = table_beside(film)
     findings = list[Finding]()
     if table is None:
@@ -110,7 +110,7 @@ def times_beside(film: Path) -> Array | None:
 def _files_in_folder(
     files: Iterator[Path], folder: Path, findings: list[Finding]
 ) -> Iterator[Path]:
-    """The files that stand in the folder; one behind a link that leads out of it gives a finding."""
+    """The files that stand in the folder; one behind a link out of it gives a finding."""
     for file in files:
         if is_inside(file, folder):
             yield file

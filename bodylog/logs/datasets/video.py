@@ -1,4 +1,4 @@
-"""Read video files frame by frame: presentation times and images; memory holds one frame at a time."""
+"""Read video files frame by frame: presentation times and images; memory holds one frame."""
 
 import mmap
 import re
@@ -237,7 +237,7 @@ def write_later(source: Path, out: Path, later_s: float) -> None:
 
 
 def check_samples(path: Path, limits: Input) -> None:
-    """LogError where an MP4 declares more samples than a camera may have images; other files pass."""
+    """LogError where an MP4 declares more samples than a camera may have images; others pass."""
     if path.stat().st_size < 16:
         return
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:

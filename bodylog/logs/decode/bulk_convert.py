@@ -65,7 +65,7 @@ def _convert_pattern_message(
 
 
 def _mark_message(store: Any, kind: str, raw: bytes, at: int, settled: Array) -> int:
-    """Mark the lengths and texts of the message of type `kind` at byte `at`; returns where it ends."""
+    """Mark lengths and texts of the message of type `kind` at byte `at`; returns its end."""
     at += 4 * (kind == _HEADER)
     for _, desc in store.fielddefs[kind][1]:
         at = _mark_field(store, desc, raw, at, settled)

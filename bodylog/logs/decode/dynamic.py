@@ -26,7 +26,7 @@ _UNLIKE = (FormatError, KeyError, ValueError, TypeError, RecursionError)
 
 
 class JsonBatchDecoder:
-    """Decodes only those members of JSON objects at which message paths begin, for a batch at once."""
+    """Decodes only members of JSON objects at which message paths begin, for a batch at once."""
 
     def __init__(self, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
         """For message paths; none is read together if one does not begin with a member."""

@@ -131,7 +131,7 @@ def number_of(steps: Sequence[Step]) -> int | None:
 
 
 def shape_values(values: Array, most: int | None) -> Array:
-    """Values (n,K) in the path's shape: (n,) if it gives a single one, NaN for a missing element."""
+    """Values (n,K) in the path's shape: (n,) if it gives one alone, NaN for a missing element."""
     if most is None or values.shape[1] > 1:
         return values
     if values.shape[1] == 0:

@@ -45,7 +45,7 @@ class Converter:
             raise FormatError(f"topic {self.topic.name}: {problem}") from None
 
     def convert_same_layout(self, rows: Array) -> tuple[Array, Array]:
-        """Which payloads (n,L) uint8 have the layout of the first (n,) bool, and their CDR (m,K)."""
+        """Which payloads (n,L) uint8 have the first one's layout (n,) bool, and their CDR (m,K)."""
         return convert_same_layout(self.store, self.topic.type, rows, self)
 
 
@@ -68,7 +68,7 @@ def known_definition(kind: str) -> bytes | None:
 
 
 def _ros1_definition(topic: Topic) -> str:
-    """The topic's definition; if the bag omits it, that of ROS 1's own type of this name and MD5."""
+    """The topic's definition; if the bag omits it, that of ROS 1's type of this name and MD5."""
     from rosbags.typesys import Stores, get_typestore
 
     text = topic.definition.decode("utf-8", "replace")

@@ -194,7 +194,7 @@ def _webp_size(head: bytes) -> tuple[int, int]:
 
 
 def stated_size(data: memoryview) -> tuple[int, int]:
-    """Height and width of a BMP, TIFF or PNM image, the largest it states; FormatError for others."""
+    """Height and width of a BMP, TIFF or PNM image, the largest stated; FormatError for others."""
     head = bytes(data[:4])
     try:
         if head[:2] == b"BM":

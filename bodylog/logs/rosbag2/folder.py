@@ -164,7 +164,7 @@ def list_member_files(path: Path, diagnostics: Diagnostics) -> list[Path]:
 
 
 def _files_in_metadata(listed: Any, diagnostics: Diagnostics) -> list[str]:
-    """The file names that metadata.yaml lists; none, with a warning, if it holds no list of texts."""
+    """The file names that metadata.yaml lists; none, with a warning, if it has no list of texts."""
     if listed is None or (
         isinstance(listed, list) and all(isinstance(name, str) for name in listed)
     ):

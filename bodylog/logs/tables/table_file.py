@@ -224,7 +224,7 @@ def _join_table_pieces(
 
 
 def _type_column(column: Sequence[Array]) -> tuple[Array, list[str]]:
-    """A column as numbers, with its cells that are not numbers; as texts if most cells are texts."""
+    """A column as numbers, with its cells that are not numbers; as texts if most are texts."""
     if all(part.dtype != object for part in column):
         values = np.concatenate(column)
         wrong = [str(value) for value in values[np.isinf(values)].tolist()]

@@ -62,7 +62,7 @@ def _after_gaps(t: Array) -> Array:
 
 
 def _active_cells(level: Array, settings: SkinSettings, gap: Array) -> Array:
-    """(N,C) bool: at or above the threshold, or since then neither below release nor across a gap."""
+    """(N,C) bool: at or above the threshold, or since then not below release or across a gap."""
     active = np.zeros(level.shape, dtype=bool)
     touched = np.flatnonzero((level >= settings.threshold).any(axis=0))
     felt = level[:, touched]

@@ -1,4 +1,4 @@
-"""Match touches with strokes: one-to-one pairs, their delays, and the weight of each as one event."""
+"""Match touches with strokes: one-to-one pairs, their delays, the weight of each as one event."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
