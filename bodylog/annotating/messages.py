@@ -8,7 +8,7 @@ from .. import overlay_style
 from ..logs.encode import cdr
 from ..logs.encode.cdr import CdrField, Payloads
 from ..logs.encode.schemas import ros2msg_definition
-from ..logs.topic_names import POINT_NAMES, PREFIX, TRACK, TRACK_NAMES, escape_topic_name
+from ..logs.topics import POINT_NAMES, PREFIX, TRACK, TRACK_NAMES, escape_topic_name
 from ..overlay_style import CORNERS, ellipse_corners, measurement_ink
 from ..types import (
     MM_PER_M,

@@ -17,7 +17,7 @@ from ..logs.mcap.prefix import NAME
 from ..logs.mcap.record_file import RecordFile
 from ..logs.mcap.records import HEAD, parse_record
 from ..logs.protocol import Log
-from ..logs.topic_names import PREFIX, TRACK, unescape_topic_name
+from ..logs.topics import PREFIX, TRACK, unescape_topic_name
 from ..types import (
     TRACK_AXES,
     Array,

@@ -92,7 +92,7 @@ def name_logs(logs: Sequence[str], wait_s: float = remote.WAIT_S) -> dict[str, s
 
 def _name_by_files(logs: Sequence[str]) -> dict[str, str]:
     """The logs' file names, with the names of as many folders as tell files of one name apart."""
-    names = {log: _file_name(log) for log in logs}
+    names = {log: (remote.name_of(log) if remote.is_url(log) else Path(log).name) for log in logs}
     for depth in range(2, _MOST_FOLDERS + 2):
         counts = Counter(map(folders.fold_case, names.values()))
         for log, name in names.items():
@@ -216,7 +216,3 @@ def is_rosbag2(folder: Path) -> bool:
 def _is_log(name: str) -> bool:
     """Whether a file's name is that of a log, in small letters or capitals."""
     return name.lower().endswith(SUFFIXES)
-
-
-def _file_name(log: str) -> str:
-    return remote.name_of(log) if remote.is_url(log) else Path(log).name

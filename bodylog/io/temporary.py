@@ -163,12 +163,7 @@ def _is_same_file(path: Path, handle: int) -> bool:
 def _is_own_temporary(path: Path) -> bool:
     found = path.lstat()
     here = machine_id() in path.name or time.time() - found.st_mtime > FOREIGN_S
-    return here and found.st_uid == _user()
-
-
-def _user() -> int:
-    """The number of this process's user; 0, as of every file, where the system has none."""
-    return os.geteuid() if hasattr(os, "geteuid") else 0
+    return here and found.st_uid == (os.geteuid() if hasattr(os, "geteuid") else 0)
 
 
 def _remove_path(path: Path) -> None:

@@ -23,9 +23,8 @@ from ..logs.topics import has_independent_poses
 from ..settings import Settings
 from . import role_values
 from .clock_steps import ClockStep, Mended, Times, mend_clocks
-from .clocks import Timing, order_by_time
+from .clocks import Timing, order_by_time, stamp_field
 from .roles import Role, pose_field, topic_name
-from .stamp_field import stamp_field
 
 _MINUTE = 60_000_000_000
 _JOINT_FIELDS = ("name", "position")

@@ -131,7 +131,10 @@ def read_recording(
         topics=log.topics,
         roles={role: stream.role.path for role, stream in streams.items()} | videos,
         health={stream.role.topic: _health_of_stream(stream) for stream in streams.values()}
-        | _health_of_videos(sidecars),
+        | {
+            one.video.path.name: Health(len(one.t), len(one.t), {}, one.largest_gap)
+            for one in sidecars.values()
+        },
         findings=findings,
         settings=settings,
         beside=joint_topics.unconfigured_joints(streams, settings),
@@ -194,13 +197,6 @@ def _find_video_files(path: Path, settings: Settings) -> dict[str, video_file.Si
         key: video_file.find_video_file(name, path, settings.topics.rate, settings.input)
         for key, name in declared
         if cameras.is_video_source("camera", name)
-    }
-
-
-def _health_of_videos(sidecars: Mapping[str, video_file.Sidecar]) -> dict[str, Health]:
-    return {
-        one.video.path.name: Health(len(one.t), len(one.t), {}, one.largest_gap)
-        for one in sidecars.values()
     }
 
 

@@ -11,7 +11,7 @@ from ..logs.decode.dynamic import make_dynamic_reader
 from ..logs.decode.message_path import parse_message_path
 from ..logs.images import messages
 from ..logs.records import Topic
-from ..logs.topic_names import PREFIX, TRACK
+from ..logs.topics import PREFIX, TRACK
 from ..settings import TopicSettings
 from .cameras import cameras_by_name, is_video_source
 

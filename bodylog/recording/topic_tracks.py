@@ -19,8 +19,7 @@ from ..settings import Settings
 from ..sources import TableSource, TopicSource, track_names
 from ..types import MM_PER_M, TRACK_AXES, Array, Finding, Health, Series, Topic
 from .clock_steps import Times, mend_clocks
-from .clocks import largest_gap, order_by_time, seconds_since
-from .stamp_field import stamp_field
+from .clocks import largest_gap, order_by_time, seconds_since, stamp_field
 
 ENDS: Sequence[tuple[str, ...]] = (
     (".x", ".y"),

@@ -15,7 +15,7 @@ from ...io import episodes
 from ...io.values import log_times_ns
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
-from ..topic_names import escape_topic_name
+from ..topics import escape_topic_name
 from . import parquet, video
 from .episode_log import (
     ACTION,

@@ -21,7 +21,7 @@ from ..limits import LIMITS, Input
 from ..records import Array, Finding
 from ..tables.pose_columns import are_image_files, is_label_column, time_column
 from ..tables.table_file import SUFFIXES, read_table_file
-from ..topic_names import escape_topic_name
+from ..topics import escape_topic_name
 from . import video
 from .episode_log import (
     EPOCH_NS,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...errors import FormatError
-from ..topic_names import PREFIX
+from ..topics import PREFIX
 from . import opcodes as op
 from .record_file import Head, RecordFile
 from .records import HEAD, Record, parse_record

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import LogError
 from ..records import Array
-from ..topic_names import TRACKER
+from ..topics import TRACKER
 from .frame_columns import PLACE, frame_poses
 from .table_file import FileTable
 

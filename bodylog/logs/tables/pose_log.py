@@ -15,8 +15,7 @@ from ..images.codecs import check_size, stated_size
 from ..joint_units import UNIT
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Outgoing, Topic
-from ..topic_names import POINT_NAMES, TRACK, TRACK_NAMES, escape_topic_name
-from ..topics import INDEPENDENT
+from ..topics import INDEPENDENT, POINT_NAMES, TRACK, TRACK_NAMES, escape_topic_name
 from .frame_columns import frame_of
 from .pose_columns import (
     DISTORTION,
