@@ -47,7 +47,7 @@ _HOMES = {
 
 
 def __getattr__(name: str) -> Any:
-    """What is public, imported when first asked for: `import bodylog` itself imports nothing heavy."""
+    """What is public, imported when first asked for: `import bodylog` imports nothing heavy."""
     if name not in __all__:
         raise AttributeError(
             f"module {__name__!r} has no attribute {name!r}; it has {', '.join(__all__)}"

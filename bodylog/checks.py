@@ -31,7 +31,7 @@ def require_distinct_paths(
 
 
 def named_files(logs: Iterable[Path], settings: Settings) -> Iterator[Path]:
-    """Files read along with these logs: videos and tables that the settings name, images of poses."""
+    """Files read along with the logs: videos and tables that settings name, images of poses."""
     from .logs.datasets.tables import table_beside
     from .logs.tables.pose_log import image_files
     from .recording.cameras import is_video_source
@@ -143,7 +143,7 @@ def require_tracks(
     settings: Settings,
     instead: str = "",
 ) -> None:
-    """EvidenceError when a feature that robot.toml names, or whose camera it names, was never seen."""
+    """EvidenceError if a feature that robot.toml names, or whose camera it names, is never seen."""
     configured = {"effector": settings.colours.effector != ColourSettings().effector}
     configured |= dict.fromkeys(settings.colours.markers, True)
     configured |= dict.fromkeys(settings.features, True)

@@ -6,9 +6,13 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
+from .body import storage
 from .body_model import BodyModel
 from .checks import log_context, loss_note, require_same_camera, require_same_size
 from .errors import EvidenceError, InputError, UsageError
+from .estimation import METHODS
+from .estimation.measurements.gather import choose_senses, gather_measurements
+from .evaluation.heldout import score_withheld_frames, withhold_frames
 from .features.defaults import features_of_body
 from .findings.faults import fault_warnings
 from .findings.scoring import score_estimate
@@ -45,8 +49,6 @@ def compare_methods(
     A refused run is a warning, and an error if all are
     refused; EvidenceError if no sense has readings.
     """
-    from .body import storage
-
     learned = storage.load_body(body)
     if learned.surface is not None and not learned.senses:
         raise UsageError(
@@ -108,8 +110,6 @@ def list_sense_subsets(
 
     Also the excluded joints and tracks. UsageError if the settings name an unknown one.
     """
-    from .estimation.measurements.gather import choose_senses, gather_measurements
-
     used = gather_measurements(features, body, settings).used
     felt = features.touches and features.synchrony and features.hand is not None
     present = {
@@ -128,8 +128,6 @@ def _list_run_settings(
     settings: Settings, combined: Sequence[tuple[str, ...]], silent: tuple[str, ...]
 ) -> Iterator[Settings]:
     """Every method with every subset of the senses that it can use, as settings."""
-    from .estimation import METHODS
-
     for method in METHODS:
         for senses in combined:
             if METHODS[method].senses.issuperset(senses):
@@ -140,8 +138,6 @@ def _list_run_settings(
 def _run_one_method(
     features: Features, learned: BodyModel, settings: Settings, read: Recording
 ) -> ComparisonRow:
-    from .evaluation.heldout import score_withheld_frames, withhold_frames
-
     fewer, withheld = withhold_frames(features)
     # first, so that the timed run finds everything imported and in memory
     heldout = score_withheld_frames(infer(fewer, learned, settings), withheld, learned)

@@ -47,7 +47,7 @@ STYLE_SHEET = {
 
 
 def measurement_ink(track: str) -> Ink:
-    """The colour of a track's measurements; of `camera/track`, the part behind the last / decides."""
+    """Colour of a track's measurements; of `camera/track`, the part after the last / decides."""
     return MEASURED.get(track.rpartition("/")[2], OTHER)
 
 

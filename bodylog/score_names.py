@@ -1,4 +1,4 @@
-"""Names of scores: FIGURE or FIGURE/PART, the unit of each figure, and the names they had before."""
+"""Names of scores: FIGURE or FIGURE/PART, the unit of each figure, and their names of before."""
 
 from collections.abc import Mapping
 

@@ -297,7 +297,7 @@ class MarkerSettings:
 
 @dataclass(frozen=True)
 class EstimationSettings:
-    """[estimate]: how joint angles are estimated; variances set here replace those of `precision`."""
+    """[estimate]: how joint angles are estimated; variances here replace those of `precision`."""
 
     method: str = declare_key(
         "filter", "Estimation method; preset paper implies predictive-coding.", choices=METHODS

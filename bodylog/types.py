@@ -68,7 +68,7 @@ class Poses:
 
 @dataclass(frozen=True)
 class Health:
-    """What became of one topic's messages: counts, the reasons for rejection, the largest gap in s."""
+    """What became of a topic's messages: counts, reasons for rejection, the largest gap in s."""
 
     seen: int
     used: int

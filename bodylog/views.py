@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .annotating import read_back
 from .annotating.written_messages import topic_of_role
 from .body_model import BodyModel
 from .checks import log_context, require_distinct_paths
@@ -21,17 +22,23 @@ from .io.atomic_files import ensure_dir, is_archive
 from .io.outputs import Output
 from .io.remote import errors_about
 from .io.temporary import create_scratch_folder
+from .logs.decode.columns import read_topic_columns
+from .logs.formats import open_log
+from .logs.mcap.records import is_mcap
 from .logs.protocol import Progress
-from .logs.topic_names import PREFIX
+from .logs.topics import PREFIX
 from .pipeline import Result, diagnose_log, ingest, observe, requested_folders
+from .recording import recording
+from .report.viewers import image_overlay
+from .report.viewers.image_overlay import OverlayPicture
 from .settings import Settings, hand_colour, settings_as_values
+from .sources import CharucoSource, group_of
 from .types import Array, Estimate, Features, Finding, Recording
 
 if TYPE_CHECKING:
     from .perception import Candidate
     from .perception.tracking.candidates import FeatureSurvey
     from .report.figures.reprojection import JointZero, ReprojectionSheet
-    from .report.viewers.image_overlay import OverlayPicture
     from .report.viewers.rerun_recording import RerunCamera
 
 
@@ -75,7 +82,6 @@ def _reprojection_sheets(
     from .body.kinematic.offsets import offsets_as_values as values
     from .body.kinematic.placements import image_sizes
     from .report.figures import reprojection
-    from .sources import group_of
 
     senses = {
         name: sense for name, sense in learned.senses.items() if isinstance(sense, KinematicGP)
@@ -104,10 +110,8 @@ def write_report(
     `progress` is called after reading, after drawing
     the images, after the page and after the figures.
     """
-    from .annotating import read_back
     from .report.figures import pose_numbers, reprojection, surface_sheet
     from .report.page import page
-    from .report.viewers import image_overlay
 
     require_distinct_paths([log], [Output(out), *requested_folders("--figures", figures)], settings)
     done = progress or _ignore_progress
@@ -154,8 +158,6 @@ def write_report(
 
 def write_viewer_layout(log: Path, out: Path, settings: Settings) -> Result:
     """Write a viewer's layout for an annotated log."""
-    from .annotating import read_back
-    from .recording import recording
     from .report.viewers import foxglove as viewer
 
     require_distinct_paths([log], [Output(out)], settings)
@@ -206,7 +208,6 @@ def _write_rerun_recording(
     log: Path, source: Path, out: Path, settings: Settings, done: Progress
 ) -> Result:
     """The Rerun recording of `source`, a readable copy of `log`."""
-    from .recording import recording
     from .report.viewers import rerun_process, rerun_recording
 
     read = recording.read_recording(source, settings, settings.input.strict)
@@ -234,8 +235,6 @@ def _ingest_refused_log(
     """`ingest` a log that Rerun `refused`; raise that error
     where the result is empty, or an estimate is lost.
     """
-    from .logs.formats import open_log
-
     with open_log(log, settings.input.strict, settings.input) as opened:
         ours = any(topic.name.startswith(PREFIX) for topic in opened.topics)
     with suppress(LogError):
@@ -265,9 +264,6 @@ def _as_mcap(log: Path, out: Path, settings: Settings) -> tuple[Path, tuple[Find
     """A log that Rerun reads whole: the log itself if sound,
     else `out`: its sound part, or the result of ingest.
     """
-    from .logs.formats import open_log
-    from .logs.mcap.records import is_mcap
-
     with open_log(log, settings.input.strict, settings.input) as opened:
         kind = opened.format
         findings = opened.findings
@@ -282,8 +278,6 @@ def _read_estimate(
     log: Path, source: Path, read: Recording
 ) -> tuple[Estimate | None, tuple[Finding, ...]]:
     """The estimate in a log, or None and a finding that says how to get one."""
-    from .annotating import read_back
-
     if any(topic.name == f"{PREFIX}joint_covariance" for topic in read.facts.topics):
         return read_back.read_estimate(source, read.start_ns), ()
     return None, (
@@ -315,9 +309,6 @@ def _frame_id(log: Path, topic: str) -> str:
     """The frame_id of a topic's first message, in its header
     or, as protobuf has it, beside it; "" without one.
     """
-    from .logs.decode.columns import read_topic_columns
-    from .logs.formats import open_log
-
     with open_log(log) as opened:
         # two publishers may declare two schemas
         of = next(one for one in opened.topics if one.name == topic)
@@ -351,9 +342,7 @@ def find_feature_candidates(
     Where [features] names the robot's own surface, or `body` has one: the corners on its links.
     """
     from .perception import survey_features
-    from .recording import recording
     from .report.figures import contact_sheet
-    from .report.viewers import image_overlay
     from .surface import body as surface_body
 
     if out is not None:
@@ -386,7 +375,6 @@ def _find_surface(
 ) -> FeatureCandidates:
     """The corners on a robot's links, of each camera a row; `out`: their tracks, by link."""
     from .report.figures import surface_sheet
-    from .report.viewers import image_overlay
     from .surface.calibration import camera_film
     from .surface.findings import linked_cameras
     from .surface.tracks import describe_foreign, trails_as_views
@@ -420,8 +408,6 @@ def _with_boards(
     """Each board as plain values with the track of its
     marker seen most often, and the candidates on no board.
     """
-    from .sources import CharucoSource
-
     rest = list(found.candidates)
     boards = list[tuple[dict[str, Any], Array]]()
     for board in found.boards:
@@ -472,11 +458,10 @@ def _write_report_figures(
     read: Recording,
     features: Features,
     found: Estimate,
-    shown: "Sequence[OverlayPicture]",
+    shown: Sequence[OverlayPicture],
     sheets: "Sequence[ReprojectionSheet]",
 ) -> None:
     from .report.figures import figures, reprojection
-    from .report.viewers import image_overlay
 
     ensure_dir(folder)
     for suffix in (".png", ".svg"):

@@ -126,7 +126,7 @@ def _print_summary(rows: list[dict[str, Any]], out: Path) -> None:
 
 
 def _batch_entry(row: dict[str, Any], out: Path) -> dict[str, Any]:
-    """A row as one of the envelope's results; its name, status, exit code and error stand beside."""
+    """A row as one of the envelope's results; name, status, exit code and error stand beside."""
     from bodylog.score_names import score_unit
 
     log = out / row["name"] / "annotated.mcap"

@@ -8,7 +8,7 @@ from .output import print_line
 
 
 def show_body(found: dict[str, Any]) -> None:
-    """Print a body model: samples and length scales, noise with standard errors, touch, provenance."""
+    """Print a body model: samples, length scales, noise with standard errors, touch, provenance."""
     print_line(f"{found['path']}: body model of {', '.join(found['joints'])}")
     for name, sense in found["senses"].items():
         print_line(f"  {name} ({', '.join(sense['outputs'])}): {_sense_text(sense)}")

@@ -19,7 +19,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class NamedPath(click.Path):
-    """A path that is not empty: "", as from an unset shell variable, would be the current folder."""
+    """A path that is not empty: "", as of an unset shell variable, would be the current folder."""
 
     def __init__(self) -> None:
         """Accept paths that do not exist."""
@@ -131,7 +131,7 @@ def require_finite_option(
 
 
 def episode_option(parameter: str) -> Callable[[Command], Command]:
-    """--episode: the episodes to read of the datasets in an argument; a range becomes several logs."""
+    """--episode: episodes to read of the datasets in an argument; a range becomes several logs."""
 
     def decorated(function: Command) -> Command:
         @functools.wraps(function)

@@ -186,7 +186,7 @@ def exit_code_of_findings(findings: "Sequence[Finding]") -> int:
 
 
 def print_score_table(results: "Mapping[str, Sequence[Score]]") -> None:
-    """Print scores by name with their units: one column per result, named where there are several."""
+    """Print scores by name with their units: a column per result, named where there are several."""
     values = {path: {score.name: score for score in scores} for path, scores in results.items()}
     units = {score.name: score.unit for scores in results.values() for score in scores}
     head = [("score", "unit", *values)] if len(values) > 1 else []

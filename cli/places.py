@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def guard_command(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Reject the command before it reads anything where an output is an input or cannot be written."""
+    """Reject a command before it reads anything if an output is an input or cannot be written."""
 
     @functools.wraps(command)
     def checked(**given: Any) -> Any:

@@ -10,7 +10,7 @@ from threading import Event
 
 from ..errors import LogError
 from ..io.atomic_files import read_pieces
-from ..logs.episode_files import files_of
+from ..logs.formats import files_of
 
 _BLOCK = 4096
 

@@ -39,7 +39,7 @@ class DeclaredEstimate:
 
 
 def _check_health(found: Health) -> Health:
-    """Validate health counts: ValueError for impossible counts, TypeError for what is not a number."""
+    """Validate health counts: ValueError for impossible ones, TypeError for no numbers."""
     counts = (found.seen, found.used, *found.rejected.values())
     if (
         not all(isinstance(count, int) and 0 <= count < 1 << 63 for count in counts)

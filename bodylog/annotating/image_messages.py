@@ -14,7 +14,7 @@ from ..logs.encode import cdr
 from ..logs.encode.cdr import CdrField
 from ..logs.formats import open_log, payload_views
 from ..logs.images import messages
-from ..logs.topic_names import escape_topic_name
+from ..logs.topics import escape_topic_name
 from ..types import Array, LazyImage, Recording, Topic
 from .messages import stamps_ns
 

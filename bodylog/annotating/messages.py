@@ -8,7 +8,7 @@ from .. import overlay_style
 from ..logs.encode import cdr
 from ..logs.encode.cdr import CdrField, Payloads
 from ..logs.encode.schemas import ros2msg_definition
-from ..logs.topic_names import POINT_NAMES, PREFIX, TRACK, TRACK_NAMES, escape_topic_name
+from ..logs.topics import POINT_NAMES, PREFIX, TRACK, TRACK_NAMES, escape_topic_name
 from ..overlay_style import CORNERS, ellipse_corners, measurement_ink
 from ..types import (
     MM_PER_M,
@@ -152,7 +152,7 @@ def _overlays_by_camera(
 
 
 def from_joints(topic: str, joints: Series, start_ns: int, rate: Array | None = None) -> Outgoing:
-    """Joint angles (N,M) as sensor_msgs/JointState, with velocity if `rate` (N,M) rad/s is given."""
+    """Joint angles (N,M) as sensor_msgs/JointState, with velocity where `rate` (N,M) is given."""
     # NaN instead of an empty array: pybag cannot read a message that ends in an empty array.
     unknown = np.full(joints.values.shape, np.nan)
     fields: list[CdrField] = [
@@ -395,12 +395,12 @@ def _values_at_log_times(times: Array, track: Series, values: Array | None = Non
 
 
 def _ellipse_corners(series: Series, cov: Array) -> Array:
-    """Corners (K,2*CORNERS) px of the 2-sigma ellipses of cov (K,2,2) px² around the predictions."""
+    """Corners (K,2*CORNERS) px of 2-sigma ellipses of cov (K,2,2) px² around predictions."""
     return ellipse_corners(series.values, cov).reshape(len(cov), -1)
 
 
 def _serialise_by_layout(stamp: Array, circles: list[_Circle], loops: list[Array]) -> Payloads:
-    """One serialisation per group of frames that show the same parts, and so have the same layout."""
+    """One serialisation per group of frames that show the same parts and so have one layout."""
     shown = np.column_stack(
         [np.isfinite(values).all(1) for values in [*(c[2] for c in circles), *loops]]
     )

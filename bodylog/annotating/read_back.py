@@ -1,4 +1,4 @@
-"""Read annotations back: tracks and touches for another run, the estimate for scoring and reports."""
+"""Read annotations back: tracks and touches for a new run, the estimate for scores and reports."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -17,7 +17,7 @@ from ..logs.mcap.prefix import NAME
 from ..logs.mcap.record_file import RecordFile
 from ..logs.mcap.records import HEAD, parse_record
 from ..logs.protocol import Log
-from ..logs.topic_names import PREFIX, TRACK, unescape_topic_name
+from ..logs.topics import PREFIX, TRACK, unescape_topic_name
 from ..types import (
     TRACK_AXES,
     Array,
@@ -195,7 +195,7 @@ class _Table:
         }
 
     def tracks(self) -> dict[str, Series]:
-        """The tracks: u, v and their standard deviations (N,4) px, or x, y, z and theirs (N,6) m."""
+        """Tracks: u, v and their standard deviations (N,4) px, or x, y, z and theirs (N,6) m."""
         found = self.under(TRACK, "")
         for name, series in found.items():
             self._require_names(TRACK + name, series, NAMES_OF_TRACK)
@@ -294,7 +294,7 @@ class _Table:
         return tuple(stroke for stroke, _ in found), paired
 
     def synchrony(self, touches: tuple[Touch, ...], paired: Iterator[int]) -> tuple[Synchrony, ...]:
-        """One per touch of the same onset; the `paired` strokes of touches are in their own order."""
+        """One per touch of the same onset; the `paired` strokes of touches are in their order."""
         waiting: dict[int, list[int]] = {}
         for i, touch in reversed(list(enumerate(touches))):
             waiting.setdefault(round(touch.onset * 1e9), []).append(i)

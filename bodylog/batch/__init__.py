@@ -97,7 +97,7 @@ def _plan_jobs(plan: BatchPlan) -> tuple[list[Job], set[str]]:
         path
         for found in logs
         for log in found.values()
-        if (path := _local_path_of_log(log)) is not None
+        if (path := (remote.file_behind(log) if remote.is_url(log) else Path(log))) is not None
     ]
     bodies = [
         path for group in plan.groups for path in (group.body, *group.train) if path is not None
@@ -135,11 +135,6 @@ def _name_logs_of_groups(plan: BatchPlan, logs: Sequence[Mapping[str, str]]) -> 
         for group, some in pairs
         for name, log in some.items()
     }
-
-
-def _local_path_of_log(log: str) -> Path | None:
-    """A log's path, None for a remote log."""
-    return remote.file_behind(log) if remote.is_url(log) else Path(log)
 
 
 def _check_body_and_settings(body: Path, settings: Settings, checked: set[object]) -> None:

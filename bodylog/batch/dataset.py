@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from ..body import storage
+from ..dataset import corrected_files, outputs, remedies
 from ..errors import ModelError, UsageError
 from ..evaluation import bounds as score_bounds
 from ..io import episodes, remote
@@ -13,7 +15,10 @@ from ..io.atomic_files import replace_atomically
 from ..io.outputs import Output, guard_outputs
 from ..io.temporary import create_scratch_folder
 from ..io.values import read_json
+from ..logs.datasets import kinds
+from ..recording.lerobot_writer import new_folder
 from ..settings import Settings
+from ..types import Score
 from . import BatchPlan, Group, Report, exit_code, folders, jobs, run_batch
 from .jobs import Row
 
@@ -30,8 +35,6 @@ class ExaminedDataset:
 def holds_several_logs(log: Path | str) -> bool:
     """Whether a path holds several logs: a dataset's folder, a folder of logs, or a file of several
     episodes."""
-    from ..logs.datasets import kinds
-
     if (
         not isinstance(log, Path)
         or episodes.split_episode_name(log)[1] is not None
@@ -75,8 +78,6 @@ def examine_dataset(
     plan: BatchPlan, report: Report | None, page: Path | None, table: Path | None
 ) -> ExaminedDataset:
     """Examine all episodes of a plan; `page` and `table` are files to write beside plan.out."""
-    from ..dataset import outputs
-
     files = [
         Output(path, option)
         for path, option in ((page, "-o"), (table, "--csv"))
@@ -112,9 +113,6 @@ def fix_dataset(
     repeats, exclude: of choices.REPEATS and EXCLUDED · checked: the folder of an earlier
     examination, whose rows are used again where input, settings and version are the same.
     """
-    from ..dataset import corrected_files, outputs, remedies
-    from ..recording.lerobot_writer import new_folder
-
     new_folder(out)
     guard_outputs([dataset], [Output(out, folder=True)])
     with create_scratch_folder() as folder:
@@ -132,8 +130,6 @@ def fix_dataset(
 
 def require_surface(body: Path) -> None:
     """ModelError for a body by which no episode can be judged beside the others."""
-    from ..body import storage
-
     if storage.load_body(body).surface is None:
         raise ModelError(
             f"{body}: it has no surface of a robot, by which episodes are judged; type: "
@@ -151,8 +147,6 @@ def examine_without_folder(
 
 def _require_measured(plan: BatchPlan, rows: Sequence[Row], whole: dict[str, Any]) -> None:
     """UsageError for a bound that names no figure of any episode nor of the whole."""
-    from ..types import Score
-
     names = {name for row in (*rows, whole) for name in row["scores"]}
     figures = [Score(name, 0.0, "") for name in sorted(names)]
     for text in dict.fromkeys(text for group in plan.groups for text in group.bounds):

@@ -13,7 +13,7 @@ from pathlib import Path
 from ..errors import OutputError, UsageError
 from ..io import episodes, remote
 from ..io.atomic_files import ensure_dir
-from ..io.locks import lock_handle
+from ..io.temporary import lock_handle
 from ..io.values import read_json
 
 BATCH = ".bodylog-batch"
@@ -175,7 +175,7 @@ def _log_location(log: str) -> str:
 
 
 def is_claimed_by_more(folder: Path, logs: Mapping[str, str]) -> bool:
-    """Whether a batch of other logs as well has noted meanwhile that the folder holds its results."""
+    """Whether a batch of other logs as well has noted meanwhile that the folder is its own."""
     found = read_claimed_logs(folder)
     return bool(found) and found != {name: _log_location(log) for name, log in logs.items()}
 

@@ -92,7 +92,7 @@ def name_logs(logs: Sequence[str], wait_s: float = remote.WAIT_S) -> dict[str, s
 
 def _name_by_files(logs: Sequence[str]) -> dict[str, str]:
     """The logs' file names, with the names of as many folders as tell files of one name apart."""
-    names = {log: _file_name(log) for log in logs}
+    names = {log: (remote.name_of(log) if remote.is_url(log) else Path(log).name) for log in logs}
     for depth in range(2, _MOST_FOLDERS + 2):
         counts = Counter(map(folders.fold_case, names.values()))
         for log, name in names.items():
@@ -154,7 +154,7 @@ def _list_episodes(path: Path) -> list[Path]:
 
 
 def _match_pattern(pattern: str) -> list[Path]:
-    """The paths that match a pattern, without results of batches; UsageError if there are too many."""
+    """The paths that match a pattern, without results of batches; UsageError for too many."""
     if re.search(r"[*?\[].*/\.\.(/|$)", pattern):
         raise UsageError(
             f"{pattern}: a pattern goes back (..) after a wildcard; name the folders to "
@@ -216,7 +216,3 @@ def is_rosbag2(folder: Path) -> bool:
 def _is_log(name: str) -> bool:
     """Whether a file's name is that of a log, in small letters or capitals."""
     return name.lower().endswith(SUFFIXES)
-
-
-def _file_name(log: str) -> str:
-    return remote.name_of(log) if remote.is_url(log) else Path(log).name

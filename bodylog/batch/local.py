@@ -11,7 +11,7 @@ from pathlib import Path
 from ..errors import BodylogError
 from ..io import remote
 from ..io.temporary import remove_killed
-from ..logs.episode_files import files_of
+from ..logs.formats import files_of
 from ..runtime.workers import become_worker, block_interrupts, stop_processes
 from . import work
 from .jobs import Job, Row

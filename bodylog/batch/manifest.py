@@ -83,14 +83,10 @@ def _groups_of_table(path: Path, number: int, values: Any, settings: Settings) -
             path,
             table,
             f"{name}-{method}" if len(methods) > 1 else name,
-            merge_settings(chosen, _method_override(method), where),
+            merge_settings(chosen, {"estimate": {"method": method}}, where),
         )
         for method in methods
     ]
-
-
-def _method_override(method: str) -> dict[str, dict[str, str]]:
-    return {"estimate": {"method": method}}
 
 
 def _build_group(path: Path, table: GroupTable, name: str, settings: Settings) -> Group:

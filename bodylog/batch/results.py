@@ -73,7 +73,7 @@ class Journal:
         return rows
 
     def _is_superseded(self) -> bool:
-        """Whether a batch of these and more logs began in the folder meanwhile: it writes all rows."""
+        """Whether a batch of these and more logs began in the folder since: it writes all rows."""
         return folders.is_claimed_by_more(self._out, {job.name: job.log for job in self._whole})
 
     def _rows(self) -> list[Row]:

@@ -14,7 +14,7 @@ from ..io import episodes, remote
 from ..io.atomic_files import hash_files, replace_atomically
 from ..io.atomic_files import read_limited_text as read_text
 from ..io.values import read_json
-from ..logs.episode_files import hash_log
+from ..logs.formats import hash_log
 from ..score_names import FIGURES, split_score_name
 from ..settings import Settings, settings_as_values
 from ..version import __version__

@@ -2,20 +2,28 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import log, sqrt
-from typing import TYPE_CHECKING, Any
+from math import degrees, log, sqrt
+from typing import Any
 
+import numpy as np
+
+from .. import body
+from ..body.gp.model import GP, se_kernel
+from ..body.kinematic.learn import Robotics
+from ..body.learning import Keep, LearnedBody
+from ..body.senses import encoder_function
 from ..body_model import BodyModel, ForwardModel
 from ..errors import EvidenceError
+from ..estimation.faults.threshold import MIN_DELAY_S
+from ..estimation.measurements.arm_errors import ArmErrors, learned_arm_errors
+from ..estimation.measurements.track import camera_of_track
+from ..estimation.timing import correction, gp_likelihood
+from ..estimation.timing.delay_profile import Delay
+from ..estimation.timing.gp_likelihood import ExploredLog, Prior
+from ..perception.tracking import joint_motion
 from ..settings import Settings
 from ..types import Array, Features, Finding
-
-if TYPE_CHECKING:
-    from ..body.kinematic.learn import Robotics
-    from ..body.learning import Keep, LearnedBody
-    from ..estimation.measurements.arm_errors import ArmErrors
-    from ..estimation.timing.delay_profile import Delay
-    from ..estimation.timing.gp_likelihood import ExploredLog, Prior
+from .tracker_delay import measure_tracker_delays
 
 MAX_TURNS = 5
 """Most bodies learned, each from images corrected by the delays of the last one."""
@@ -50,12 +58,12 @@ class _Turn:
     cameras whose delay was corrected.
     """
 
-    found: "LearnedBody"
+    found: LearnedBody
     late: Sequence[Delays]
-    residuals: "Sequence[Mapping[str, Delay]]"
+    residuals: Sequence[Mapping[str, Delay]]
     own: Delays
-    errors: "ArmErrors"
-    rest: "ArmErrors"
+    errors: ArmErrors
+    rest: ArmErrors
     started: frozenset[str] = frozenset()
 
 
@@ -67,7 +75,7 @@ class _Exploration:
     settings: Settings
     provenance: Mapping[str, Any]
     known: BodyModel | None
-    keep: "Keep"
+    keep: Keep
     fixed: Delays
 
 
@@ -76,17 +84,14 @@ def learn_with_delays(
     settings: Settings,
     provenance: Mapping[str, Any],
     known: BodyModel | None,
-    robot: "Robotics | None" = None,
-) -> "LearnedBody":
+    robot: Robotics | None = None,
+) -> LearnedBody:
     """Learn a body from features with each camera's
     delay corrected, as given or as measured in each log.
 
     The body keeps the delays of the logs with the smallest
     standard errors. UsageError for an unknown camera.
     """
-    from .. import body
-    from ..estimation.timing import correction
-
     keep: Keep = "explained" if robot is None else "all"
     if all(found.poses for found in features):
         found = body.learn_body(features, settings, provenance, known, keep)
@@ -126,12 +131,9 @@ def learn_with_delays(
 
 
 def _measure_trackers(
-    features: Sequence[Features], settings: Settings, robot: "Robotics | None", fixed: Delays
-) -> "list[dict[str, Delay]]":
+    features: Sequence[Features], settings: Settings, robot: Robotics | None, fixed: Delays
+) -> list[dict[str, Delay]]:
     """Delays of trackers in each log, by kinematics; none without a URDF."""
-    from ..estimation.measurements.track import camera_of_track
-    from .tracker_delay import measure_tracker_delays
-
     tracks = [(name, one.unit) for found in features for name, one in found.tracks.items()]
     names = dict.fromkeys(camera_of_track(name) for name, unit in tracks if unit == "mm")
     free = [name for name in names if name not in fixed]
@@ -140,9 +142,7 @@ def _measure_trackers(
     return measure_tracker_delays(features, settings, robot, free)
 
 
-def _with_tracker_delays(
-    found: "LearnedBody", tracked: "Sequence[Mapping[str, Delay]]"
-) -> "LearnedBody":
+def _with_tracker_delays(found: LearnedBody, tracked: Sequence[Mapping[str, Delay]]) -> LearnedBody:
     """The body with each tracker's delay of the log with the smallest error."""
     surest: dict[str, Delay] = {}
     for delays in tracked:
@@ -157,10 +157,8 @@ def _with_tracker_delays(
     return replace(found, model=model)
 
 
-def _tracker_findings(tracked: "Sequence[Mapping[str, Delay]]") -> Iterator[Finding]:
+def _tracker_findings(tracked: Sequence[Mapping[str, Delay]]) -> Iterator[Finding]:
     """Yield a remark on each tracker's delay in each log."""
-    from ..estimation.timing import correction
-
     for k, delays in enumerate(tracked):
         late = {name: one.seconds for name, one in delays.items()}
         errors = {name: one.std_error for name, one in delays.items()}
@@ -171,15 +169,12 @@ def _tracker_findings(tracked: "Sequence[Mapping[str, Delay]]") -> Iterator[Find
 
 def measure_log_delays(
     features: Features, settings: Settings
-) -> "tuple[dict[str, Delay], dict[str, Delay]]":
+) -> tuple[dict[str, Delay], dict[str, Delay]]:
     """Delays of a log's cameras relative to its encoders, by a body learned from the log itself.
 
     The second ones are unclear: their correction does not
     make the body better. EvidenceError without a body.
     """
-    from ..estimation.timing import correction
-    from ..estimation.timing.delay_profile import Delay
-
     start = _coarse_delays(features)
     explored = _Exploration([features], settings, {}, None, "explained", {})
     try:
@@ -202,11 +197,6 @@ def measure_log_delays(
 
 def _coarse_delays(features: Features) -> dict[str, float]:
     """Delays (s) by camera to start from, to about 0.05 s; 0 where they are unclear."""
-    import numpy as np
-
-    from ..estimation.measurements.track import camera_of_track
-    from ..perception.tracking import joint_motion
-
     found = dict[str, list[float]]()
     for name, track in features.tracks.items():
         seen = np.isfinite(track.values).all(axis=1)
@@ -235,8 +225,6 @@ def _blur_points(found: Features) -> Features:
     """The features, their points in space with COARSE_NOISE_SHARE;
     the same ones where there are no such points.
     """
-    import numpy as np
-
     tracks = dict(found.tracks)
     for name, track in found.tracks.items():
         seen = track.values[np.isfinite(track.values).all(axis=1)]
@@ -251,15 +239,11 @@ def _blur_points(found: Features) -> Features:
 
 def _alternate_from(begin: _Turn | None, explored: _Exploration) -> _Turn:
     """The last turn of learning and correcting by turns, from the delays of another one."""
-    from .. import body
-    from ..estimation.measurements.arm_errors import learned_arm_errors
-    from ..estimation.timing import correction
-
     features = explored.features
     known = explored.known
     fixed = explored.fixed
 
-    def learn_turn(late: Sequence[Delays], own: Delays, errors: "ArmErrors") -> _Turn:
+    def learn_turn(late: Sequence[Delays], own: Delays, errors: ArmErrors) -> _Turn:
         timely = [
             correction.shift_features(found, delays, errors)
             for found, delays in zip(features, late, strict=True)
@@ -314,12 +298,10 @@ def _alternate_from(begin: _Turn | None, explored: _Exploration) -> _Turn:
     return replace(turn, started=frozenset(started))
 
 
-def _add_measured_errors(own: "ArmErrors", rest: "ArmErrors") -> "ArmErrors":
+def _add_measured_errors(own: ArmErrors, rest: ArmErrors) -> ArmErrors:
     """The errors that were taken out and what is left of
     them; the same where that is less than a standard error.
     """
-    from ..estimation.measurements.arm_errors import ArmErrors
-
     play = dict(rest.play)
     if play.keys() == own.play.keys() and all(
         abs(size - own.play[name][0]) < std for name, (size, std) in play.items()
@@ -347,10 +329,8 @@ def _last_alike(
     )
 
 
-def _error_findings(errors: "ArmErrors") -> Iterator[Finding]:
+def _error_findings(errors: ArmErrors) -> Iterator[Finding]:
     """Yield remarks on the play and the row times that were taken out."""
-    from math import degrees
-
     for name, (size, std) in errors.play.items():
         text = f"{name}: {degrees(size):.2f} ± {degrees(std):.2f}° of play"
         yield Finding("info", f"{text}; the body is learned over the angles of the links")
@@ -370,8 +350,6 @@ def _delay_findings(turn: _Turn, fixed: Delays) -> Iterator[Finding]:
     """Yield remarks on the delays corrected in each
     log, and on `fixed` ones that the log contradicts.
     """
-    from ..estimation.timing import correction
-
     for k, (delays, residual) in enumerate(zip(turn.late, turn.residuals, strict=True)):
         sure = {name: residual[name].std_error for name in turn.started if name in residual}
         for finding in correction.delay_findings(delays, sure, residual, fixed):
@@ -396,8 +374,6 @@ def _add_measured_delays(turn: _Turn, surest: Mapping[str, int]) -> tuple[Sequen
 
 def _held_out_error(turn: _Turn, cameras: Iterable[str]) -> float:
     """Root mean square held-out error (px) of some cameras' tracks together."""
-    from ..estimation.measurements.track import camera_of_track
-
     kinds = (score.name.partition("rmse/held_out/") for score in turn.found.scores)
     seen = [found and camera_of_track(track) in cameras for _, found, track in kinds]
     return sqrt(
@@ -412,16 +388,13 @@ def _misstated_bars(turn: _Turn) -> float:
 
 
 def _remaining_errors(
-    timely: Sequence[Features], model: BodyModel, known: BodyModel | None, errors: "ArmErrors"
-) -> "tuple[Sequence[Mapping[str, Delay]], ArmErrors]":
+    timely: Sequence[Features], model: BodyModel, known: BodyModel | None, errors: ArmErrors
+) -> tuple[Sequence[Mapping[str, Delay]], ArmErrors]:
     """Each log's remaining delays, the play, what lasts of encoder errors
     and what is left of row times, by a body learned with the logs and these errors.
 
     timely: with readings of the motors.
     """
-    from ..estimation.measurements.arm_errors import ArmErrors
-    from ..estimation.timing import gp_likelihood
-
     explored = [_explored_log(one, model, known) for one in timely]
     logs = [one for one in explored if one is not None]
     measured, rest = gp_likelihood.measure_arm_errors(logs, model.joints, errors)
@@ -433,11 +406,8 @@ def _remaining_errors(
 
 def _explored_log(
     timely: Features, model: BodyModel, known: BodyModel | None
-) -> "ExploredLog | None":
+) -> ExploredLog | None:
     """A log's readings, and its tracks with their priors; None if it has no moving joints."""
-    from ..body.senses import encoder_function
-    from ..estimation.timing import correction, gp_likelihood
-
     tracks = {name: sense for name, sense in model.senses.items() if name != "encoders"}
     angled = encoder_function.with_true_angles(timely, known)
     encoders, seen = correction.sound_measurements(angled, replace(model, senses=tracks))
@@ -449,12 +419,8 @@ def _explored_log(
     )
 
 
-def _process_prior(model: ForwardModel) -> "Prior":
+def _process_prior(model: ForwardModel) -> Prior:
     """The prior of a learned Gaussian process."""
-    import numpy as np
-
-    from ..body.gp.model import GP, se_kernel
-
     assert isinstance(model, GP)
 
     def prior(x: Array) -> tuple[Array, Array]:
@@ -469,14 +435,11 @@ def _process_prior(model: ForwardModel) -> "Prior":
 
 
 def _surest_logs(
-    residuals: Sequence[Mapping[str, "Delay"]], fixed: Delays, started: set[str]
+    residuals: Sequence[Mapping[str, Delay]], fixed: Delays, started: set[str]
 ) -> dict[str, int]:
     """The log with the smallest error of each camera with
     a delay, significant unless the camera is `started`.
     """
-    from ..estimation.faults.threshold import MIN_DELAY_S
-    from ..estimation.timing import correction
-
     found = {}
     for name in sorted({name for residual in residuals for name in residual} - set(fixed)):
         least = 0.0 if name in started else MIN_DELAY_S
@@ -486,12 +449,10 @@ def _surest_logs(
     return found
 
 
-def _step_of_log(residual: "Delay | None", surest: "Delay") -> float:
+def _step_of_log(residual: Delay | None, surest: Delay) -> float:
     """A log's own step (s), or that of the surest
     log if its own is not significant but consistent.
     """
-    from ..estimation.timing import correction
-
     if residual is not None and correction.is_significant(residual):
         return residual.seconds
     if residual is None or abs(residual.seconds - surest.seconds) < SHARED_DELAY_SIGMA * (

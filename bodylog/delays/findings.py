@@ -8,18 +8,22 @@ from functools import partial
 from itertools import islice
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..body_model import BodyModel
 from ..checks import require_same_camera, require_same_size
 from ..errors import InputError
+from ..estimation.timing import correction
+from ..estimation.timing.delay_profile import Delay
 from ..features.defaults import features_of_body, search_again_without_default
 from ..features.observed import add_recorded_joints, moving_features
+from ..recording import recording
+from ..recording.tidy import cut_to_window
 from ..settings import Settings
 from ..types import Fault, Features, Finding, LazyImage, Recording, Score
-
-if TYPE_CHECKING:
-    from ..estimation.timing.delay_profile import Delay
+from . import camera_delay
+from .flow import measure_flow_delays
+from .flow_delay import MIN_EVIDENCE_NATS
 
 MAX_DURATION_S = 60.0
 """s in the middle of a log that are used: a delay is known to milliseconds after 20 s of motion."""
@@ -72,10 +76,6 @@ def _examine_by_flow(log: Path, settings: Settings) -> ExaminedDelays:
     """Delays by the motion of the whole picture; a
     finding for each camera of which it does not tell one.
     """
-    from ..recording import recording
-    from .flow import measure_flow_delays
-    from .flow_delay import MIN_EVIDENCE_NATS
-
     read = middle_of_recording(
         recording.read_recording(log, settings, settings.input.strict),
         MAX_DURATION_S,
@@ -107,9 +107,6 @@ def _examine_by_flow(log: Path, settings: Settings) -> ExaminedDelays:
 
 
 def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> ExaminedDelays:
-    from ..estimation.timing import correction
-    from . import camera_delay
-
     settings = settings if body is None else features_of_body(body, settings)
     read, features = _middle_observed(log, settings, body is None)
     if (
@@ -146,23 +143,19 @@ def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> E
 
 def _given_delays(settings: Settings, names: tuple[str, ...]) -> dict[str, float]:
     """Delays (s) that the settings give."""
-    from ..estimation.timing import correction
-
     return correction.fixed_delays(settings.time.delay, names)
 
 
-def _delay_scores(found: "Mapping[str, Delay]", expected: Mapping[str, float]) -> Iterator[Score]:
+def _delay_scores(found: Mapping[str, Delay], expected: Mapping[str, float]) -> Iterator[Score]:
     for name, rest in found.items():
         yield Score(f"delay/{name}", expected.get(name, 0.0) + rest.seconds, "s", rest.std_error)
         yield Score(f"std/delay/{name}", rest.std_error, "s")
 
 
 def _delay_difference_findings(
-    found: "Mapping[str, Delay]", expected: Mapping[str, float], by: str
+    found: Mapping[str, Delay], expected: Mapping[str, float], by: str
 ) -> Iterator[Finding]:
     """A warning for each delay that differs from the expected one (s), else information."""
-    from ..estimation.timing import correction
-
     for name, rest in found.items():
         known = expected.get(name, 0.0)
         text = f"{name}: {correction.describe_delay(known + rest.seconds, rest.std_error)}, {by}"
@@ -181,14 +174,12 @@ def _delay_difference_findings(
 
 def _unmeasured_findings(
     names: tuple[str, ...],
-    found: "Mapping[str, Delay]",
-    unclear: "Mapping[str, Delay]",
+    found: Mapping[str, Delay],
+    unclear: Mapping[str, Delay],
     expected: Mapping[str, float],
     alone: bool,
 ) -> Iterator[Finding]:
     """Information on each camera without a delay; `alone`: there was no body."""
-    from ..estimation.timing import correction
-
     advice = "; with a body: bodylog doctor LOG --body BODY.npz" if alone else ""
     for name in (name for name in names if name not in found):
         why = "its images and the joints move too little, or not together"
@@ -201,8 +192,6 @@ def _unmeasured_findings(
 
 def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Recording, Features]:
     """The middle of a log and what perception finds in it; `guess`: as pipeline.observe."""
-    from ..recording import recording
-
     read = middle_of_recording(
         recording.read_recording(log, settings, settings.input.strict), MAX_DURATION_S, MAX_IMAGES
     )
@@ -215,8 +204,6 @@ def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Record
 
 def middle_of_recording(read: Recording, longest_s: float, most_images: int) -> Recording:
     """The middle of a recording, at most longest_s, with at most most_images of each camera."""
-    from ..recording.tidy import cut_to_window
-
     spare = max(0.0, 0.5 * (read.duration_s - longest_s))
     begin, end = spare, read.duration_s - spare
     films = {"": read.cameras.frames, **read.cameras.views}

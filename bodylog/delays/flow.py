@@ -5,17 +5,15 @@ the motion of the whole picture: no marker, body or URDF.
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..body.data import angle_smoother
+from ..estimation.timing.delay_profile import Delay
+from ..perception.surface.flow import GridFlow, measure_grid_flow
+from ..perception.surface.repeats import FrameRepeats
 from ..types import Array, Recording, Series
-
-if TYPE_CHECKING:
-    from ..estimation.timing.delay_profile import Delay
-    from ..perception.surface.flow import GridFlow
-    from ..perception.surface.repeats import FrameRepeats
-    from .flow_delay import FlowDelay
+from .flow_delay import MIN_EVIDENCE_NATS, FlowDelay, estimate_flow_delay
 
 LONGEST_KNOT_S = 0.02
 """Longest distance of the times at which smoothed
@@ -49,7 +47,7 @@ class CameraFlow:
     """
 
     camera: str
-    found: "FlowDelay | None"
+    found: FlowDelay | None
 
 
 def measure_flow_delays(read: Recording) -> Iterator[CameraFlow]:
@@ -69,21 +67,17 @@ def has_motion(read: Recording) -> bool:
     )
 
 
-def see_cameras(read: Recording) -> "Iterator[tuple[str, GridFlow | None]]":
+def see_cameras(read: Recording) -> Iterator[tuple[str, GridFlow | None]]:
     """Yield each camera's name and the motion of its picture, None without two images; each image
     is decoded once."""
-    from ..perception.surface.flow import measure_grid_flow
-
     for name, film in {"": read.cameras.frames, **read.cameras.views}.items():
         if film is not None:
             yield name or "camera", measure_grid_flow(film())
 
 
-def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None":
+def delay_by_flow(read: Recording, seen: GridFlow | None) -> FlowDelay | None:
     """The delay of a camera whose picture moves as `seen`; None where images or joints do not
     suffice."""
-    from .flow_delay import estimate_flow_delay
-
     if read.signals.joints is None or seen is None or len(seen.times) < 2:
         return None
     seen = merge_slow_repeats(seen)
@@ -96,13 +90,11 @@ def delay_by_flow(read: Recording, seen: "GridFlow | None") -> "FlowDelay | None
     return estimate_flow_delay(joints, seen.times, seen.flow, list(arms.values()), row_time_s)
 
 
-def pool_row_times(found: "Sequence[FlowDelay | None]") -> "Delay | None":
-    """The time (s) that a rolling shutter takes, of several logs of one camera: the mean by the logs'
+def pool_row_times(found: Sequence[FlowDelay | None]) -> Delay | None:
+    """The time (s) that a rolling shutter takes, of logs of one camera: the mean by the logs'
     errors, with an error that grows with their scatter, and ROW_TIME_FLOOR_BY_FLOW_S. None of fewer
     than LEAST_LOGS.
     """
-    from ..estimation.timing.delay_profile import Delay
-
     rows = [one.row_time for one in found if one is not None and one.certain and one.row_time]
     if len(rows) < LEAST_LOGS:
         return None
@@ -114,7 +106,7 @@ def pool_row_times(found: "Sequence[FlowDelay | None]") -> "Delay | None":
     return Delay(mean, float(np.hypot(variance**0.5, ROW_TIME_FLOOR_BY_FLOW_S)))
 
 
-def alternating_repeats(repeats: "FrameRepeats") -> Array:
+def alternating_repeats(repeats: FrameRepeats) -> Array:
     """Which frames (N,) repeat the one before, those of a slow picture included.
 
     Where the picture moves slowly, a repeat looks like a new frame.
@@ -134,7 +126,7 @@ def alternating_repeats(repeats: "FrameRepeats") -> Array:
     return found
 
 
-def merge_slow_repeats(seen: "GridFlow") -> "GridFlow":
+def merge_slow_repeats(seen: GridFlow) -> GridFlow:
     """The flow of a camera without intervals that end at
     a repeat: half of the motion's time would be missing.
     """
@@ -147,7 +139,7 @@ def merge_slow_repeats(seen: "GridFlow") -> "GridFlow":
     return replace(seen, times=times, flow=np.add.reduceat(seen.flow, first, axis=0))
 
 
-def _longest_row_time(seen: "GridFlow") -> float:
+def _longest_row_time(seen: GridFlow) -> float:
     """Time (s) that a rolling shutter may take: not
     more than from one distinct image to the next.
     """
@@ -175,11 +167,9 @@ def group_joints(names: tuple[str, ...]) -> dict[str, tuple[int, ...]]:
     return {arm: tuple(group) for arm, group in arms.items()}
 
 
-def name_moving_arm(names: tuple[str, ...], found: "FlowDelay") -> str | None:
+def name_moving_arm(names: tuple[str, ...], found: FlowDelay) -> str | None:
     """The arm, of several, whose joints explain the motion of a camera's picture; None where the
     evidence does not tell."""
-    from .flow_delay import MIN_EVIDENCE_NATS
-
     arms = {group: arm for arm, group in group_joints(names).items()}
     arm = arms.get(found.joints, "")
     if len(arms) < 2 or not arm or not found.certain or found.joints_nats < MIN_EVIDENCE_NATS:
@@ -206,8 +196,6 @@ def _smooth_joint(t: Array, values: Array, at: Array) -> Array:
     """A joint's angle at the times `at` (K,); NaN without
     enough readings, constant for a joint at rest.
     """
-    from ..body.data import angle_smoother
-
     finite = np.isfinite(values)
     if finite.sum() < LEAST_READINGS:
         return np.full(len(at), np.nan)

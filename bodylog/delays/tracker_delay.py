@@ -6,21 +6,25 @@ kinematics cannot. Points at t − τ are predicted by h(q(t), θ) + J q̇ τ to
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..body.data.pairs import SmoothedJoint, has_moved, smooth_all_joints
+from ..body.data.trainable import FEWEST
+from ..body.kinematic.learn import (
+    Robotics,
+    find_links_given,
+    still_joint_angles,
+    track_of_sightings,
+)
+from ..body.kinematic.sightings import ThingSightings, gather_sightings
+from ..estimation.measurements.track import camera_of_track
 from ..estimation.timing import correction
 from ..estimation.timing.delay_profile import MAX_DELAY_S, Delay
 from ..kinematics.calibration import CHI_SQUARE_MEDIANS
+from ..kinematics.rig import Rig
 from ..settings import Settings
 from ..types import Array, Features
-
-if TYPE_CHECKING:
-    from ..body.data.pairs import SmoothedJoint
-    from ..body.kinematic.learn import Robotics
-    from ..body.kinematic.sightings import ThingSightings
-    from ..kinematics.rig import Rig
 
 TURNS = 30
 """Most Gauss-Newton steps."""
@@ -35,17 +39,11 @@ _HALF_WEIGHT = 9.0
 
 
 def measure_tracker_delays(
-    features: Sequence[Features], settings: Settings, robot: "Robotics", names: Sequence[str]
+    features: Sequence[Features], settings: Settings, robot: Robotics, names: Sequence[str]
 ) -> "list[dict[str, Delay]]":
     """The delays of trackers by name in each log; empty where
     a rig does not explain their points, or does not settle.
     """
-    from ..body.data.pairs import has_moved, smooth_all_joints
-    from ..body.data.trainable import FEWEST
-    from ..body.kinematic.learn import find_links_given, still_joint_angles, track_of_sightings
-    from ..body.kinematic.sightings import gather_sightings
-    from ..estimation.measurements.track import camera_of_track
-
     tracks = sorted({n for f in features for n in f.tracks if camera_of_track(n) in names})
     joints = [
         joint for joint in smooth_all_joints(features, settings.body.joints) if has_moved(joint)
@@ -94,9 +92,9 @@ class _DelaySystem:
     parts: sightings of each sight of the rig, in its order · logs: how many there are (L).
     """
 
-    rig: "Rig"
-    parts: "Sequence[ThingSightings]"
-    joints: "Sequence[SmoothedJoint]"
+    rig: Rig
+    parts: Sequence[ThingSightings]
+    joints: Sequence[SmoothedJoint]
     names: Sequence[str]
     logs: int
 

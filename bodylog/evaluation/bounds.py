@@ -26,7 +26,7 @@ MAX_LISTED_NAMES = 12
 
 @dataclass(frozen=True)
 class ScoreBound:
-    """Fails when a figure that `name` matches, * and ? as in file names, compares so with `limit`."""
+    """Fails if a figure that `name` matches, * and ? as in file names, compares so with `limit`."""
 
     name: str
     sign: str

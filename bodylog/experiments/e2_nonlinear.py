@@ -119,7 +119,7 @@ def _nonlinear_figures(made: StudyBeliefs, plain: StudyBeliefs) -> dict[str, flo
 
 
 def _moving_error(made: StudyBeliefs, senses: str, rows: Array) -> float:
-    """Error (rad) of the angles' absolute values, which a square determines, while the arm moves."""
+    """Error (rad) of the angles' absolute values, which squares determine, while the arm moves."""
     return float(np.sqrt(np.mean((np.abs(made.x[senses]) - np.abs(made.signals.true))[rows] ** 2)))
 
 

@@ -80,8 +80,8 @@ def _run_rubber_hand(lab: Lab, seed: int, tried: ExperimentReadings) -> Trial:
                 figures[name_figure(key, f"{rhythm} {side}")] = (
                     sign * final_drift(t, moved) / DISPLACEMENT
                 )
-                figures[name_figure(key, f"{rhythm} {side} rad")] = _largest_joint_move(
-                    t, made[0] - made[1]
+                figures[name_figure(key, f"{rhythm} {side} rad")] = float(
+                    np.abs((made[0] - made[1])[t >= CALM]).max()
                 )
                 if key == tried.keys[0]:
                     courses[f"{rhythm} {side}"] = t, made[0] - made[1], moved
@@ -95,11 +95,6 @@ def final_drift(t: Array, drift: Array) -> float:
     """The drift of greatest size after the calm; NaN when the belief diverged."""
     late = drift[t >= CALM]
     return float(late[np.abs(late).argmax()]) if np.isfinite(late).all() else float("nan")
-
-
-def _largest_joint_move(t: Array, apart: Array) -> float:
-    """The largest move of a joint (rad) after the calm."""
-    return float(np.abs(apart[t >= CALM]).max())
 
 
 def _combine_sides(figures: Mapping[str, float], tried: ExperimentReadings) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""Judge claims in every reading over all seeds: kept, refuted, or not tested where a control fails."""
+"""Judge claims in each reading over all seeds: kept, refuted, not tested where a control fails."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

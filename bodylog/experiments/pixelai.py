@@ -1,4 +1,4 @@
-"""A comparison with PixelAI: four joints, vision only, a still arm, starts wrong at three levels."""
+"""A comparison with PixelAI: four joints, vision only, a still arm, starts wrong by three sizes."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

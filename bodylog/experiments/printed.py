@@ -60,7 +60,7 @@ class Signals:
     true: Array
 
     def error(self, x: Array, since: float) -> float:
-        """Root mean square error (rad) of a belief (N,M) from `since` s on; NaN when it diverged."""
+        """Root mean square error (rad) of a belief (N,M) from `since` s on; NaN if it diverged."""
         return float(np.sqrt(np.mean((x - self.true)[self.t >= since] ** 2)))
 
 

@@ -223,7 +223,7 @@ which one constant cancels the effect of another.
 
 
 def reading_key(reading: Reading) -> str:
-    """The reading as text, its constants in the table's order; CENTRE where all are at the centre."""
+    """The reading as text, constants in the table's order; CENTRE where all are at the centre."""
     parts = [
         f"{name}={reading[name]}"
         for name in CONSTANTS
@@ -233,7 +233,7 @@ def reading_key(reading: Reading) -> str:
 
 
 def parse_reading(text: str) -> Reading:
-    """The reading that `reading_key` wrote or a user typed; UsageError names the possible values."""
+    """The reading that `reading_key` wrote or a user typed; UsageError names possible values."""
     if text == CENTRE:
         return {}
     found: dict[str, str] = {}
@@ -277,7 +277,7 @@ def reading_value(reading: Reading, name: str) -> str:
 
 
 def reading_number(reading: Reading, name: str) -> float | None:
-    """The reading's number on the constant's axis; None for a named value that depends on the log."""
+    """The reading's number on the constant's axis; None for a value that depends on the log."""
     text = reading_value(reading, name)
     return CONSTANTS[name].at.get(text) if text in CONSTANTS[name].values else float(text)
 

@@ -62,7 +62,7 @@ def unseen_findings(
 
 
 def truth_findings(found: Estimate, truth: Series | None) -> tuple[Finding, ...]:
-    """A remark where errors against truth cannot be computed: no truth, or truth of other joints."""
+    """A remark if errors against truth cannot be computed: no truth, or truth of other joints."""
     if truth is None:
         text = (
             "no truth topic, so no error against truth; name one in [topics] truth, or type "

@@ -2,16 +2,36 @@
 whether it fits the body, and what changed since learning.
 """
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import degrees, nan
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..body_model import BodyModel
 from ..checks import log_context, require_tracks
+from ..fault_kinds import OFF_FROM_START_S
 from ..robot import effector_poses
-from ..settings import Settings
-from ..types import Estimate, Features, Finding, Recording
-from . import changes as change_findings
+from ..settings import EstimationSettings, Settings
+from ..types import (
+    ALTERNATIVE_SEPARATOR,
+    Estimate,
+    Fault,
+    FaultKind,
+    Features,
+    Finding,
+    Recording,
+    Series,
+)
 from .faults import unseen_findings
+
+if TYPE_CHECKING:
+    from ..body.kinematic.change import Change
+
+DIFFERING_SIGMA = 3.0
+"""Standard deviations by which two sizes of one
+offset must differ, in addition to a tenth of it.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +61,7 @@ def estimate_log(log: LogWithBody) -> Estimate:
     with log_context(log.path, log.read.facts.findings):
         misfit = find_misfit(features, learned, *chosen)
         if misfit is None:
-            found = change_findings.compare_changes_with_faults(
+            found = compare_changes_with_faults(
                 features, learned, infer(features, learned, settings), settings.estimate
             )
             misfit = from_many_faults(found, features, learned, *chosen)
@@ -86,3 +106,143 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
         settings={**found.settings, ENCODERS_READ_KEY: "as learned"},
         findings=(*found.findings, left_out),
     )
+
+
+def compare_changes_with_faults(
+    features: Features, body: BodyModel, found: Estimate, settings: EstimationSettings
+) -> Estimate:
+    """Add changes of joint zeros, cameras and markers to the estimate's faults.
+
+    Without effect for a body learned without a URDF, and with `bias = "off"`.
+    """
+    from ..body.kinematic.model import can_show_changes
+
+    if settings.bias == "off" or not can_show_changes(body):
+        return found
+    from ..body.kinematic import change
+
+    changes = change.find_changes(_usable_tracks(features, found), body)
+    faults, findings = merge_changes_and_faults(changes, found)
+    return replace(found, faults=faults, findings=(*found.findings, *findings))
+
+
+def _usable_tracks(features: Features, found: Estimate) -> Features:
+    """Used tracks with corrected times, up to the
+    first fault that is not a constant encoder offset.
+    """
+    from ..estimation.timing import correction
+
+    delays = found.settings.get("delay", {})
+    timely = (
+        correction.shift_features(features, delays) if isinstance(delays, Mapping) else features
+    )
+    seen = [
+        fault.since
+        for fault in found.faults
+        if fault.sense == "vision" and fault.since >= OFF_FROM_START_S
+    ]
+    later = [
+        fault.since
+        for fault in found.faults
+        if fault.sense == "encoders" and not _is_constant_offset(fault)
+    ] + seen
+    end = min(later, default=float("inf"))
+    tracks = {}
+    for name, track in timely.tracks.items():
+        if name in found.used and found.used[name].used:
+            early = track.t < end
+            std = None if track.std is None else track.std[early]
+            some = (
+                track.t[early],
+                track.values[early],
+                track.names,
+                track.unit,
+                track.source_ns[early],
+                std,
+            )
+            tracks[name] = Series(*some)
+    return replace(timely, tracks=tracks)
+
+
+def _is_constant_offset(fault: Fault) -> bool:
+    """Whether a fault is an encoder's offset from the start on."""
+    constant = fault.sense == "encoders" and fault.kind in (FaultKind.DRIFTING, FaultKind.OFFSET)
+    return constant and fault.since < OFF_FROM_START_S
+
+
+def merge_changes_and_faults(
+    changes: "Sequence[Change]", found: Estimate
+) -> tuple[tuple[Fault, ...], tuple[Finding, ...]]:
+    """Merge the estimate's faults with the changes, and return a remark on each."""
+    start = float(found.joints.t[0]) if len(found.joints.t) else 0.0
+    own = [_change_as_fault(one, start) for one in changes]
+    findings = list[Finding]()
+    kept = []
+    for fault in found.faults:
+        same = next(
+            (one for one in own if set(one.names) & set(fault.names) and one.sense == "encoders"),
+            None,
+        )
+        moved = next((one for one in own if one.sense == "vision"), None)
+        if not _is_constant_offset(fault) or (same is None and moved is None):
+            kept.append(fault)
+        elif same is None and moved is not None:
+            text = (
+                f"{moved.name} explains the filter's offset of {fault.name} ({fault.size:.4g} "
+                "rad) better"
+            )
+            findings.append(Finding("info", text))
+        elif same is not None:
+            findings += _differing_size_findings(same, fault)
+    findings += [Finding("info", _describe_change(one)) for one in changes]
+    lasting = {fault.name for fault in kept if fault.sense == "encoders"}
+    return (*kept, *(one for one in own if not lasting.intersection(one.names))), tuple(findings)
+
+
+def _change_as_fault(one: "Change", start: float) -> Fault:
+    """The change as a fault; an encoder's offset has the opposite sign of its joint's zero."""
+    name = ALTERNATIVE_SEPARATOR.join((one.name, *one.alternatives))
+    since = start if one.since is None else one.since
+    if one.kind == "joint":
+        size, std = (nan, None) if one.alternatives else (-float(one.value[0]), float(one.std[0]))
+        return Fault("encoders", name, FaultKind.OFFSET, since, size, one.unit, std)
+    assert one.shift is not None
+    if one.alternatives:
+        return Fault(
+            "vision", name, FaultKind.MOVED, since, nan, "rad" if one.kind == "camera" else "m"
+        )
+    if one.kind == "camera":
+        assert one.turn is not None
+        return Fault("vision", name, FaultKind.MOVED, since, one.turn[0], "rad", one.turn[1])
+    return Fault(
+        "vision", name, FaultKind.MOVED, since, one.shift[0], "m", one.shift[1], *(one.turn or ())
+    )
+
+
+def _differing_size_findings(same: Fault, fault: Fault) -> Iterable[Finding]:
+    """Yield a remark where the filter's size of an offset differs."""
+    if same.std is None or fault.size != fault.size:
+        return
+    if abs(same.size - fault.size) > DIFFERING_SIGMA * same.std + 0.1 * abs(same.size):
+        by_body = f"relative to the body's zeros {same.size:.4g} ± {same.std:.2g} rad"
+        yield Finding(
+            "info", f"{same.name}: by the filter its offset is {fault.size:.4g} rad, {by_body}"
+        )
+
+
+def _describe_change(one: "Change") -> str:
+    """A change in words, with the evidence for it."""
+    sure = f"{one.nats:.0f} nats likelier than no change"
+    if one.kind == "joint":
+        factor, unit = (degrees(1.0), "°") if one.unit == "rad" else (1e3, " mm")
+        value = -factor * one.value[0]
+        std = factor * one.std[0]
+        return f"{one.name}: reads {value:+.2f} ± {std:.2f}{unit} relative to the body, {sure}"
+    assert one.shift is not None
+    place = f"{1e3 * one.shift[0]:.1f} ± {1e3 * one.shift[1]:.1f} mm"
+    turn = (
+        ""
+        if one.turn is None
+        else f" and turned by {degrees(one.turn[0]):.2f} ± {degrees(one.turn[1]):.2f}°"
+    )
+    return f"{one.name}: moved by {place}{turn}, {sure}"

@@ -113,7 +113,7 @@ def _symlink_chain(path: Path) -> tuple[Path, ...]:
 
 
 def _folder_link_targets(folder: Path) -> Iterator[Key]:
-    """Targets of the names in a folder: an output may be a link, or one of several names of a file."""
+    """Targets of the names in a folder: an output may be a link or one of a file's names."""
     try:
         names = list(folder.iterdir())
     except OSError:

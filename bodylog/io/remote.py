@@ -1,4 +1,4 @@
-"""Logs behind URLs (s3://, http://, file://, memory:// and others of fsspec): list, measure, fetch."""
+"""Logs behind URLs (s3://, http://, file://, memory:// others of fsspec): list, measure, fetch."""
 
 import posixpath
 import re

@@ -1,4 +1,4 @@
-"""Temporary files and folders: unique names, locked while in use, removed however the process ends."""
+"""Temporary files and folders: unique, locked while in use, removed however the process ends."""
 
 import _thread
 import os
@@ -9,7 +9,6 @@ from functools import cache
 from pathlib import Path
 
 from ..runtime import signals
-from .locks import lock_handle
 
 PART = ".bodylog.part"
 """Suffix of half-written files."""
@@ -19,10 +18,14 @@ FOREIGN_S = 86400.0
 """Left-overs of another machine, whose locks may be
 invisible here, are removed after so many s without a write.
 """
-
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
 _live: set[Path] = set()
 _registry = _thread.allocate_lock()
+try:
+    import fcntl
+except ImportError:
+    # Windows: nothing is locked, and so nothing that another process may hold is removed
+    fcntl = None  # type: ignore[assignment]
 
 
 @contextmanager
@@ -62,7 +65,7 @@ def remove_stale(folder: Path, pattern: str) -> None:
 
 
 def remove_killed(*folders: Path) -> None:
-    """Remove left-overs of killed processes: half-written files in `folders`, and scratch folders."""
+    """Remove left-overs of killed processes: half-written files in `folders`, scratch folders."""
     for folder in folders:
         remove_stale(folder, f".*{PART}")
     # users may have folders of this name
@@ -160,12 +163,7 @@ def _is_same_file(path: Path, handle: int) -> bool:
 def _is_own_temporary(path: Path) -> bool:
     found = path.lstat()
     here = machine_id() in path.name or time.time() - found.st_mtime > FOREIGN_S
-    return here and found.st_uid == _user()
-
-
-def _user() -> int:
-    """The number of this process's user; 0, as of every file, where the system has none."""
-    return os.geteuid() if hasattr(os, "geteuid") else 0
+    return here and found.st_uid == (os.geteuid() if hasattr(os, "geteuid") else 0)
 
 
 def _remove_path(path: Path) -> None:
@@ -183,3 +181,16 @@ def _remove_path(path: Path) -> None:
 
 
 signals.at_end.append(remove_temporary_files)
+
+
+def lock_handle(handle: int, wait: bool) -> bool:
+    """Whether the file or folder of an open handle is now
+    locked; False where it cannot be, or another holds it.
+    """
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

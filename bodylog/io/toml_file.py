@@ -1,4 +1,4 @@
-"""Read TOML files written by people as plain values, with limits on length, depth and number size."""
+"""Read TOML files of people as plain values, with limits on length, depth and number size."""
 
 import re
 from pathlib import Path

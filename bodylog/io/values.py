@@ -1,4 +1,4 @@
-"""Validate values from files: times and numbers in range, encodable texts, JSON of limited depth."""
+"""Check values from files: times and numbers in range, encodable texts, JSON of limited depth."""
 
 import json
 from typing import Any

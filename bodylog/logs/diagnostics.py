@@ -60,7 +60,7 @@ class Diagnostics:
 
     @property
     def findings(self) -> tuple[Finding, ...]:
-        """Warnings and infos in order, then losses in file order; beyond eight losses, their sum."""
+        """Warnings and infos in order, then losses in file order; beyond eight, their sum."""
         losses = [(start, *loss) for start, loss in sorted(self._losses.items())]
         texts = self._losses_text(losses if len(losses) <= _SHOWN else losses[: _SHOWN - 1])
         if len(losses) > _SHOWN:

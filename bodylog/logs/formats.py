@@ -5,9 +5,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from ..errors import LogError
+from ..errors import BodylogError, LogError
 from ..io import episodes
-from ..io.atomic_files import require_regular
+from ..io.atomic_files import hash_files, require_regular
 from .limits import LIMITS, Input
 from .mcap.records import MAGIC
 from .protocol import Batches, Log, Opener
@@ -17,9 +17,16 @@ from .storage.packed_files import is_packed, unpack_file
 if TYPE_CHECKING:
     from .decode.columns import Source
 
+
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".m4v")
+
+
 _MP4 = b"ftyp"
+
+
 _HDF5 = b"\x89HDF\r\n\x1a\n"
+
+
 _LFS = b"version https://git-lfs"
 
 
@@ -190,3 +197,25 @@ FORMATS: Mapping[bytes, Opener] = {
     b"PAR1": _open_pose_table,
 }
 """First bytes of a file -> function that opens it."""
+
+
+def files_of(path: Path) -> tuple[Path, ...]:
+    """The file or folder of a log; for an episode, or a
+    dataset (its first episode), the files it is read from.
+
+    A dataset that cannot be read gives its own path.
+    """
+    base, number = episodes.split_episode_name(path)
+    if not base.is_dir():
+        return (base,)
+    from .datasets import kinds
+
+    try:
+        return kinds.episode_files(base, number) or (base,)
+    except BodylogError:
+        return (base,)
+
+
+def hash_log(path: Path) -> str:
+    """Hex SHA-256 of a log; for an episode, of its files in order."""
+    return hash_files(*files_of(path))

@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from tempfile import gettempdir
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
@@ -14,17 +15,24 @@ import numpy as np
 
 from ..errors import ConfigError, FormatError, LogError
 from ..io import remote
-from .decode.columns import columns_of, definition_of
+from .decode.columns import columns_of, definition_of, is_ros1, is_ros1_payload
+from .decode.definitions import PRIMITIVES, TEXTS, Definition, Field
+from .decode.dynamic import make_dynamic_reader
+from .decode.ros1_to_cdr import ROSBAGS_ERRORS, make_cdr_converter
 from .decode.table import Table, fill_table, leaf_paths, object_paths
 from .formats import open_log, payload_views, without_images
+from .images import messages as images
 from .limits import LIMITS
 from .mcap.records import MAGIC
 from .protocol import Log
 from .records import Batch, Finding, LazyImage, Topic
+from .storage import remote_map
 
 _OBJECTS = ("json", "protobuf")
 _HEADS = ("header", "encoding", "format", "name", "names", "position")
 """Fields for which no image needs to be decoded."""
+_TIMES = {"time": "builtin_interfaces/msg/Time", "duration": "builtin_interfaces/msg/Duration"}
+Decode = Callable[[bytes], Any]
 
 
 class Message(NamedTuple):
@@ -107,7 +115,7 @@ class OpenLog:
         return self._batches(None if topics is None else self._ids(topics))
 
     def messages(self, topics: Sequence[str] | None = None) -> Iterator[Message]:
-        """Decoded messages in file order; `rejected` counts by topic those that cannot be decoded."""
+        """Decoded messages in file order; `rejected` counts by topic those that do not decode."""
         wanted = (
             self.topics
             if topics is None
@@ -126,8 +134,6 @@ class OpenLog:
         """The images of a topic in file order: `image`
         (H,W,3) uint8 BGR, t in s since start_ns by log time.
         """
-        from .images import messages as images
-
         decoders = {one.id: images.make_image_decoder(one) for one in self._topics(topic)}
         for batch in self._batches(tuple(decoders)):
             for log_ns, payload in zip(batch.log_ns.tolist(), payload_views(batch), strict=True):
@@ -215,10 +221,6 @@ def local_path(path: str | Path, wait_s: float = LIMITS.max_wait_s) -> Iterator[
     if not remote.is_url(str(path)):
         yield Path(path)
         return
-    from tempfile import gettempdir
-
-    from .storage import remote_map
-
     url = str(path)
     size = remote.remote_size_bytes(url, wait_s)
     first, in_parts = remote.read_first_bytes(url, min(size, 64), wait_s) if size else (b"", False)
@@ -247,9 +249,76 @@ def _make_message_decoder(topic: Topic) -> Callable[[bytes], Any]:
     FormatError when they contradict the definition.
     """
     if topic.encoding in _OBJECTS:
-        from .decode.dynamic import make_dynamic_reader
-
         return make_dynamic_reader(topic)
-    from .decode.message_objects import make_object_decoder
-
     return make_object_decoder(topic)
+
+
+def make_object_decoder(topic: Topic) -> Decode:
+    """decode(payload) -> message; FormatError for an unreadable definition or payload."""
+    definition = definition_of(topic)
+    known: dict[bool, Decode] = {}
+
+    def decode(payload: bytes) -> Any:
+        ros1 = is_ros1(topic) or (
+            (True in known or not known) and is_ros1_payload(definition, payload)
+        )
+        if ros1 not in known:
+            known[ros1] = (
+                _make_ros1_decoder(topic) if ros1 else _make_cdr_decoder(topic, definition)
+            )
+        return known[ros1](payload)
+
+    return decode
+
+
+def _make_ros1_decoder(topic: Topic) -> Decode:
+    convert, _ = make_cdr_converter(topic)
+    read = _wrap_read_errors(topic, convert.store)
+    return lambda payload: read(bytes(convert(memoryview(payload))))
+
+
+def _make_cdr_decoder(topic: Topic, definition: Definition) -> Decode:
+    from rosbags.typesys import Stores, TypesysError, get_typestore
+
+    store = get_typestore(Stores.EMPTY)
+    try:
+        store.register(_rosbags_types(definition))
+    except (TypesysError, *ROSBAGS_ERRORS) as problem:
+        raise FormatError(
+            f"{topic.name}: the definition of {topic.type} cannot be read: {problem}"
+        ) from None
+    return _wrap_read_errors(topic, store)
+
+
+def _rosbags_types(definition: Definition) -> Any:
+    """The definition in rosbags' notation, times included."""
+    from rosbags.interfaces import Nodetype
+    from rosbags.typesys import Stores, get_typestore
+
+    def node(field: Field) -> Any:
+        plain = field.type in PRIMITIVES or field.type in TEXTS
+        kind = _TIMES.get(field.type, field.type)
+        one: Any = (Nodetype.BASE, (kind, 0)) if plain else (Nodetype.NAME, kind)
+        if field.size is None:
+            return one
+        return (
+            (Nodetype.SEQUENCE, (one, 0)) if field.size < 0 else (Nodetype.ARRAY, (one, field.size))
+        )
+
+    standard = get_typestore(Stores.ROS2_HUMBLE).fielddefs
+    times = {name: standard[name] for name in _TIMES.values()}
+    return times | {
+        name: ([], [(f.name, node(f)) for f in fields]) for name, fields in definition.types.items()
+    }
+
+
+def _wrap_read_errors(topic: Topic, store: Any) -> Decode:
+    from rosbags.serde import SerdeError
+
+    def read(payload: bytes) -> Any:
+        try:
+            return store.deserialize_cdr(payload, topic.type)
+        except (SerdeError, *ROSBAGS_ERRORS) as problem:
+            raise FormatError(f"{topic.name}: {problem}") from None
+
+    return read

@@ -31,7 +31,7 @@ class Log(Protocol):
         """
 
     def spans(self) -> Mapping[int, tuple[int, int]]:
-        """First and last log time (ns) by topic id, where the file gives them without being read."""
+        """First and last log time (ns) by topic id, where the file tells without being read."""
 
     def close(self) -> None:
         """Close the file."""

@@ -1,11 +1,15 @@
-"""Select the clock of a stream, and handle stamps that are out of order, duplicated or years off."""
+"""Select the clock of a stream; handle stamps that are out of order, duplicated or years off."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from ..logs.records import Array
+from ..errors import BodylogError
+from ..io.values import read_json
+from ..logs.decode.columns import definition_of
+from ..logs.decode.definitions import TIMES, Definition
+from ..logs.records import Array, Topic
 
 _DAY = 86_400_000_000_000
 _YEAR = 366 * _DAY
@@ -14,6 +18,7 @@ BACK = 500_000_000
 """ns: no transport delays a message so long beyond
 its successors; the clock must have run backwards.
 """
+_ALONE = ("stamp", "timestamp")
 
 
 class Timing(NamedTuple):
@@ -210,3 +215,49 @@ def seconds_since(t_ns: Array, start_ns: int) -> Array:
 def largest_gap(t_ns: Array) -> float:
     """Longest time (s) between neighbours of an ordered stream."""
     return float(np.diff(t_ns).max() / 1e9) if len(t_ns) > 1 else 0.0
+
+
+def stamp_field(topic: Topic) -> str | None:
+    """Message path of the stamp: header.stamp, or a
+    time called stamp or timestamp; None without one.
+    """
+    try:
+        if topic.encoding == "json":
+            return _in_schema(topic.definition)
+        if topic.encoding == "protobuf":
+            return _in_descriptors(topic)
+        return _in_definition(definition_of(topic))
+    except BodylogError:
+        return None
+
+
+def _in_schema(schema: bytes) -> str | None:
+    try:
+        properties = read_json(schema or b"{}").get("properties", {})
+    except (ValueError, AttributeError):  # not JSON, or not a table
+        return None
+    return next(
+        (name for name in _ALONE if name in properties),
+        "header.stamp" if "header" in properties else None,
+    )
+
+
+def _in_descriptors(topic: Topic) -> str | None:
+    from ..logs.decode.protobuf import field_types
+
+    types = field_types(topic)
+    return next(
+        (name for name in _ALONE if types.get(name, "").endswith(("Timestamp", "Time"))), None
+    )
+
+
+def _in_definition(definition: Definition) -> str | None:
+    for field in definition.types[definition.root]:
+        if field.size is not None:
+            continue
+        if field.type in TIMES and field.name in _ALONE:
+            return field.name
+        inner = definition.types.get(field.type, ()) if field.name == "header" else ()
+        if any(f.name == "stamp" and f.type in TIMES and f.size is None for f in inner):
+            return "header.stamp"
+    return None

@@ -6,8 +6,7 @@ from pathlib import Path
 
 from ..logs.formats import open_log
 from ..logs.joint_units import SOURCE_UNIT, UNIT
-from ..logs.topic_names import escape_topic_name
-from ..logs.topics import INDEPENDENT
+from ..logs.topics import INDEPENDENT, escape_topic_name
 from ..settings import Settings
 from ..types import Batch, Outgoing, Recording, Topic
 

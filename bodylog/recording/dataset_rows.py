@@ -15,7 +15,7 @@ from ..logs.datasets.episode_log import DTYPE, FEATURE, JOINT_STATE, TEXT, VECTO
 from ..logs.formats import open_log
 from ..logs.joint_units import SOURCE_UNIT, UNIT, joint_unit
 from ..logs.library import OpenLog
-from ..logs.topic_names import PREFIX
+from ..logs.topics import PREFIX
 from ..settings import Settings
 from ..types import Array, Finding, Frames, LazyImage, Recording, Topic
 from . import dataset_metadata, roles
@@ -87,7 +87,7 @@ def read_dataset_rows(
     films = {} if recording.cameras.frames is None else {"": recording.cameras.frames}
     films |= dict(recording.cameras.views)
     taken = {
-        name: np.array([_frame_time_ns(recording, one) for one in film()], np.int64)
+        name: np.array([recording.start_ns + round(one.t * 1e9) for one in film()], np.int64)
         for name, film in films.items()
     }
     ns = _choose_row_times(
@@ -148,10 +148,6 @@ def _every_camera(path: Path, settings: Settings) -> Settings:
 
 def _is_readable_camera(topic: Topic) -> bool:
     return roles.camera_rank(topic) is not None and roles.problem_with_definition(topic) is None
-
-
-def _frame_time_ns(recording: Recording, frame: LazyImage) -> int:
-    return recording.start_ns + round(frame.t * 1e9)
 
 
 def _signal_features(

@@ -23,10 +23,8 @@ from ..logs.topics import has_independent_poses
 from ..settings import Settings
 from . import role_values
 from .clock_steps import ClockStep, Mended, Times, mend_clocks
-from .clocks import Timing, order_by_time
-from .joint_names import topic_name
-from .roles import Role, pose_field
-from .stamp_field import stamp_field
+from .clocks import Timing, order_by_time, stamp_field
+from .roles import Role, pose_field, topic_name
 
 _MINUTE = 60_000_000_000
 _JOINT_FIELDS = ("name", "position")

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from ..settings import Settings
 from .dated_streams import Stream
-from .joint_names import topic_name
+from .roles import topic_name
 
 
 def streams_of(streams: Mapping[str, Stream]) -> list[Stream]:

@@ -179,7 +179,7 @@ def _episode_columns(found: DatasetRows) -> dict[str, Array]:
 
 
 def _cast_to_declared(one: Feature) -> Array:
-    """The values in their declared dtype if it holds them, else in float32 or float64 without loss."""
+    """Values in their declared dtype if it holds them, else float32 or float64 without loss."""
     wanted = one.dtype or "float32"
     if wanted not in _WHOLE or np.isfinite(one.values).all():
         with np.errstate(over="ignore"):

@@ -41,8 +41,8 @@ from ..types import (
 from . import cameras, joint_topics, roles
 from .clocks import largest_gap, seconds_since
 from .dated_streams import Stream, joints_of, read_streams
-from .joint_names import JOINTS, topic_name
 from .joint_topics import common_unit, own_names, streams_of
+from .roles import JOINTS, topic_name
 from .saved_settings import is_ours, restore_settings
 from .stream_findings import log_findings
 
@@ -131,7 +131,10 @@ def read_recording(
         topics=log.topics,
         roles={role: stream.role.path for role, stream in streams.items()} | videos,
         health={stream.role.topic: _health_of_stream(stream) for stream in streams.values()}
-        | _health_of_videos(sidecars),
+        | {
+            one.video.path.name: Health(len(one.t), len(one.t), {}, one.largest_gap)
+            for one in sidecars.values()
+        },
         findings=findings,
         settings=settings,
         beside=joint_topics.unconfigured_joints(streams, settings),
@@ -197,13 +200,6 @@ def _find_video_files(path: Path, settings: Settings) -> dict[str, video_file.Si
     }
 
 
-def _health_of_videos(sidecars: Mapping[str, video_file.Sidecar]) -> dict[str, Health]:
-    return {
-        one.video.path.name: Health(len(one.t), len(one.t), {}, one.largest_gap)
-        for one in sidecars.values()
-    }
-
-
 def _frames_of_cameras(
     path: Path,
     strict: bool,
@@ -264,7 +260,7 @@ def _read_named_tracks(
     }
     if not any(isinstance(source, TopicSource | TableSource) for source in rest.values()):
         return {}, ()
-    from . import space_points, topic_tracks
+    from . import topic_tracks
 
     asked = replace(settings, features=rest)
     timing = next((stream.timing for stream in joint_topics.streams_of(streams)), None)
@@ -275,7 +271,7 @@ def _read_named_tracks(
     )
     findings = list[Finding]()
     for name, (track, health) in found.items():
-        track, more = space_points.points_in_mm(name, track)
+        track, more = topic_tracks.points_in_mm(name, track)
         found[name] = track, health
         findings += more
     return found, tuple(findings)
@@ -415,7 +411,7 @@ def _numbered_frames(
 def _message_decoders(
     batch: Batch, decode: Callable[[Payload, int], Array]
 ) -> Iterator[Callable[[int], Array]]:
-    """A decoder for each message of a batch, on a copy of its bytes unless the batch's stay valid."""
+    """A decoder for each message of a batch, on a copy of its bytes unless they stay valid."""
     keep = is_mapped(batch.data)
     return (
         partial(decode, payload if keep else bytes(payload)) for payload in payload_views(batch)

@@ -1,4 +1,4 @@
-"""Columns to one signal: joints ordered by name, arrays side by side; what does not fit is counted."""
+"""Columns to one signal: joints by name, arrays side by side; what does not fit is counted."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence

@@ -11,11 +11,9 @@ from ..logs.decode.dynamic import make_dynamic_reader
 from ..logs.decode.message_path import parse_message_path
 from ..logs.images import messages
 from ..logs.records import Topic
-from ..logs.topic_names import PREFIX, TRACK
+from ..logs.topics import PREFIX, TRACK
 from ..settings import TopicSettings
 from .cameras import cameras_by_name, is_video_source
-from .joint_names import joint_topic_roles as joint_topics
-from .joint_names import topic_name
 
 ROLES = ("joints", "camera", "skin", "truth", "reference")
 _ANGLES = ("joints", "truth", "reference")
@@ -41,6 +39,9 @@ _TOUCHED = re.compile(r"skin|tactile|touch|prox", re.IGNORECASE)
 _COLOUR = re.compile(r"rgb|colou?r", re.IGNORECASE)
 _DEPTH = re.compile(r"depth|disparity|mask|segment", re.IGNORECASE)
 _GREY = re.compile(r"mono|gr[ae]y|infra|(^|[/_])ir([/_\d]|$)", re.IGNORECASE)
+_STATES = re.compile(r"(/joint_?states?)+$", re.IGNORECASE)
+JOINTS = "joints/"
+"""Prefix of one joint topic's delay, before the topic's name: delay = {"joints/head" = 0.02}."""
 
 
 class Role(NamedTuple):
@@ -109,7 +110,9 @@ def _sources_declared(role: str, settings: TopicSettings) -> Mapping[str, str | 
     """The sources in robot.toml for a role: cameras and joints may have several."""
     if role == "camera":
         return cameras_by_name(settings)
-    return joint_topics(settings.joints) if role == "joints" else {role: getattr(settings, role)}
+    return (
+        joint_topic_roles(settings.joints) if role == "joints" else {role: getattr(settings, role)}
+    )
 
 
 def _further_joint_topics(
@@ -149,7 +152,7 @@ def _tracks_alone(topics: Sequence[Topic]) -> bool:
 def _main_joints(
     topics: Sequence[Topic], joints_of: Callable[[Topic], tuple[str, ...]]
 ) -> Sequence[Topic]:
-    """The topics without joint states that are about as frequent as the best but name fewer joints."""
+    """Topics without joint states that are about as frequent as the best but name fewer joints."""
     ranks = {
         topic.name: rank
         for topic in topics
@@ -324,7 +327,7 @@ def _default_field(role: str, topic: Topic) -> str | None:
 
 
 def array_field(definition: Definition) -> str | None:
-    """Path of the first array of numbers: `data`, or within an array of structs `data[:].prox[0]`."""
+    """Path of the first array of numbers: `data`, or in an array of structs `data[:].prox[0]`."""
     fields = definition.types[definition.root]
     for wanted in ("f", "iu"):
         for field in fields:
@@ -343,3 +346,21 @@ def array_field(definition: Definition) -> str | None:
             if single and wanted == "f":
                 return f"{field.name}[:].{single[0].name}"
     return None
+
+
+def topic_name(topic: str) -> str:
+    """A joint topic's name without generic words such as joint_states."""
+    return _STATES.sub("", topic).strip("/") or topic.strip("/")
+
+
+def joint_topic_roles(declared: str | tuple[str, ...] | None) -> dict[str, str]:
+    """Roles of joint topics in robot.toml: joints, then joints/NAME for those after the first."""
+    found: dict[str, str] = {}
+    for topic in (declared,) if isinstance(declared, str) else declared or ():
+        name = topic_name(topic)
+        if any(topic_name(other) == name for other in found.values()):
+            raise ConfigError(
+                f"[topics] joints: two topics both get the name {name!r}; leave one out"
+            )
+        found[f"{JOINTS}{name}" if found else "joints"] = topic
+    return found

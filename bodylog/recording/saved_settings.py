@@ -8,7 +8,7 @@ from ..errors import ConfigError, LogError
 from ..io.values import read_json
 from ..logs.decode.message_path import parse_message_path
 from ..logs.protocol import Log
-from ..logs.topic_names import PREFIX
+from ..logs.topics import PREFIX
 from ..settings import BodySettings, Settings, TimeSettings, TopicSettings
 from ..sources import Source, parse_source
 

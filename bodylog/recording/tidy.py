@@ -15,7 +15,7 @@ from ..errors import LogError
 from ..io.atomic_files import replace_atomically
 from ..io.outputs import Output, guard_outputs
 from ..logs.conversion.transcode import LIBRARY, PROFILE
-from ..logs.episode_files import hash_log
+from ..logs.formats import hash_log
 from ..logs.mcap.prefix import NAME
 from ..logs.mcap.verification import verify_message_count
 from ..logs.mcap.writer import Contents, McapRecordWriter

@@ -4,6 +4,7 @@ per message of a topic, by its type or a message path.
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,15 +13,13 @@ from ..errors import ConfigError, FormatError, LogError
 from ..logs.decode.columns import read_topic_columns
 from ..logs.decode.parts import TopicColumns
 from ..logs.protocol import Log
-from ..logs.tables.pose_columns import time_column
+from ..logs.tables.pose_columns import metres_per_unit, millimetres_note, time_column
 from ..logs.tables.table_file import FileTable, read_table_file, table_format
 from ..settings import Settings
 from ..sources import TableSource, TopicSource, track_names
-from ..types import Array, Health, Series, Topic
+from ..types import MM_PER_M, TRACK_AXES, Array, Finding, Health, Series, Topic
 from .clock_steps import Times, mend_clocks
-from .clocks import largest_gap, order_by_time, seconds_since
-from .space_points import SPACE_ENDS, series_of_points
-from .stamp_field import stamp_field
+from .clocks import largest_gap, order_by_time, seconds_since, stamp_field
 
 ENDS: Sequence[tuple[str, ...]] = (
     (".x", ".y"),
@@ -51,6 +50,11 @@ BY_TYPE: Mapping[str, str] = {
 Read = tuple[Series, Health]
 EPOCH = 1e8
 """s: later times count from 1970, earlier ones from the log's first joints."""
+SPACE_ENDS = tuple(
+    tuple(f"{before}{axis}" for axis in (".x", ".y", ".z"))
+    for before in ("", ".point", ".position", ".pose.position", ".transform.translation")
+)
+"""Possible ends of a path to a point in space: those of PointStamped, PoseStamped and others."""
 
 
 def read_topic_track(
@@ -109,7 +113,7 @@ def _require_topic(log: Log, name: str, source: TopicSource) -> Topic:
 def _read_positions(
     log: Log, topic: Topic, name: str, source: TopicSource
 ) -> tuple[tuple[str, ...], TopicColumns]:
-    """The path ends that give positions, and their columns; ConfigError, with advice, if none does."""
+    """Path ends that give positions, and their columns; ConfigError, with advice, if none does."""
     path = source.path or ""
     if not path and (several := BY_TYPE.get(topic.type)):
         reason = f"[features] {name}: {topic.name} ({topic.type}) holds several places; say which"
@@ -325,3 +329,20 @@ def _columns_by_feature_name(table: FileTable, name: str, axes: str) -> tuple[st
             ]
             return (*wanted, *next((some for some in std if set(some) <= there), ()))
     return tuple(f"{name}_{axis}" for axis in axes)
+
+
+def series_of_points(t: Array, points: Array, source_ns: Array, std: Array | None) -> Series:
+    """Points (N,3) and std as they came, whose unit `points_in_mm` finds."""
+    return Series(t, points, TRACK_AXES[3][0], "m", source_ns, std)
+
+
+def points_in_mm(name: str, track: Series) -> tuple[Series, tuple[Finding, ...]]:
+    """A track of `series_of_points` in mm, and a remark where it came in mm; others unchanged."""
+    if track.unit != "m":
+        return track, ()
+    size = metres_per_unit(track.values)
+    findings = () if size == 1.0 else (Finding("info", millimetres_note(name, track.values)),)
+    scale = size * MM_PER_M
+    std = None if track.std is None else np.asarray(track.std * scale)
+    unit = TRACK_AXES[3][1]
+    return replace(track, values=track.values * scale, std=std, unit=unit), findings

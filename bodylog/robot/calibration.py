@@ -6,24 +6,27 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+
+from ..body import storage
+from ..body.kinematic.model import KinematicGP
 from ..body.kinematic.offsets import offsets_as_values
+from ..body.kinematic.placements import Calibration, Lens, Placement, calibration_of_body
+from ..body_model import BodyModel
 from ..errors import ModelError, UsageError
-
-if TYPE_CHECKING:
-    from ..body.kinematic.placements import Calibration, Lens, Placement
-    from ..body_model import BodyModel
-    from ..kinematics.identifiability import Offset
+from ..io.atomic_files import ensure_dir, replace_atomically
+from ..kinematics import urdf as files
+from ..kinematics.corrected import CameraFrame, correct_urdf
+from ..kinematics.identifiability import Offset
+from ..kinematics.rotations import quaternions_from_rotations, rpy_from_rotation
 
 FORMS = (".yaml", ".yml", ".json", ".urdf")
 
 
-def load_calibration(body: Path) -> "Calibration":
+def load_calibration(body: Path) -> Calibration:
     """The calibration of a body file; ModelError where it was learned without a URDF."""
-    from ..body import storage
-    from ..body.kinematic.placements import calibration_of_body
-
     learned = storage.load_body(body)
     try:
         return calibration_of_body(learned)
@@ -31,7 +34,7 @@ def load_calibration(body: Path) -> "Calibration":
         raise ModelError(f"{body}: {problem}") from problem
 
 
-def calibration_as_values(found: "Calibration") -> dict[str, Any]:
+def calibration_as_values(found: Calibration) -> dict[str, Any]:
     """As plain values, in m, rad and px: {"cameras", "trackers", "markers", "zeros",
     "scales", "compliances", "sag", "earlier"}; None: not identifiable.
 
@@ -59,9 +62,7 @@ def camera_name_in_scores(name: str) -> str:
     return name.removeprefix("camera ")
 
 
-def _placement_as_values(one: "Placement") -> dict[str, Any]:
-    from ..kinematics.rotations import quaternions_from_rotations
-
+def _placement_as_values(one: Placement) -> dict[str, Any]:
     sure = one.identifiable
     turned = one.identifiable and one.turns
     return {
@@ -75,7 +76,7 @@ def _placement_as_values(one: "Placement") -> dict[str, Any]:
     }
 
 
-def _lens_as_values(lens: "Lens") -> dict[str, Any]:
+def _lens_as_values(lens: Lens) -> dict[str, Any]:
     return {
         "focal_px": lens.focal.tolist(),
         "focal_std_px": lens.focal_std.tolist(),
@@ -88,13 +89,10 @@ def _lens_as_values(lens: "Lens") -> dict[str, Any]:
     }
 
 
-def summarise_placements(model: "BodyModel") -> tuple[str, ...]:
+def summarise_placements(model: BodyModel) -> tuple[str, ...]:
     """Where each camera and marker of a body is, a line
     each; empty where it was learned without a URDF.
     """
-    from ..body.kinematic.model import KinematicGP
-    from ..body.kinematic.placements import calibration_of_body
-
     if model.surface is None and not any(
         isinstance(sense, KinematicGP) for sense in model.senses.values()
     ):
@@ -110,7 +108,7 @@ def summarise_placements(model: "BodyModel") -> tuple[str, ...]:
     return (*texts, *(next(placement_lines(one)) for one in rest))
 
 
-def calibration_lines(found: "Calibration") -> Iterator[str]:
+def calibration_lines(found: Calibration) -> Iterator[str]:
     """Yield the calibration in mm, degrees and px, with the transforms to type."""
     for camera, lens in zip(found.cameras, found.lenses, strict=True):
         yield from placement_lines(camera)
@@ -128,7 +126,7 @@ def calibration_lines(found: "Calibration") -> Iterator[str]:
         yield found.sag
 
 
-def placement_lines(one: "Placement") -> Iterator[str]:
+def placement_lines(one: Placement) -> Iterator[str]:
     """Yield where a camera or marker is in its link, in mm and degrees (roll, pitch, yaw)."""
     if not one.identifiable:
         yield f"{one.name} in {one.link}: not identifiable"
@@ -138,10 +136,6 @@ def placement_lines(one: "Placement") -> Iterator[str]:
         f"{_values_with_std(1e3 * one.pose[:3, 3], 1e3 * one.place_std, 1)} mm"
     )
     if one.turns:
-        import numpy as np
-
-        from ..kinematics.rotations import rpy_from_rotation
-
         angles = np.degrees(rpy_from_rotation(one.pose[:3, :3]))
         std = np.degrees(one.turn_std)
         texts = ", ".join(f"{value:.2f}" for value in angles)
@@ -151,7 +145,7 @@ def placement_lines(one: "Placement") -> Iterator[str]:
         )
 
 
-def lens_line(lens: "Lens") -> str:
+def lens_line(lens: Lens) -> str:
     """A lens in px."""
     focal = _values_with_std(lens.focal, lens.focal_std, 1)
     centre = _values_with_std(lens.centre, lens.centre_std, 1)
@@ -169,7 +163,7 @@ def _values_with_std(values: Any, stds: Any, digits: int) -> str:
     return ", ".join(f"{value:.{digits}f} ± {std:.{digits}f}" for value, std in pairs)
 
 
-def zero_lines(found: "Sequence[Offset]") -> Iterator[str]:
+def zero_lines(found: Sequence[Offset]) -> Iterator[str]:
     """Yield each joint's zero in degrees or mm, each scale in percent, each
     compliance in mrad/(N m), or what it cannot be separated from.
     """
@@ -180,7 +174,7 @@ def zero_lines(found: "Sequence[Offset]") -> Iterator[str]:
         yield f"{one.joint:<{width}}  {'' if one.noun == 'zero' else f'{one.noun} '}{shown}"
 
 
-def transform_command(camera: "Placement", frame: str) -> str:
+def transform_command(camera: Placement, frame: str) -> str:
     """The command that publishes the pose of a camera's or tracker's frame to tf (ROS 2)."""
     values = _placement_as_values(camera)
     place = zip("xyz", values["xyz_m"], strict=True)
@@ -190,21 +184,19 @@ def transform_command(camera: "Placement", frame: str) -> str:
     return f"ros2 run tf2_ros static_transform_publisher {numbers} {frames}"
 
 
-def optical_frame(camera: "Placement") -> str:
+def optical_frame(camera: Placement) -> str:
     """The name of a camera's optical frame beside its link."""
     return f"{camera_name_in_scores(camera.name).replace('/', '_')}_optical_frame"
 
 
 def write_calibration(
-    found: "Calibration", out: Path, urdf: Path | None, values: Mapping[str, Any]
+    found: Calibration, out: Path, urdf: Path | None, values: Mapping[str, Any]
 ) -> None:
     """Write plain values as YAML or JSON, or a URDF
     with cameras and zeros moved, by the file's suffix.
 
     UsageError for other suffixes.
     """
-    from ..io.atomic_files import replace_atomically
-
     if out.suffix not in FORMS:
         raise UsageError(f"{out}: -o ends in {out.suffix!r}; possible: {', '.join(FORMS)}")
     if out.suffix == ".urdf" and urdf is None:
@@ -235,10 +227,7 @@ def _yaml_lines(values: Mapping[str, Any], depth: int = 0, deepest: int = 1) -> 
             yield f"{name}: {json.dumps(value)}"
 
 
-def _corrected_urdf(found: "Calibration", urdf: Path) -> str:
-    from ..kinematics import urdf as files
-    from ..kinematics.corrected import CameraFrame, correct_urdf
-
+def _corrected_urdf(found: Calibration, urdf: Path) -> str:
     cameras = [
         CameraFrame(one.link, frame, one.pose)
         for one, frame in (
@@ -251,17 +240,15 @@ def _corrected_urdf(found: "Calibration", urdf: Path) -> str:
     return correct_urdf(files.read_urdf_text(urdf), str(urdf), zeros, cameras)
 
 
-def without_cameras(found: "Calibration") -> "Calibration":
+def without_cameras(found: Calibration) -> Calibration:
     """The joints alone."""
     return replace(found, cameras=(), lenses=(), markers=(), trackers=())
 
 
-def write_lenses(body: Path, found: "Calibration", folder: Path) -> tuple[Path, ...]:
+def write_lenses(body: Path, found: Calibration, folder: Path) -> tuple[Path, ...]:
     """Write each camera's lens as folder/CAMERA.yaml; UsageError
     where a body does not know the size of its images.
     """
-    from ..io.atomic_files import ensure_dir, replace_atomically
-
     texts = {}
     for camera, lens in zip(found.cameras, found.lenses, strict=True):
         name = camera_name_in_scores(camera.name).replace("/", "_")
@@ -281,7 +268,7 @@ def write_lenses(body: Path, found: "Calibration", folder: Path) -> tuple[Path, 
     return tuple(texts)
 
 
-def camera_info_yaml(name: str, lens: "Lens", size: Sequence[int]) -> str:
+def camera_info_yaml(name: str, lens: Lens, size: Sequence[int]) -> str:
     """A lens as ROS's camera_calibration_parsers read it:
     a CameraInfo in YAML, for images of (width, height) px.
     """

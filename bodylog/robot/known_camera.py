@@ -5,23 +5,26 @@ lens and place) and a marker ([marker]), as hints with doubt.
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
 
 from ..errors import ConfigError
+from ..io.atomic_files import read_limited_text as read_text
+from ..kinematics.camera import lens_without_distortion
+from ..kinematics.links import FREE_LENS, INFO_LENS, CameraHint, MarkerHint
+from ..kinematics.robot import Robot
+from ..kinematics.rotations import make_transform, rotation_from_rpy
 from ..settings import CameraSettings, MarkerSettings
 from ..types import Array, Features
-
-if TYPE_CHECKING:
-    from ..kinematics.links import CameraHint, MarkerHint
-    from ..kinematics.robot import Robot
 
 _MOST_BYTES = 1 << 20
 _PLACE = "x, y, z (m), roll, pitch, yaw (rad)"
 
 
-def with_known(hint: "CameraHint", known: CameraSettings, robot: "Robot") -> "CameraHint":
+def with_known(hint: CameraHint, known: CameraSettings, robot: Robot) -> CameraHint:
     """The hint of the first camera and the values of [camera]; ConfigError where that cannot be.
 
     A pose's doubt is that of the lens in the camera, which is what its unknowns are of.
@@ -37,10 +40,7 @@ def with_known(hint: "CameraHint", known: CameraSettings, robot: "Robot") -> "Ca
     return hint if known.place is None else _with_place(hint, known)
 
 
-def _with_focal(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
-    from ..kinematics.camera import lens_without_distortion
-    from ..kinematics.links import FREE_LENS, INFO_LENS
-
+def _with_focal(hint: CameraHint, known: CameraSettings) -> CameraHint:
     assert known.focal is not None
     width, height = hint.size or hint.extent or (640, 480)
     numbers = (
@@ -54,20 +54,18 @@ def _with_focal(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
     return replace(hint, lens=numbers, lens_std=std)
 
 
-def _with_place(hint: "CameraHint", known: CameraSettings) -> "CameraHint":
+def _with_place(hint: CameraHint, known: CameraSettings) -> CameraHint:
     pose, std = _known_pose("camera", hint.link, known)
     return replace(hint, pose=pose, pose_std=std)
 
 
 def known_markers(
-    known: MarkerSettings, features: Sequence[Features], robot: "Robot"
-) -> "dict[str, MarkerHint]":
+    known: MarkerSettings, features: Sequence[Features], robot: Robot
+) -> dict[str, MarkerHint]:
     """What [marker] says of a marker, by its name; empty without it.
 
     ConfigError where the marker, its link or its place cannot be.
     """
-    from ..kinematics.links import MarkerHint
-
     if known.link is None and known.place is None:
         return {}
     _require_link("marker", known.link, robot)
@@ -85,7 +83,7 @@ def known_markers(
     return {chosen: MarkerHint(known.link, pose, std)}
 
 
-def _require_link(section: str, link: str | None, robot: "Robot") -> None:
+def _require_link(section: str, link: str | None, robot: Robot) -> None:
     if link is not None and link not in robot.links:
         raise ConfigError(
             f"[{section}] link: found {link!r}, possible: {', '.join(robot.links[:30])}"
@@ -96,8 +94,6 @@ def _known_pose(
     section: str, link: str | None, known: CameraSettings | MarkerSettings
 ) -> tuple[Array, Array]:
     """A given pose (4,4) in its link, m, and its std (6,), m and rad."""
-    from ..kinematics.rotations import make_transform, rotation_from_rpy
-
     assert known.place is not None
     if link is None:
         raise ConfigError(f"[{section}] place: in which link? give [{section}] link as well")
@@ -115,11 +111,6 @@ def load_lens(path: Path) -> tuple[Array, tuple[int, int]]:
 
     ConfigError where the file has none. Distortion other than radial is left out.
     """
-    from ruamel.yaml import YAML
-    from ruamel.yaml.error import YAMLError
-
-    from ..io.atomic_files import read_limited_text as read_text
-
     where = f"[camera] info: {path}"
     try:
         values = YAML(typ="safe", pure=True).load(read_text(path, _MOST_BYTES))

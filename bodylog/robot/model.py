@@ -1,21 +1,28 @@
-"""The robot of a body: its URDF, from a file or the log, and its cameras as the log describes them."""
+"""The robot of a body: its URDF, from a file or the log, and cameras as the log describes them."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from math import radians
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..body_model import BodyModel
 from ..errors import FormatError, LogError, ModelError
+from ..kinematics import urdf
+from ..kinematics.frame_robot import frame_robot
+from ..kinematics.joint_names import match_joints
+from ..kinematics.links import CameraHint
+from ..kinematics.robot import Limits, Robot
+from ..logs.tables.frame_columns import frame_of
 from ..settings import Settings
 from ..types import Array, Features, Finding
 from ..wording import list_in_words
 
 if TYPE_CHECKING:
     from ..body.kinematic.learn import Robotics
-    from ..kinematics.links import CameraHint
-    from ..kinematics.robot import Limits, Robot
     from ..recording.robot_description import CameraInfo, Described
 
 
@@ -42,10 +49,7 @@ def find_robot(
     chosen = settings.kinematics
     if not chosen.use or settings.fit.preset == "paper":
         return None, ()
-    from math import radians
-
     from ..body.kinematic.learn import Robotics
-    from ..kinematics import urdf
     from ..recording.robot_description import read_robot_description
     from .known_camera import known_markers
 
@@ -75,11 +79,8 @@ def find_robot(
     return Robotics(found, hints, doubt, asked, chosen.scale_prior, markers), ()
 
 
-def _robot_of_frame(logs: Sequence[Path], features: Sequence[Features]) -> "Robot | None":
+def _robot_of_frame(logs: Sequence[Path], features: Sequence[Features]) -> Robot | None:
     """The robot of logs whose joints are the coordinates of one frame; None for other joints."""
-    from ..kinematics.frame_robot import frame_robot
-    from ..logs.tables.frame_columns import frame_of
-
     names = {found.joints.names for found in features if found.joints is not None}
     frames = {frame_of(one) for one in names}
     if len(names) > 1 and len(frames) == 1 and None not in frames:
@@ -127,10 +128,6 @@ def with_coordinates(settings: Settings, robot: "Robotics | None") -> Settings:
     """The settings with all six coordinates of a frame as
     joints: none may be left out, however little it moved.
     """
-    from dataclasses import replace
-
-    from ..logs.tables.frame_columns import frame_of
-
     names = () if robot is None else tuple(joint.name for joint in robot.robot.joints)
     if frame_of(names) is None or settings.body.joints is not None:
         return settings
@@ -147,8 +144,6 @@ def check_urdf(logs: Sequence[Path], settings: Settings) -> str | None:
     chosen = settings.kinematics
     if not chosen.use or chosen.urdf in (None, FROM_LOG) or settings.fit.preset == "paper":
         return None
-    from ..kinematics import urdf
-    from ..kinematics.joint_names import match_joints
     from ..recording.robot_description import read_robot_description
 
     found = urdf.load_urdf(Path(str(chosen.urdf)), settings.input)
@@ -172,13 +167,12 @@ def check_urdf(logs: Sequence[Path], settings: Settings) -> str | None:
     return otherwise
 
 
-def joint_limits_of_log(log: Path, settings: Settings) -> "tuple[dict[str, Limits], str]":
+def joint_limits_of_log(log: Path, settings: Settings) -> tuple[dict[str, Limits], str]:
     """Joint limits and their source, by the named URDF or else the log's own; empty without a URDF.
 
     FormatError where the named URDF cannot be read,
     LogError where the log's own is named but missing.
     """
-    from ..kinematics import urdf
     from ..recording.robot_description import read_robot_description
 
     chosen = settings.kinematics
@@ -200,9 +194,7 @@ def joint_limits_of_log(log: Path, settings: Settings) -> "tuple[dict[str, Limit
 _NO_URDF = "{}: no /robot_description in it; give the URDF's file: --urdf ROBOT.urdf"
 
 
-def _parse_logged_urdf(log: Path, text: str, settings: Settings) -> "Robot":
-    from ..kinematics import urdf
-
+def _parse_logged_urdf(log: Path, text: str, settings: Settings) -> Robot:
     return urdf.parse_urdf(text, f"{log}: /robot_description", settings.input)
 
 
@@ -268,13 +260,12 @@ def list_joints_not_learned(body: BodyModel, features: Sequence[Features]) -> tu
 
 
 def _build_camera_hints(
-    robot: "Robot",
+    robot: Robot,
     descriptions: "Sequence[Described]",
     features: Sequence[Features],
     settings: Settings,
-) -> "dict[str, CameraHint]":
+) -> dict[str, CameraHint]:
     """Hints on each camera by name, from the logs; on the first one from [camera] too."""
-    from ..kinematics.links import CameraHint
     from .known_camera import with_known
 
     tracks = [(name, one.unit) for found in features for name, one in found.tracks.items()]
@@ -302,12 +293,8 @@ def _build_camera_hints(
     return hints | {name: _tracker_hint(name, robot, descriptions) for name in trackers}
 
 
-def _tracker_hint(frame: str, robot: "Robot", descriptions: "Sequence[Described]") -> "CameraHint":
+def _tracker_hint(frame: str, robot: Robot, descriptions: "Sequence[Described]") -> CameraHint:
     """Where a frame of points in space is, if it is a link or fixed transforms lead to one."""
-    import numpy as np
-
-    from ..kinematics.links import CameraHint
-
     for one in descriptions:
         link, pose = _find_mounting_link(frame, robot, one.transforms)
         if link is not None:
@@ -315,11 +302,10 @@ def _tracker_hint(frame: str, robot: "Robot", descriptions: "Sequence[Described]
     return CameraHint()
 
 
-def named_robot(log: Path, settings: Settings) -> "Robot":
+def named_robot(log: Path, settings: Settings) -> Robot:
     """The robot of the URDF that the settings name, or
     of the log's own. LogError where that is missing.
     """
-    from ..kinematics import urdf
     from ..recording.robot_description import read_robot_description
 
     chosen = settings.kinematics.urdf
@@ -335,7 +321,6 @@ def named_urdf(log: Path, settings: Settings) -> str:
     """The text of the URDF that the settings name, or
     of the log's own. LogError where that is missing.
     """
-    from ..kinematics import urdf
     from ..recording.robot_description import read_robot_description
 
     chosen = settings.kinematics.urdf
@@ -348,11 +333,9 @@ def named_urdf(log: Path, settings: Settings) -> str:
 
 
 def describe_logged_camera(
-    topic: str | None, description: "Described", robot: "Robot"
-) -> "CameraHint | None":
-    """What a log's description tells of the camera of an image topic; None without its CameraInfo."""
-    from ..kinematics.links import CameraHint
-
+    topic: str | None, description: "Described", robot: Robot
+) -> CameraHint | None:
+    """What a log's description says of an image topic's camera; None without its CameraInfo."""
     info = _find_camera_info(topic, description.cameras)
     if info is None:
         return None
@@ -375,8 +358,6 @@ def _find_camera_info(
 
 def _image_extent(name: str, features: Sequence[Features]) -> tuple[int, int] | None:
     """An image size (px) that contains all positions; None without any."""
-    import numpy as np
-
     seen = [
         track.values
         for found in features
@@ -391,13 +372,11 @@ def _image_extent(name: str, features: Sequence[Features]) -> tuple[int, int] | 
 
 
 def _find_mounting_link(
-    frame: str, robot: "Robot", transforms: "Mapping[str, tuple[str, Array]]"
+    frame: str, robot: Robot, transforms: "Mapping[str, tuple[str, Array]]"
 ) -> "tuple[str | None, Array | None]":
     """The link to which fixed transforms attach a frame,
     and its pose (4,4) there, None where it is that link.
     """
-    import numpy as np
-
     pose = np.eye(4)
     seen = {frame}
     while frame not in robot.links and frame in transforms:
@@ -413,8 +392,6 @@ def _find_mounting_link(
 
 def _lens_of_info(info: "CameraInfo") -> "Array":
     """The six lens parameters; distortion other than radial is ignored."""
-    import numpy as np
-
     radial = (
         info.distortion[:2]
         if info.model == "plumb_bob" and len(info.distortion) > 1

@@ -4,31 +4,28 @@ within a URDF's limits, or among those of a table.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from ..body import storage
+from ..body.kinematic.next_poses import Proposal, propose_postures, random_postures
 from ..body_model import BodyModel
 from ..errors import EvidenceError, LogError, ModelError, UsageError
+from ..kinematics import urdf as urdf_file
+from ..recording import recording
 from ..settings import Settings
 from ..types import Array
-
-if TYPE_CHECKING:
-    from ..body.kinematic.next_poses import Proposal
 
 
 def propose_next_postures(
     body: Path, count: int, urdf: Path | None, among: Path | None
-) -> "Proposal":
+) -> Proposal:
     """The postures that tell a body most about all others,
     of a table of postures or at random within joint limits.
 
     UsageError without a URDF and a table.
     """
-    from ..body import storage
-    from ..body.kinematic.next_poses import propose_postures, random_postures
-    from ..kinematics import urdf as urdf_file
-
     if among is None and urdf is None:
         needed = "--next needs the joints' limits, or postures to choose from"
         raise UsageError(f"{needed}; type: --urdf ROBOT.urdf, or --among POSES.csv")
@@ -46,8 +43,6 @@ def propose_next_postures(
 
 def _postures_of_table(learned: BodyModel, table: Path) -> Array:
     """The postures (K,M) of a log of still poses, in the order of the body's joints."""
-    from ..recording import recording
-
     joints = recording.read_recording(table, Settings(), False).signals.joints
     names = () if joints is None else joints.names
     missing = [name for name in learned.joints if name not in names]
@@ -58,7 +53,7 @@ def _postures_of_table(learned: BodyModel, table: Path) -> Array:
     return np.asarray(postures[np.isfinite(postures).all(axis=1)])
 
 
-def posture_lines(found: "Proposal") -> Iterator[str]:
+def posture_lines(found: Proposal) -> Iterator[str]:
     """Yield each posture in degrees (mm where a joint
     slides), and the error in the image that it leaves.
     """
@@ -76,7 +71,7 @@ def _joint_value_text(value: float, slides: bool) -> str:
     return f"{1e3 * value:.0f} mm" if slides else f"{np.degrees(value):.1f}°"
 
 
-def postures_as_values(found: "Proposal") -> dict[str, Any]:
+def postures_as_values(found: Proposal) -> dict[str, Any]:
     """As plain values: postures in rad or m by joint, nats, and px or mm."""
     return {
         "postures": [

@@ -61,7 +61,7 @@ def stop_processes(processes: list[BaseProcess]) -> None:
 
 @contextmanager
 def end_children_on_failure() -> Iterator[None]:
-    """Terminate the processes started in a `with` block if it fails, instead of waiting for them."""
+    """Terminate the processes started in a `with` block if it fails, without waiting for them."""
     before = multiprocessing.active_children()
     try:
         yield

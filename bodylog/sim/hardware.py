@@ -150,7 +150,7 @@ def add_stick(commanded: Array, stick: float) -> Array:
 
 
 def add_play(motors: Array, play: float) -> Array:
-    """Angles (N,M) of links that follow the motors' (N,M) once these are half the play (rad) away."""
+    """Angles (N,M) of links that follow motors' (N,M) once these are half the play (rad) off."""
     return _follow_beyond_deadband(motors, play / 2, to=play / 2) if play else motors
 
 

@@ -37,7 +37,7 @@ class Sway:
 
 
 def head_sway(rng: np.random.Generator) -> Sway:
-    """A head that turns about the vertical while the arm moves: to the body it is one more joint."""
+    """A head that turns about the vertical as the arm moves: to the body it is one more joint."""
     return Sway(JOINT, SWING, np.array([3.1, 5.3]), rng.uniform(0.0, 2 * np.pi, 2))
 
 

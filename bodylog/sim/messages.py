@@ -139,7 +139,7 @@ def touch_message(ns: int, seconds: float, cells: Array, peak: float) -> Any:
 def stroke_message(
     ns: int, frame: str, seconds: float, start: Array, end: Array, delay: float
 ) -> Any:
-    """bodylog_msgs/Stroke: `ns` is the contact's start in the image; start, end (2,) px; delay s."""
+    """bodylog_msgs/Stroke: `ns`: the contact's start in the image; start, end (2,) px; delay s."""
     points = (_point_message(np.append(start, 0.0)), _point_message(np.append(end, 0.0)))
     return _make_message(
         "bodylog_msgs/msg/Stroke",

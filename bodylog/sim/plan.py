@@ -125,7 +125,7 @@ def _draw_contact(onset: float, delay: float, rng: np.random.Generator) -> Conta
 
 @dataclass(frozen=True)
 class Scenario:
-    """A scenario: description, plan, default duration (s), variants and places, the default first."""
+    """A scenario: description, plan, default duration (s), variants, places, the default first."""
 
     summary: str
     plan: Callable[[Request], ScenarioPlan]

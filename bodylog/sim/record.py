@@ -1,4 +1,4 @@
-"""Play a scenario and write its sensors' messages, and the ground truth, as an ordinary ROS 2 MCAP."""
+"""Play a scenario and write its sensors' messages, and the truth, as an ordinary ROS 2 MCAP."""
 
 import heapq
 from collections import Counter

@@ -39,7 +39,7 @@ class Plate:
         return np.asarray(_project_to_pixels(camera, self.place[None])[0])
 
     def corners(self, side: float) -> Array:
-        """Corners (4,3) m of a concentric square: upper left, upper right, lower right, lower left."""
+        """Corners (4,3) m of a concentric square: upper left and right, lower right and left."""
         square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * side / 2
         return np.asarray(self.place + square @ self.rotation[:, :2].T)
 

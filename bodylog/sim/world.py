@@ -23,7 +23,7 @@ _FINE = 300
 
 @dataclass(frozen=True)
 class World:
-    """One arm in one PyBullet client: link names in URDF order, `joints` as PyBullet numbers them."""
+    """An arm in a PyBullet client: link names in URDF order, `joints` as PyBullet numbers them."""
 
     bullet: Any
     client: int
@@ -32,7 +32,7 @@ class World:
     joints: tuple[int, ...]
 
     def pose(self, q: Array) -> tuple[Array, Array]:
-        """Put the joints at q (M,) rad: positions (L,3) m and orientations (L,4) xyzw of all links."""
+        """Put joints at q (M,) rad: positions (L,3) m, orientations (L,4) xyzw of all links."""
         for joint, angle in zip(self.joints, q, strict=True):
             self.bullet.resetJointState(self.body, joint, float(angle), physicsClientId=self.client)
         numbers = list(range(len(self.links)))
@@ -70,7 +70,7 @@ class World:
             self.bullet.createMultiBody(0, -1, shape, place, turn, physicsClientId=self.client)
 
     def picture(self, camera: PinholeCamera, wall: Array) -> tuple[Array, Array]:
-        """The arm in front of `wall` (H,W,3): RGB (H,W,3) uint8 and depth along the view (H,W) m."""
+        """The arm in front of `wall` (H,W,3): RGB (H,W,3) uint8, depth along the view (H,W) m."""
         import cv2
 
         small = _halve_if_fine(camera)

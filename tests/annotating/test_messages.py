@@ -6,7 +6,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from bodylog.annotating.messages import from_joints, from_skin
 from bodylog.logs.encode.schemas import WRITTEN, ros2msg_definition
-from bodylog.logs.topic_names import escape_topic_name, unescape_topic_name
+from bodylog.logs.topics import escape_topic_name, unescape_topic_name
 from bodylog.types import Series
 from tests.logs.written import JOINTS, LATE, START, found, outgoing
 

@@ -8,7 +8,7 @@ import pytest
 from bodylog import body
 from bodylog.body.kinematic import change
 from bodylog.body.kinematic.model import can_show_changes
-from bodylog.findings import changes as change_findings
+from bodylog.findings import log_estimate as change_findings
 from bodylog.findings.faults import fault_warnings
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Fault, FaultKind

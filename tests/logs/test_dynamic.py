@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from bodylog.errors import FormatError
 from bodylog.logs.decode.columns import read_topic_columns
-from bodylog.recording.stamp_field import stamp_field
+from bodylog.recording.clocks import stamp_field
 from tests.logs.memory_logs import SCHEMA, STATE, Messages, topic
 
 from .writing import wire

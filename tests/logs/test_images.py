@@ -18,8 +18,7 @@ from bodylog.errors import FormatError, LogError
 from bodylog.logs.decode.columns import definition_of
 from bodylog.logs.decode.layout import Picker
 from bodylog.logs.images import video_file
-from bodylog.logs.images.codecs import check_size
-from bodylog.logs.images.header_sizes import stated_size
+from bodylog.logs.images.codecs import check_size, stated_size
 from bodylog.logs.images.messages import ENCODINGS, explain_refused_image, make_image_decoder
 from bodylog.logs.limits import Input
 from bodylog.types import LazyImage, Topic

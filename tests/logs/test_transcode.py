@@ -9,7 +9,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.rosbag1 import Writer as BagWriter
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from bodylog.logs.topic_names import PREFIX
+from bodylog.logs.topics import PREFIX
 from tests.annotating.annotated_logs import annotate_log
 from tests.logs.ros1_messages import KINDS, ros1_store, values
 

@@ -9,8 +9,8 @@ import pytest
 
 from bodylog.errors import ConfigError, LogError
 from bodylog.recording.facts import describe_log
-from bodylog.recording.joint_names import topic_name
 from bodylog.recording.recording import read_recording
+from bodylog.recording.roles import topic_name
 from bodylog.settings import BodySettings, Settings, TimeSettings, TopicSettings
 from tests.logs.writing import T0, Stream, joint_state, joints, write
 

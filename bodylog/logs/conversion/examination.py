@@ -3,13 +3,17 @@
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...errors import LogError
 from ...io import episodes
+from ..datasets import checks, kinds, lerobot_layout
+from ..datasets.checks import Checks
+from ..datasets.episode_log import EpisodeLog
 from ..diagnostics import Diagnostics
 from ..formats import open_log
 from ..limits import LIMITS, Input
+from ..mcap.checks import check_mcap
 from ..mcap.records import is_mcap
 from ..protocol import Log, Progress, count_progress
 from ..records import Finding
@@ -17,9 +21,6 @@ from ..rosbag2.folder import METADATA, list_member_files, metadata_of
 from ..storage.mmapped import check_untruncated, map_file
 from ..storage.packed_files import is_packed, unpack_file
 from .rewrite import rewrite_sound_messages
-
-if TYPE_CHECKING:
-    from ..datasets.checks import Checks
 
 __all__ = ["examine_log_file", "rewrite_sound_messages"]
 
@@ -81,8 +82,6 @@ def examine_log_file(
 
 def _list_dataset_episodes(path: Path) -> list[Path]:
     """The dataset and its episodes if the path names no single episode; else nothing."""
-    from ..datasets import kinds
-
     if (
         episodes.split_episode_name(path)[1] is not None
         or not path.is_dir()
@@ -94,22 +93,17 @@ def _list_dataset_episodes(path: Path) -> list[Path]:
 
 
 def _examine_every_episode(folder: Path) -> Iterator[Finding]:
-    from ..datasets import checks, lerobot_layout
-
     known = lerobot_layout.read_dataset_layout(folder)
     yield from (Finding("warning", f"{folder}: {text}") for text in checks.of_dataset(known))
 
 
-def _episode_checks(log: Log, limits: Input) -> "Checks | None":
+def _episode_checks(log: Log, limits: Input) -> Checks | None:
     """The checks of a dataset episode's images and joints."""
-    from ..datasets.checks import Checks
-    from ..datasets.episode_log import EpisodeLog
-
     return Checks(log, limits) if isinstance(log, EpisodeLog) else None
 
 
 def _read_all_messages(
-    log: Log, checks: "Checks | None", progress: Progress | None
+    log: Log, checks: Checks | None, progress: Progress | None
 ) -> dict[int, _Seen]:
     seen = {topic.id: _Seen() for topic in log.topics}
     for batch in count_progress(log.batches(), progress):
@@ -213,8 +207,6 @@ def _mcap_files_in(path: Path) -> list[Path]:
 
 
 def _check_mcap_file(file: Path, limits: Input) -> list[Finding]:
-    from ..mcap.checks import check_mcap
-
     def checked(source: Path) -> list[Finding]:
         groups = _GroupedFindings(file)
         if is_mcap(source):

@@ -30,7 +30,7 @@ from ..mcap.writer import CHUNK_BYTES, Contents, McapRecordWriter
 from ..protocol import Progress, count_progress
 from ..records import Array, Batch, Finding, Topic
 from ..storage.packed_files import is_packed, unpack_file
-from ..topic_names import PREFIX
+from ..topics import PREFIX
 
 PROFILE = "ros2"
 LIBRARY = "bodylog"

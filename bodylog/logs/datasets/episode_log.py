@@ -94,7 +94,7 @@ class Episode:
 
 
 class EpisodeLog:
-    """An episode as a log; unreadable images count as lost, and become messages without an image."""
+    """An episode as a log; unreadable images count as lost and become messages without an image."""
 
     def __init__(self, path: Path, episode: Episode, strict: bool) -> None:
         """LogError for an empty episode, or when strict and part of it is lost."""

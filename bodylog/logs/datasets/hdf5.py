@@ -16,7 +16,7 @@ from ...io.values import log_times_ns
 from ..limits import LIMITS, Input, TableSize
 from ..records import Array, Finding
 from ..storage.compression import Allowance
-from ..topic_names import escape_topic_name
+from ..topics import escape_topic_name
 from . import video
 from .episode_log import (
     ACTION,

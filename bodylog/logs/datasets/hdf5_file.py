@@ -337,7 +337,7 @@ def _large_chunks(one: Any, limits: Input) -> list[tuple[int, ...]]:
 
 
 def _check_stream(one: Any, offset: tuple[int, ...]) -> None:
-    """FormatError if a chunk's stream does not end within the chunk; it is unpacked piece by piece."""
+    """FormatError if a chunk's stream does not end within it; it is unpacked piece by piece."""
     size = chunk_bytes(one)
     found = 0
     unpacker = zlib.decompressobj()

@@ -15,7 +15,7 @@ from ...io import episodes
 from ...io.values import log_times_ns
 from ..limits import LIMITS, Input
 from ..records import Array, Finding
-from ..topic_names import escape_topic_name
+from ..topics import escape_topic_name
 from . import parquet, video
 from .episode_log import (
     ACTION,
@@ -64,7 +64,7 @@ _EXACT_S = 1e-3
 
 
 def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> EpisodeLog:
-    """Open an episode of a LeRobot folder: DATASET#N is number N, DATASET the first existing one."""
+    """Open an episode of a LeRobot folder: DATASET#N is number N, DATASET the first one."""
     folder, number = episodes.split_episode_name(path)
     known = read_dataset_layout(folder)
     findings = list[Finding]()

@@ -1,4 +1,4 @@
-"""Read columns of Parquet files as arrays; declared sizes are checked before memory is allocated."""
+"""Read columns of Parquet files as arrays; declared sizes are checked before memory is taken."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -46,7 +46,7 @@ def open_parquet(path: Path) -> Iterator[Any]:
 def find_row_runs(
     path: Path, column: str, value: int, limits: Input = LIMITS
 ) -> list[tuple[int, int]]:
-    """The rows where an integer column has a value: runs (first, beyond the last), in file order."""
+    """Rows where an integer column has a value: runs (first, beyond the last), in file order."""
     with open_parquet(path) as file:
         if column not in file.schema_arrow.names:
             return [(0, file.metadata.num_rows)]

@@ -74,7 +74,7 @@ class Sampled:
         return image
 
     def _merge(self, some: Array) -> None:
-        """Join the pixels (n,3) to the mean and the squares around it (Chan, Golub & LeVeque 1983)."""
+        """Join pixels (n,3) to the mean and squares around it (Chan, Golub & LeVeque 1983)."""
         mean = some.mean(axis=0)
         apart = mean - self._mean
         total = self._count + len(some)

@@ -21,7 +21,7 @@ from ..limits import LIMITS, Input
 from ..records import Array, Finding
 from ..tables.pose_columns import are_image_files, is_label_column, time_column
 from ..tables.table_file import SUFFIXES, read_table_file
-from ..topic_names import escape_topic_name
+from ..topics import escape_topic_name
 from . import video
 from .episode_log import (
     EPOCH_NS,
@@ -96,7 +96,7 @@ def table_beside(film: Path) -> Path | None:
 
 
 def times_beside(film: Path) -> Array | None:
-    """The times (N,) s of the table beside a video; None without one, LogError if it has no times."""
+    """The times (N,) s of the table beside a video; None without one, LogError without times."""
     table = table_beside(film)
     findings = list[Finding]()
     if table is None:
@@ -110,7 +110,7 @@ def times_beside(film: Path) -> Array | None:
 def _files_in_folder(
     files: Iterator[Path], folder: Path, findings: list[Finding]
 ) -> Iterator[Path]:
-    """The files that stand in the folder; one behind a link that leads out of it gives a finding."""
+    """The files that stand in the folder; one behind a link out of it gives a finding."""
     for file in files:
         if is_inside(file, folder):
             yield file

@@ -1,6 +1,8 @@
-"""Read video files frame by frame: presentation times and images; memory holds one frame at a time."""
+"""Read video files frame by frame: presentation times and images; memory holds one frame."""
 
+import mmap
 import re
+import struct
 from array import array
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -12,7 +14,6 @@ import numpy as np
 
 from ...errors import FormatError, LogError
 from ...io.extras import require_module
-from ..images.mp4_boxes import check_samples
 from ..limits import Input
 from ..records import Array
 from . import video
@@ -22,6 +23,13 @@ _LEAST_PIXELS = 1 << 20
 SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi")
 _TOLERANCE_S = 1e-4
 """s: LeRobot rejects images that are further from their rows."""
+_CONTAINERS = (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"moof", b"traf", b"mvex")
+_BOXES_A_FRAME = 4
+_TRACKS = 4
+"""Samples for each image: sound has some fifty a second where images are thirty."""
+_MOST_BOXES = 1000
+"""Boxes of a file, apart from those of fragments."""
+_DEEPEST = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,3 +234,50 @@ def write_later(source: Path, out: Path, later_s: float) -> None:
     first, second = (video.survey_video(path, limits).t for path in (source, out))
     if len(first) != len(second) or np.abs(second - first - later_s).max(initial=0) > _TOLERANCE_S:
         raise FormatError(f"{source}: its packets cannot be shown {later_s:g} s later")
+
+
+def check_samples(path: Path, limits: Input) -> None:
+    """LogError where an MP4 declares more samples than a camera may have images; others pass."""
+    if path.stat().st_size < 16:
+        return
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        if data[4:8] not in (b"ftyp", b"moov", b"mdat", b"free", b"wide", b"skip"):
+            return
+        samples = parts = 0
+        for boxes, (kind, start, end) in enumerate(_iterate_boxes(data, 0, len(data), 0)):
+            if kind in (b"stsz", b"stz2") and end - start >= 12:
+                samples += struct.unpack_from(">I", data, start + 8)[0]
+            elif kind == b"trun" and end - start >= 8:
+                samples += struct.unpack_from(">I", data, start + 4)[0]
+            elif kind == b"elst" and end - start >= 8:
+                parts = max(parts, struct.unpack_from(">I", data, start + 4)[0])
+            whole = samples * max(parts, 1)
+            if (
+                whole > _TRACKS * limits.max_frames
+                or boxes > _BOXES_A_FRAME * limits.max_frames + _MOST_BOXES
+            ):
+                asked = f"to read it, type in robot.toml: [input] max_frames = {max(whole, boxes)}"
+                raise LogError(
+                    f"{path}: its tables declare {whole} samples in {boxes} boxes; {asked}"
+                )
+
+
+def _iterate_boxes(
+    data: mmap.mmap, start: int, end: int, depth: int
+) -> Iterator[tuple[bytes, int, int]]:
+    """Every box between two bytes, and those in it:
+    its kind, and where its content begins and ends.
+    """
+    while start + 8 <= end:
+        length, kind = struct.unpack_from(">I4s", data, start)
+        head = 8
+        if length == 1 and start + 16 <= end:
+            length = struct.unpack_from(">Q", data, start + 8)[0]
+            head = 16
+        last = end if length == 0 else min(start + length, end)
+        if last < start + head:
+            return
+        yield kind, start + head, last
+        if kind in _CONTAINERS and depth < _DEEPEST:
+            yield from _iterate_boxes(data, start + head, last, depth + 1)
+        start = last

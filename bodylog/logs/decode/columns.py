@@ -31,7 +31,7 @@ class Source(Protocol):
 
 
 def read_topic_columns(log: Source, topic: Topic, fields: Sequence[str]) -> TopicColumns:
-    """The fields (message paths without the topic) of one topic; ConfigError for a missing field."""
+    """Fields (message paths without the topic) of one topic; ConfigError for a missing field."""
     return columns_of(log, {topic.id: (topic, fields)})[topic.id]
 
 

@@ -218,7 +218,7 @@ def _standard_typestore(ros1: bool) -> Mapping[str, Any]:
 
 
 def _field_from_rosbags(label: str, node: Any) -> Field:
-    """One field in rosbags' notation: (kind, argument), kind 1 base, 2 name, 3 array, 4 sequence."""
+    """A field in rosbags' notation: (kind, argument), kind 1 base, 2 name, 3 array, 4 sequence."""
     kind = int(node[0])
     argument = node[1]
     if kind in (3, 4):

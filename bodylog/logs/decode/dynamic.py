@@ -12,8 +12,7 @@ from ...errors import FormatError
 from ...io.values import read_json
 from ..records import Array, Batch, Topic
 from .message_path import Step
-from .object_places import number_of, shape_values
-from .object_values import Value, follow_steps
+from .object_places import Value, follow_steps, number_of, shape_values
 from .parts import ColumnPart, TopicColumns, join_parts
 from .protobuf import ProtobufLayout, root_of
 
@@ -27,7 +26,7 @@ _UNLIKE = (FormatError, KeyError, ValueError, TypeError, RecursionError)
 
 
 class JsonBatchDecoder:
-    """Decodes only those members of JSON objects at which message paths begin, for a batch at once."""
+    """Decodes only members of JSON objects at which message paths begin, for a batch at once."""
 
     def __init__(self, paths: Sequence[tuple[Step, ...]], single: Sequence[int | None]) -> None:
         """For message paths; none is read together if one does not begin with a member."""
@@ -122,7 +121,7 @@ class ProtobufBatchDecoder:
         payload = batch.data[start : start + int(batch.length[index])].tobytes()
         self._count += 1
         try:
-            from .object_values import follow_steps
+            from .object_places import follow_steps
 
             layout = ProtobufLayout(payload, self._types, self._root, self._paths, follow_steps)
         except _UNLIKE:
@@ -230,7 +229,7 @@ def _column_of(
     """The numbers (n,) or (n,K) or equal texts at the end
     of the steps; None where values must be read one by one.
     """
-    from .object_values import follow_steps
+    from .object_places import follow_steps
 
     try:
         for step in steps:

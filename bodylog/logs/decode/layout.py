@@ -138,7 +138,7 @@ class Picker:
         self._last: CdrCursor | None = None
 
     def __call__(self, payload: Payload) -> tuple[str | int | float | memoryview, ...]:
-        """The requested fields of one message; FormatError when it contradicts itself. Thread safe."""
+        """Requested fields of one message; FormatError if it contradicts itself. Thread safe."""
         walker = _reuse_cursor(self._last, payload) if self._last else None
         if walker is None:
             walker = CdrCursor(self._definition, payload, len(self._wanted), self._ros1)

@@ -2,15 +2,15 @@
 a message of positions that message paths can follow.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...errors import FormatError
-from ...io.values import LATEST_NS
+from ...io.values import LATEST_NS, encodable_text, number_in_64_bits, stamp_ns
 from ..records import Array
-from .message_path import Step, is_index
+from .message_path import Only, Step, is_index
 
 SECONDS = ("sec", "secs", "seconds")
 NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
@@ -19,6 +19,9 @@ _LONGEST_S = (LATEST_NS + _MOST_REST_NS) // 1_000_000_000
 """With more seconds no such rest gives a time in
 a clock's range; with fewer the sum fits 64 bits.
 """
+Value = int | float | str | bytes
+_SECONDS = ("sec", "secs", "seconds")
+_NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos")
 
 
 class Place:
@@ -128,7 +131,7 @@ def number_of(steps: Sequence[Step]) -> int | None:
 
 
 def shape_values(values: Array, most: int | None) -> Array:
-    """Values (n,K) in the path's shape: (n,) if it gives a single one, NaN for a missing element."""
+    """Values (n,K) in the path's shape: (n,) if it gives one alone, NaN for a missing element."""
     if most is None or values.shape[1] > 1:
         return values
     if values.shape[1] == 0:
@@ -182,3 +185,56 @@ def _read_other_items(item: Item, count: int, numbers: Numbers) -> Array | None:
 def _read_whole_numbers(part: Any, count: int, numbers: Numbers) -> Array | None:
     found = numbers([part]) if isinstance(part, Place) else np.full((count, 1), int(part))
     return found[:, 0] if found is not None and found.dtype == np.int64 else None
+
+
+def follow_steps(
+    value: Any, steps: tuple[Step, ...], plain: Callable[[Any], Iterator[Any]] | None = None
+) -> Iterator[Any]:
+    """The plain values at the end of the steps, times as ns; KeyError when a field is missing.
+
+    `plain`: splits the final value into plain ones, in place of the default.
+    """
+    if not steps:
+        yield from (plain or _plain_values)(value)
+    elif isinstance(steps[0], str):
+        yield from follow_steps(_plain_mapping(value)[steps[0]], steps[1:], plain)
+    elif isinstance(steps[0], Only):
+        if _plain_mapping(value).get(steps[0].field) == steps[0].value:
+            yield from follow_steps(value, steps[1:], plain)
+    else:
+        for index in steps[0].of(len(_as_array(value))):
+            yield from follow_steps(value[index], steps[1:], plain)
+
+
+def _plain_mapping(value: Any) -> Mapping[str, Any]:
+    if not isinstance(value, dict):
+        raise KeyError("not an object")
+    return value
+
+
+def _as_array(value: Any) -> list[Any]:
+    if not isinstance(value, list):
+        raise KeyError("not an array")
+    return value
+
+
+def _plain_values(value: Any) -> Iterator[Value]:
+    if isinstance(value, dict):
+        seconds = (
+            next(value[key] for key in _SECONDS if key in value)
+            if set(_SECONDS) & value.keys()
+            else None
+        )
+        if seconds is None:
+            raise KeyError("an object, not a value")
+        yield stamp_ns(seconds, next((value[key] for key in _NANOSECONDS if key in value), 0))
+    elif isinstance(value, list):
+        if set(map(type, value)) == {float}:  # most arrays of a robot: nothing to convert
+            yield from value
+            return
+        for item in value:
+            yield from _plain_values(item)
+    elif isinstance(value, str | bytes):
+        yield encodable_text(value) if isinstance(value, str) else value
+    else:
+        yield float("nan") if value is None else number_in_64_bits(value)

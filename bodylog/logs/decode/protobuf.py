@@ -371,7 +371,7 @@ def _default_array_value(field: ProtobufField) -> Any:
 
 
 def _read_place_numbers(rows: Array, place: Place) -> Array | None:
-    """The numbers (n,) at a place of rows (n,width): float64 or int64; None if one exceeds 64 bits."""
+    """The numbers (n,) at a place of rows (n,width): float64 or int64; None beyond 64 bits."""
     if place.kind in FIXED:
         kind = np.dtype(FIXED[place.kind])
         found = np.ndarray((len(rows),), kind, rows, place.at, (rows.shape[1],))

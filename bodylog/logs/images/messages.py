@@ -182,7 +182,7 @@ def _decode_compressed_image(message: Mapping[str, Any], k: int, mpx: float) -> 
 
 
 def image_size_field(message: Mapping[str, Any], name: str) -> int:
-    """A size in an image message, 0 without that field; FormatError if it is not a 32-bit number."""
+    """A size in an image message, 0 without that field; FormatError if it is no 32-bit number."""
     value = message.get(name, 0)
     if not isinstance(value, int | float) or isinstance(value, bool) or not 0 <= value < 1 << 32:
         raise FormatError(f"{name} is {str(value)[:20]}; possible: 0 to {(1 << 32) - 1}")

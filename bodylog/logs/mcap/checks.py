@@ -1,4 +1,4 @@
-"""Compare the declarations of an MCAP with its content: statistics, indexes, CRCs, times, offsets."""
+"""Compare an MCAP's declarations with its content: statistics, indexes, CRCs, times, offsets."""
 
 from collections.abc import Callable, Iterable
 from contextlib import suppress

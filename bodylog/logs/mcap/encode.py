@@ -125,7 +125,7 @@ def attachment_index(offset: int, length: int, fields: Mapping[str, Any]) -> byt
 def encode_chunk_head(
     start_ns: int, end_ns: int, size: int, crc: int, compression: str, stored: bytes
 ) -> tuple[bytes, int]:
-    """The head of a chunk record, to be followed by `stored`, and the length of the whole record."""
+    """The head of a chunk record, to be followed by `stored`, and the whole record's length."""
     head = (
         struct.pack("<QQQI", start_ns, end_ns, size, crc)
         + encode_string(compression)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from ...errors import FormatError
-from ..topic_names import PREFIX
+from ..topics import PREFIX
 from . import opcodes as op
 from .record_file import Head, RecordFile
 from .records import HEAD, Record, parse_record
@@ -34,7 +34,7 @@ class Prefix:
 
 
 class _DataRecord(NamedTuple):
-    """One record of the data section; `channels` are those it refers to, None if it refers to none."""
+    """One record of the data section; `channels` are those it refers to, None without any."""
 
     opcode: int
     start: int
@@ -54,7 +54,7 @@ def reusable_prefix(path: Path) -> Prefix:
 
 
 def count_messages(path: Path) -> int:
-    """Count an MCAP's messages by its message indexes; FormatError where summary and data disagree."""
+    """Count an MCAP's messages by its message indexes; FormatError if summary and data disagree."""
     with RecordFile(path) as file:
         return sum(_reusable_prefix(file, None).contents.counts.values())
 
@@ -82,7 +82,7 @@ def _reusable_prefix(file: RecordFile, root: str | None) -> Prefix:
 
 
 def no_utf8(record: Record) -> bool:
-    """Whether a text of a record contains the replacement character for bytes that are not UTF-8."""
+    """Whether a text of a record has the replacement character for bytes that are not UTF-8."""
     values = [(*v, *v.values()) if isinstance(v, dict) else (v,) for v in record.fields.values()]
     return any(isinstance(text, str) and "\ufffd" in text for texts in values for text in texts)
 
@@ -176,7 +176,7 @@ def _own_channels(summary: _Summary, root: str | None) -> frozenset[int]:
 
 
 def _find_cut(parts: list[_DataRecord], ours: frozenset[int], foreign: set[int]) -> int:
-    """Where an earlier run's tail begins, at the schemas before its first channel; else at DataEnd."""
+    """Where an earlier run's tail begins, at the schemas before its first channel, or DataEnd."""
     first = next(
         (i for i, p in enumerate(parts) if (p.channels or frozenset()) & ours), len(parts) - 1
     )

@@ -1,4 +1,4 @@
-"""Read MCAP files as undecoded batches; only what the requested topics need is read."""
+"""Read MCAP files as undecoded batches; only what requested topics need is read."""
 
 import os
 from collections.abc import Collection, Iterator, Sequence
@@ -33,8 +33,7 @@ from .chunks import (
     unpack_chunk,
 )
 from .records import HEAD, MAGIC, Record, parse_record
-from .survey import McapSurvey
-from .time_ranges import spans_of
+from .survey import McapSurvey, spans_of
 
 _TOGETHER = 16 << 20
 
@@ -68,7 +67,7 @@ class McapLog(MappedLog):
     def __init__(
         self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
     ) -> None:
-        """Map `source` (default: `path`) and survey it; LogError when strict and something is lost."""
+        """Map `source` (default: `path`) and survey it; LogError if strict and data is lost."""
         from .scan import survey_mcap
 
         super().__init__(path, strict, source, limits)

@@ -57,7 +57,7 @@ class RecordFile:
         return found
 
     def prefetch(self, places: Iterable[tuple[int, int]]) -> None:
-        """Request these (start, size) from the disk all at once, to avoid waiting for each in turn."""
+        """Request these (start, size) from the disk at once, to avoid waiting for each in turn."""
         for start, size in places if hasattr(os, "posix_fadvise") else ():
             if start + size <= self.size:
                 os.posix_fadvise(self._file.fileno(), start, size, os.POSIX_FADV_WILLNEED)

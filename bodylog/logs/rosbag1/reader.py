@@ -1,4 +1,4 @@
-"""Read ROS 1 bags (format 2.0) as undecoded batches; only what the requested topics need is read."""
+"""Read ROS 1 bags (format 2.0) as undecoded batches; only what requested topics need is read."""
 
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
@@ -62,7 +62,7 @@ class BagLog(MappedLog):
     def __init__(
         self, path: Path, strict: bool = False, source: Path | None = None, limits: Input = LIMITS
     ) -> None:
-        """Map `source` (default: `path`) and survey it; LogError when strict and something is lost."""
+        """Map `source` (default: `path`) and survey it; LogError if strict and data is lost."""
         super().__init__(path, strict, source, limits)
         self._survey = survey_bag(self._data, self._diagnostics)
         self.topics, self._topic_of = _bag_topics(self._survey)

@@ -36,7 +36,7 @@ class BagRecord:
         return self.body + self.size
 
     def number(self, name: bytes, width: int = 4) -> int:
-        """An unsigned field of `width` bytes; FormatError when it is missing or of another width."""
+        """An unsigned field of `width` bytes; FormatError if it is missing or of another width."""
         value = self.fields.get(name)
         if value is None or len(value) != width:
             raise FormatError(

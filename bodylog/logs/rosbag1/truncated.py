@@ -57,7 +57,7 @@ def cut_at(data: memoryview, at: int) -> Cut | None:
 
 
 def decompress_truncated(cut: Cut) -> bytes:
-    """The records before the cut, as far as they decompress: bz2 block by block, lz4 byte by byte."""
+    """Records before the cut, as far as they decompress: bz2 block by block, lz4 byte by byte."""
     if cut.compression == "bz2":
         return _decompress_bz2_start(cut.packed, cut.most)
     return bytes(_decompress_lz4_start(cut.packed, cut.most)) if cut.compression == "lz4" else b""
@@ -95,7 +95,7 @@ def _decompress_lz4_start(packed: memoryview, most: int) -> bytearray:
 
 
 def _append_lz4_sequences(block: memoryview, found: bytearray, most: int) -> bool:
-    """Append a block of literals and matches to `found`; returns whether it was sound to its end."""
+    """Append a block of literals and matches to `found`; returns whether it is sound to its end."""
     at = 0
     with suppress(IndexError):
         while len(found) < most:

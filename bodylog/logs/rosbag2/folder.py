@@ -14,7 +14,7 @@ from ...io import atomic_files, yaml_text
 from ...io.contained import is_inside
 from ..diagnostics import Diagnostics
 from ..limits import Input
-from ..mcap.time_ranges import widen_time_span
+from ..mcap.survey import widen_time_span
 from ..protocol import Log
 from ..records import Batch, Finding, Topic
 from ..topics import TopicTable
@@ -164,7 +164,7 @@ def list_member_files(path: Path, diagnostics: Diagnostics) -> list[Path]:
 
 
 def _files_in_metadata(listed: Any, diagnostics: Diagnostics) -> list[str]:
-    """The file names that metadata.yaml lists; none, with a warning, if it holds no list of texts."""
+    """The file names that metadata.yaml lists; none, with a warning, if it has no list of texts."""
     if listed is None or (
         isinstance(listed, list) and all(isinstance(name, str) for name in listed)
     ):

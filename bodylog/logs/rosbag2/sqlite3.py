@@ -407,7 +407,7 @@ def _require_rising_rowid(row: Row, low: int) -> None:
 
 
 def _rows_to_block(rows: list[Row], low: int) -> Block | None:
-    """The rows as arrays; None when a value has the wrong type, or rowids do not rise from `low`."""
+    """The rows as arrays; None if a value has the wrong type or rowids do not rise from `low`."""
     ids, numbers, times, payloads = zip(*rows, strict=True)
     try:
         rowid, topic, log_ns = (

@@ -30,7 +30,7 @@ def map_file(path: Path) -> memoryview:
 
 
 def is_mapped(data: Array) -> bool:
-    """Whether bytes (n,) belong to a mapped file, so that they stay valid while someone holds them."""
+    """Whether bytes (n,) belong to a mapped file, so that they stay valid while they are held."""
     return isinstance(getattr(data.base, "obj", None), mmap.mmap)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...errors import LogError
 from ..records import Array
-from ..topic_names import TRACKER
+from ..topics import TRACKER
 from .frame_columns import PLACE, frame_poses
 from .table_file import FileTable
 
@@ -260,7 +260,7 @@ def _take_lens_columns(left: dict[str, Array], path: str) -> dict[str, float]:
 
 
 def _find_space_columns(left: Mapping[str, Array]) -> list[str]:
-    """Columns of poses in space: NAME_x, NAME_y and NAME_z together, and quaternions beside them."""
+    """Columns of poses in space: NAME_x, NAME_y and NAME_z together, quaternions beside them."""
     wholes = ({"x", "y", "z"}, {"qx", "qy", "qz", "qw"})
     spaces = [
         found

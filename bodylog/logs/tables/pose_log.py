@@ -11,13 +11,11 @@ from ..decode.ros1_to_cdr import known_definition
 from ..encode import cdr
 from ..encode.cdr import CdrField
 from ..encode.schemas import ros2msg_definition
-from ..images.codecs import check_size
-from ..images.header_sizes import stated_size
+from ..images.codecs import check_size, stated_size
 from ..joint_units import UNIT
 from ..limits import LIMITS, Input
 from ..records import Array, Batch, Finding, Outgoing, Topic
-from ..topic_names import POINT_NAMES, TRACK, TRACK_NAMES, escape_topic_name
-from ..topics import INDEPENDENT
+from ..topics import INDEPENDENT, POINT_NAMES, TRACK, TRACK_NAMES, escape_topic_name
 from .frame_columns import frame_of
 from .pose_columns import (
     DISTORTION,

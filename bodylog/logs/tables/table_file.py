@@ -4,6 +4,7 @@ columns of numbers or texts; unreadable parts are counted.
 
 import csv
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -19,15 +20,6 @@ from ...io.extras import require_module
 from ..limits import LIMITS, Input, TableSize
 from ..records import Array
 from . import parquet_pages
-from .cells import (
-    EMPTY,
-    OBJECT_BYTES,
-    cell_number,
-    cell_objects,
-    cell_text,
-    column_names,
-    exception_line,
-)
 
 SUFFIXES = {".csv": "csv", ".tsv": "csv", ".parquet": "parquet", ".yaml": "yaml", ".yml": "yaml"}
 _LONGEST_ROW = 1 << 22
@@ -36,6 +28,11 @@ _BLOCK_CELLS = 1 << 17
 """Cells of a CSV file that are texts at one time: each takes some 60 bytes."""
 _MISTYPED = 0.5
 """Share of a column's filled cells that must be numbers for a column of numbers."""
+EMPTY = frozenset(("", "nan", "na", "n/a", "null", "none", "-"))
+"""Cells, in lower case, that count as empty."""
+OBJECT_BYTES = 64
+"""What a value takes as a Python object, beside its text."""
+_MOST_COLUMNS = 10_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -224,7 +221,7 @@ def _join_table_pieces(
 
 
 def _type_column(column: Sequence[Array]) -> tuple[Array, list[str]]:
-    """A column as numbers, with its cells that are not numbers; as texts if most cells are texts."""
+    """A column as numbers, with its cells that are not numbers; as texts if most are texts."""
     if all(part.dtype != object for part in column):
         values = np.concatenate(column)
         wrong = [str(value) for value in values[np.isinf(values)].tolist()]
@@ -395,3 +392,56 @@ def _text_bytes(column: Any) -> int:
         lengths = compute.take(compute.binary_length(chunk.dictionary), chunk.indices)
         whole += int(compute.sum(lengths).as_py() or 0)
     return int(whole)
+
+
+def column_names(names: list[str], path: Path) -> list[str]:
+    """The names of the columns; FormatError when they are missing or not unique."""
+    if not any(names):
+        raise FormatError(f"{path}: the table has no header; name its columns in the first line")
+    if all(is_number(name) for name in names if name):
+        raise FormatError(
+            f"{path}: the first line holds numbers ({', '.join(names[:3])}); it must name "
+            "the columns"
+        )
+    if len(names) > _MOST_COLUMNS:
+        raise FormatError(f"{path}: {len(names)} columns; at most {_MOST_COLUMNS} are read")
+    if twice := next(
+        (name for name, count in Counter(filter(None, names)).items() if count > 1), None
+    ):
+        raise FormatError(
+            f"{path}: column {twice!r} occurs {names.count(twice)} times; give each a unique name"
+        )
+    return names
+
+
+def cell_text(cell: Any) -> str:
+    """A cell as text; an empty one, however its block stores it, is the empty text."""
+    return "" if isinstance(cell, float) and cell != cell else str(cell)
+
+
+def cell_number(cell: Any) -> float:
+    """A cell as a number; NaN for a text."""
+    try:
+        return float(cell)
+    except (ValueError, TypeError, OverflowError):
+        return float("nan")
+
+
+def is_number(cell: str) -> bool:
+    """Whether a cell is a finite or infinite number."""
+    return cell.lower() not in EMPTY and cell_number(cell) == cell_number(cell)
+
+
+def cell_objects(cells: Sequence[Any]) -> Array:
+    """Cells (n,) as a CSV column would hold them."""
+    plain = [np.nan if cell is None else cell for cell in cells]
+    if all(isinstance(cell, int | float) for cell in plain):
+        return np.array([cell_number(cell) for cell in plain])
+    out = np.empty(len(plain), dtype=object)
+    out[:] = [cell if isinstance(cell, float) else str(cell) for cell in plain]
+    return out
+
+
+def exception_line(problem: Exception) -> str:
+    """An exception's text as one line."""
+    return " ".join(str(problem).split())[:200]

@@ -310,7 +310,7 @@ def _nearest_rows(rows: _CandidateRows, place: Array, spread: Array) -> _Candida
 
 
 def _rows_at_still_things(rows: _CandidateRows, still: Array, place: Array, width: float) -> Array:
-    """Which rows (R,) lie where something also stands while the arm's thing is predicted far away."""
+    """Which rows (R,) lie where something stands also when the arm's thing is expected far off."""
     foreign = np.zeros(len(still), bool)
     for number in range(int(still.max(initial=-1)) + 1):
         there = still == number

@@ -126,7 +126,7 @@ class PointTracker:
                 if (
                     len(good) > 1
                     and good[0].correlation - good[1].correlation < _APART
-                    and _are_far_apart(good[0], good[1])
+                    and np.linalg.norm(good[0].uv - good[1].uv) > 2
                 ):
                     return None, RIVAL
                 if good:
@@ -144,10 +144,6 @@ class PointTracker:
         laid = patch.align_patch(image, self._patch, np.column_stack([map_[:, :2], place]))
         near = laid is not None and np.linalg.norm(laid.uv - place) <= self._patch.half / 2
         return laid if laid is not None and near and laid.correlation >= least else None
-
-
-def _are_far_apart(first: Laid, second: Laid) -> bool:
-    return bool(np.linalg.norm(first.uv - second.uv) > 2)
 
 
 def _best_matches(image: Array, shown: Array) -> tuple[Array, Array]:

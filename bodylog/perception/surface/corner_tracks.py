@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 
+import cv2
 import numpy as np
 
 from ...errors import InputError
@@ -249,8 +250,6 @@ class CornerTracker:
         self._end(ended)
 
     def _detect(self, image: Array, number: int) -> None:
-        import cv2
-
         free = np.full(image.shape, 255, np.uint8)
         for piece in self._alive:
             u, v = piece.places[-1]
@@ -274,8 +273,6 @@ class CornerTracker:
         """Where an image differs from the median picture
         (H,W) 0 or 255; None without one to compare.
         """
-        import cv2
-
         small = shrink_grey(image)
         if self._median is None or self._median.shape != small.shape:
             return None
@@ -302,8 +299,6 @@ class CornerTracker:
 
 def _flow_of_corners(image: Array, other: Array, places: Array) -> tuple[Array, Array]:
     """Where places (n,2) px of an image are in another, and whether they were found (n,)."""
-    import cv2
-
     moved, found, _ = cv2.calcOpticalFlowPyrLK(
         image,
         other,

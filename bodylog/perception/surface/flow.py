@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 
 from ...errors import InputError
@@ -61,8 +62,6 @@ def measure_grid_flow(frames: Iterable[LazyImage]) -> GridFlow | None:
 
     Frames that cannot be decoded, and frames of another size than the first, are left out.
     """
-    import cv2
-
     search = RepeatSearch()
     times: list[float] = []
     flows: list[Array] = []
@@ -146,8 +145,6 @@ def _decoded_grey_frames(frames: Iterable[LazyImage]) -> Iterator[tuple[float, A
 
 
 def _shrink_to_flow_width(image: Array) -> Array:
-    import cv2
-
     height, width = image.shape
     if width <= FLOW_WIDTH_PX:
         return image
@@ -158,8 +155,6 @@ def _shrink_to_flow_width(image: Array) -> Array:
 def _cell_means(estimator: Any, before: Array, after: Array) -> Array:
     """Mean flow in each cell (rows,columns,2) px; zero where the images are equal, or smaller than
     the estimator takes."""
-    import cv2
-
     if min(before.shape) < LEAST_SIDE_PX or np.array_equal(before, after):
         return np.zeros((GRID_ROWS, GRID_COLUMNS, 2), np.float32)
     flow = estimator.calc(before, after, None)

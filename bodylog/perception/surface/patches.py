@@ -4,6 +4,7 @@ they are predicted, turned and scaled as they would look.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from ...body_model import PATCH_PX
@@ -40,8 +41,6 @@ def cut_patch(image: Array, uv: Array) -> Array | None:
     """The picture (PATCH_PX,PATCH_PX) uint8 around uv (2,)
     px of a grey image; None at its rim, or without contrast.
     """
-    import cv2
-
     half = PATCH_PX / 2.0
     height, width = image.shape
     if not (half <= uv[0] < width - half and half <= uv[1] < height - half):
@@ -56,8 +55,6 @@ def warp_patches(patches: Array, maps: Array) -> tuple[Array, Array]:
 
     maps (n,2,2): the derivative of a place in the image by its place in the picture.
     """
-    import cv2
-
     count = len(patches)
     half = _TEMPLATE_PX // 2
     scale = np.sqrt(np.abs(np.linalg.det(maps)))
@@ -81,8 +78,6 @@ def match_templates(image: Array, templates: Array, uv: Array, reach_px: int) ->
     """Look for templates (n,s,s) in a grey image (H,W)
     within reach_px of uv (n,2) px, to a part of a pixel.
     """
-    import cv2
-
     half = _TEMPLATE_PX // 2
     found = uv.astype(float)
     score = np.full(len(uv), -1.0)

@@ -5,6 +5,7 @@ that is faster than its camera stores images twice.
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from ...errors import InputError
@@ -96,8 +97,6 @@ class RepeatSearch:
         """Take the next frame at t (s) as a shrunken grey
         image (h,w) uint8; its shape must not change.
         """
-        import cv2
-
         change = float("nan")
         noise = float("nan")
         equal = False
@@ -152,8 +151,6 @@ def decode_grey(frame: LazyImage) -> Array:
 
 def shrink_grey(image: Array) -> Array:
     """A grey image (H,W) uint8 as means of SHRINK by SHRINK pixels, (h,w) uint8."""
-    import cv2
-
     height, width = image.shape
     size = (max(width // SHRINK, 1), max(height // SHRINK, 1))
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))

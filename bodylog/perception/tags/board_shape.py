@@ -62,7 +62,7 @@ def recognise_board(images: Sequence[search.Tags]) -> BoardShape | None:
 
 
 def _middles_of_markers(columns: int, parity: int, count: int) -> Array:
-    """Middles (count,2) of the first markers, in squares; parity: x + y of white squares, modulo 2."""
+    """Middles (count,2) of the first markers, in squares; parity: x + y of white ones, modulo 2."""
     rows = 2 * count // columns + 2
     white = [(x, y) for y in range(rows) for x in range(columns) if (x + y) % 2 == parity]
     return np.array(white[:count]) + 0.5

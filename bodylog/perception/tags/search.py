@@ -124,7 +124,7 @@ def recognise_tags(gray: Array, found: Refined, known: Codes, only: Array | None
 
 
 def _likely_quads(gray: Array, found: Array, known: Codes, only: Array | None) -> Array:
-    """Quads (M,4,2) px whose cells resemble a tag before refinement, which costs ten times as much."""
+    """Quads (M,4,2) px whose cells resemble a tag before refinement, which costs ten times more."""
     if not len(found):
         return found
     bits, border = quads.sample_cells(gray, found, known.side, fine=False)

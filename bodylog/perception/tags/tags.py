@@ -1,4 +1,4 @@
-"""Tags tracked from frame to frame: at the expected place, then around it, then in the whole image."""
+"""Tags tracked from frame to frame: at the expected place, around it, then in the whole image."""
 
 from collections.abc import Mapping
 

@@ -43,8 +43,8 @@ def detect_touches(skin: Series, settings: SkinSettings) -> Felt:
         return None, health, (Finding("warning", "skin: no readings; touch cannot be used"),)
     gap = _after_gaps(skin.t)
     active = _active_cells(level, settings, gap)
-    dead = _dead_cells(level)
-    held = _cells_always_touched(active)
+    dead = np.asarray((level == level[0]).all(axis=0) & (len(level) > 1))
+    held = np.asarray(active.all(axis=0) & (len(active) > 1))
     findings = (*_unreadable_findings(readable), *_broken_cell_findings(level, dead, held))
     if (dead | held).all():
         return None, health, findings
@@ -62,7 +62,7 @@ def _after_gaps(t: Array) -> Array:
 
 
 def _active_cells(level: Array, settings: SkinSettings, gap: Array) -> Array:
-    """(N,C) bool: at or above the threshold, or since then neither below release nor across a gap."""
+    """(N,C) bool: at or above the threshold, or since then not below release or across a gap."""
     active = np.zeros(level.shape, dtype=bool)
     touched = np.flatnonzero((level >= settings.threshold).any(axis=0))
     felt = level[:, touched]
@@ -73,16 +73,6 @@ def _active_cells(level: Array, settings: SkinSettings, gap: Array) -> Array:
     )
     active[:, touched] = (risen >= fallen) & (risen >= 0)
     return active
-
-
-def _dead_cells(level: Array) -> Array:
-    """(C,) bool: one constant reading for the whole log, without any noise."""
-    return np.asarray((level == level[0]).all(axis=0) & (len(level) > 1))
-
-
-def _cells_always_touched(active: Array) -> Array:
-    """(C,) bool: touched from the first sample to the last."""
-    return np.asarray(active.all(axis=0) & (len(active) > 1))
 
 
 def _find_presses(

@@ -1,4 +1,4 @@
-"""Match touches with strokes: one-to-one pairs, their delays, and the weight of each as one event."""
+"""Match touches with strokes: one-to-one pairs, their delays, the weight of each as one event."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -128,7 +128,7 @@ def _offset_between_clocks(delays: Array, wanted: float | str) -> tuple[float, t
     if not delays.size:
         return (0.0 if wanted == "auto" else _parse_clock_offset(wanted)), ()
     middle = float(np.median(delays))
-    spread = _robust_std(delays)
+    spread = 1.4826 * float(np.median(np.abs(delays - np.median(delays))))
     order = "after" if middle >= 0 else "before"
     text = f"synchrony: the camera shows touches {abs(middle):.3f} s {order} the skin feels them"
     text += f" (spread {spread:.3f} s, {delays.size} pairs)"
@@ -144,8 +144,3 @@ def _offset_between_clocks(delays: Array, wanted: float | str) -> tuple[float, t
             "warning", f"{text}; too few or too unsteady for a clocks' offset: none subtracted"
         ),
     )
-
-
-def _robust_std(delays: Array) -> float:
-    """Robust standard deviation (s)."""
-    return 1.4826 * float(np.median(np.abs(delays - np.median(delays))))

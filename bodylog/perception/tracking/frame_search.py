@@ -29,7 +29,7 @@ _SHEET = 8
 _AT_ONCE = 1 << 23
 """Bytes of images searched together."""
 _MOST_HELD = 1 << 26
-"""Bytes of copied messages in one take, and in all takes that wait: raw images of many megapixels."""
+"""Bytes of copied messages in one take, and in all that wait: raw images of many megapixels."""
 _MOST_WAITING = 8
 """Lists of frames that may wait before a thread that
 brings another is blocked: this bounds the memory.
@@ -64,7 +64,7 @@ class InOrder:
             raise
 
     def _due(self) -> Sequence[Array | None] | None:
-        """The next list in order; None, and no thread is busy any more, where it is not there yet."""
+        """The next list in order; None, and no thread is busy any more, if it is not there yet."""
         with self._changed:
             due = self._waiting.pop(self._next, None)
             self._next += due is not None
@@ -250,7 +250,7 @@ def _search_images(
     whole: int,
     grays: list[Array | None] | None,
 ) -> SearchResult:
-    """Search some images, the first few at full size even when `fast`; `grays` gets them in gray."""
+    """Search some images, the first few at full size even if `fast`; `grays` gets them in gray."""
     found: list[Window] = []
     images: dict[int, Array] = {}
     sizes: list[tuple[int, int, int]] = []

@@ -86,7 +86,7 @@ def _posture_columns(angle: Array) -> list[Array]:
 
 
 def _angle_moves(angle: Array) -> bool:
-    """Whether angles (n,) rad move: far, or steadily, unlike white noise (von Neumann's ratio 2)."""
+    """Whether angles (n,) rad move far, or steadily, unlike white noise (von Neumann's ratio 2)."""
     variance = float(angle.var())
     steadily = float(np.square(np.diff(angle)).mean()) < variance
     return variance > _FAR**2 or (variance > _MOVES**2 and steadily)

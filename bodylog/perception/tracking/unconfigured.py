@@ -28,7 +28,7 @@ class Alternative(NamedTuple):
 def find_alternative(
     recording: Recording, features: Features, settings: Settings
 ) -> Alternative | None:
-    """What else a recording shows when the effector's track is not on the arm; None when it may be."""
+    """What else a recording shows if the effector's track is not on the arm; None if it may be."""
     effector = features.effector
     size = features.picture_size
     if (

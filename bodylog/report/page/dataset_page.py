@@ -216,7 +216,7 @@ def _episode_table(rows: Sequence[Mapping[str, Any]]) -> str:
             row["name"],
             row["status"],
             *(_format_figure(row["scores"].get(figure)) for figure in figures),
-            _last_error_line(row),
+            str((row["error"] or "").strip().splitlines()[-1:][0] if row["error"] else ""),
         )
         for row in rows
     ]
@@ -225,10 +225,6 @@ def _episode_table(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def _format_figure(value: float | None) -> str:
     return "–" if value is None else f"{value:.3g}"
-
-
-def _last_error_line(row: Mapping[str, Any]) -> str:
-    return str((row["error"] or "").strip().splitlines()[-1:][0] if row["error"] else "")
 
 
 def _collect_findings(rows: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str, str]]:

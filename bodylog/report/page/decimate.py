@@ -1,4 +1,4 @@
-"""Decimation that keeps a plot's look: every bin keeps its lowest and highest value, and its gaps."""
+"""Decimation that keeps a plot's look: each bin keeps its lowest and highest value and its gaps."""
 
 import numpy as np
 

@@ -105,7 +105,7 @@ def fault_table(estimate: Estimate, still: bool = False) -> str:
             x.name,
             x.kind,
             TimeSpanLink(x.since, x.until or x.since),
-            _fault_end_text(x),
+            ("–" if x.until is None else f"{x.until:.2f} s"),
             _fault_size_text(x),
         )
         for x in estimate.faults
@@ -114,10 +114,6 @@ def fault_table(estimate: Estimate, still: bool = False) -> str:
     if still:
         return html_table("Sensor faults", heads[:3] + heads[5:], [x[:3] + x[5:] for x in rows])
     return html_table("Sensor faults", heads, rows)
-
-
-def _fault_end_text(fault: Fault) -> str:
-    return "–" if fault.until is None else f"{fault.until:.2f} s"
 
 
 def list_thinning_notes(features: Features, estimate: Estimate) -> list[str]:

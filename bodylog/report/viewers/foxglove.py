@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...io.atomic_files import replace_atomically
-from ...logs.topic_names import PREFIX
+from ...logs.topics import PREFIX
 from ...types import Estimate
 
 

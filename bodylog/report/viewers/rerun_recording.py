@@ -218,7 +218,7 @@ def _send_lines(
     names: tuple[str, ...],
     colour: tuple[int, int, int] | None,
 ) -> None:
-    """Columns (N,D) as D lines of one entity; the second and later of a coloured one are fainter."""
+    """Columns (N,D) as D lines of one entity; the second and later of a coloured one fainter."""
     import rerun
 
     faint = (
@@ -269,7 +269,7 @@ def _time_column(ns: Array) -> Any:
 
 
 def _window_layout(cameras: Sequence[RerunCamera], estimate: Estimate | None) -> Any:
-    """The layout: images with the overlay, beside belief, errors, free energy and events over time."""
+    """The layout: images with overlay, beside belief, errors, free energy and events over time."""
     import rerun.blueprint as rrb
 
     pictures = [rrb.Spatial2DView(origin=camera.entity, name="picture") for camera in cameras]

@@ -1,4 +1,4 @@
-"""Exploration for learning a body: mostly sideways, with enough lift and elbow to learn them too."""
+"""Exploration to learn a body: mostly sideways, with enough lift and elbow to learn them too."""
 
 from ..plan import (
     Request,

@@ -11,8 +11,7 @@ import bodylog.logs as logs
 from bodylog.errors import InputError, LogError, UsageError
 from bodylog.io import episodes
 from bodylog.io.outputs import Output, guard_outputs
-from bodylog.logs.episode_files import files_of, hash_log
-from bodylog.logs.formats import open_log
+from bodylog.logs.formats import files_of, hash_log, open_log
 from bodylog.recording import facts, recording
 from bodylog.settings import Settings
 
