@@ -21,8 +21,8 @@ _MOST_VISIBLE = 300
 """Visible ones that are weighed, and predicted; the cost is quadratic in them."""
 _MOST_ROWS = 1200
 """Coordinates of all tracks at all those postures."""
-_PASSES = 3
-"""Most times that each posture chosen is exchanged for the best beside the others."""
+_EXCHANGES = 24
+"""Most postures chosen that are exchanged for the best beside the others, in turn."""
 _NEAREST = 0.5
 _FARTHEST = 2.0
 """Depths of postures, over the least and the greatest depth of the sightings learned from."""
@@ -140,12 +140,14 @@ def _choose_postures(predicted: _Predicted, count: int) -> list[int]:
     for _ in range(count):
         chosen.append(_best_posture(told, chosen))
         told = told.after(chosen[-1:])
-    for _ in range(_PASSES):
-        before = chosen.copy()
-        for place in range(count):
-            others = chosen[:place] + chosen[place + 1 :]
-            chosen[place] = _best_posture(predicted.after(others), others)
-        if chosen == before:
+    kept = 0
+    for turn in range(_EXCHANGES):
+        place = turn % count
+        others = chosen[:place] + chosen[place + 1 :]
+        best = _best_posture(predicted.after(others), others)
+        kept = kept + 1 if best == chosen[place] else 0
+        chosen[place] = best
+        if kept == count:
             break
     return chosen
 
