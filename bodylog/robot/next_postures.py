@@ -72,11 +72,10 @@ def _joint_value_text(value: float, slides: bool) -> str:
 
 
 def postures_as_values(found: Proposal) -> dict[str, Any]:
-    """As plain values: postures in rad or m by joint, nats, and px or mm."""
+    """As plain values: postures in rad or m by joint, and px or mm."""
     return {
         "postures": [
             dict(zip(found.joints, posture.tolist(), strict=True)) for posture in found.postures
         ],
-        "nats": found.nats.tolist(),
         f"std_{found.unit}": found.std_px.tolist(),
     }

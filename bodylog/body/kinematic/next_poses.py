@@ -2,7 +2,7 @@
 unsure of what every other posture would show.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,8 +21,6 @@ _MOST_VISIBLE = 300
 """Visible ones that are weighed, and predicted; the cost is quadratic in them."""
 _MOST_ROWS = 1200
 """Coordinates of all tracks at all those postures."""
-_PASSES = 3
-"""Most times that each posture chosen is exchanged for the best beside the others."""
 _NEAREST = 0.5
 _FARTHEST = 2.0
 """Depths of postures, over the least and the greatest depth of the sightings learned from."""
@@ -35,9 +33,7 @@ _SEED = 0
 
 @dataclass(frozen=True, eq=False)
 class Proposal:
-    """Postures (N,M), rad or m where `sliding`, in the order
-    of their worth · nats (N,): by how much each one, after those before it, lowers the entropy of a
-    coordinate that a visible posture would show.
+    """Postures (N,M), rad or m where `sliding`, in the order in which they tell most.
 
     std_px (N+1,): root mean square std of where visible postures will be seen, by what the body
     does not know: now, and after each posture; px in images, and mm in space where there are no
@@ -47,7 +43,6 @@ class Proposal:
     joints: tuple[str, ...]
     sliding: tuple[bool, ...]
     postures: Array
-    nats: Array
     std_px: Array
     unit: str = "px"
 
@@ -64,48 +59,39 @@ class _Predicted:
     there: Array
     known: Array
 
-    def after(self, taken: Sequence[int]) -> "_Predicted":
-        """The same once some postures are seen (R&W 2.24)."""
-        width = self.noise.shape[1]
-        rows = (width * np.array(taken, int)[:, None] + np.arange(width)).reshape(-1)
-        inner = self.covariance[np.ix_(rows, rows)] + np.diag(self.noise[taken].reshape(-1))
-        lean = np.linalg.solve(np.linalg.cholesky(inner), self.covariance[rows])
-        return replace(self, covariance=self.covariance - lean.T @ lean)
-
-    def entropies(self) -> Array:
-        """Mean entropy (K,), nats, of a known coordinate after each posture; inf where unseen."""
-        width = self.noise.shape[1]
-        known = self.covariance[self.known]
-        noise = self.noise.reshape(-1)[self.known]
-        variance = np.diag(self.covariance)[self.known]
-        found = np.full(len(self.noise), np.inf)
-        for k in np.flatnonzero(self.there):
-            rows = slice(k * width, (k + 1) * width)
-            inner = self.covariance[rows, rows] + np.diag(self.noise[k])
-            less = np.einsum("nr,rn->n", known[:, rows], np.linalg.solve(inner, known[:, rows].T))
-            found[k] = 0.5 * np.log(np.maximum(variance - less, 0.0) + noise).mean()
+    def variances(self) -> Array:
+        """Summed variance (K,) that seeing each posture takes away; none where it shows nothing."""
+        found = np.full(len(self.noise), -np.inf)
+        for k in np.flatnonzero(self.there).tolist():
+            rows, inner = self._sighting(k)
+            across = self.covariance[self.known, rows]
+            found[k] = np.trace(np.linalg.solve(inner, across.T @ across))
         return found
 
-    @property
-    def entropy(self) -> float:
-        """Mean entropy, nats, of a known coordinate, but for a constant."""
-        variance = np.maximum(np.diag(self.covariance), 0.0) + self.noise.reshape(-1)
-        return float(0.5 * np.log(variance[self.known]).mean())
+    def after(self, posture: int) -> "_Predicted":
+        """The same once a posture is seen (R&W 2.24)."""
+        rows, inner = self._sighting(posture)
+        lean = np.linalg.solve(inner, self.covariance[rows])
+        return replace(self, covariance=self.covariance - self.covariance[:, rows] @ lean)
 
     @property
     def rms_std(self) -> float:
         """Root mean square std of the known coordinates."""
         return float(np.sqrt(max(float(np.diag(self.covariance)[self.known].mean()), 0.0)))
 
+    def _sighting(self, posture: int) -> tuple[slice, Array]:
+        """A posture's rows, and the covariance (R,R) of what will be measured there."""
+        width = self.noise.shape[1]
+        rows = slice(posture * width, (posture + 1) * width)
+        return rows, self.covariance[rows, rows] + np.diag(self.noise[posture])
+
 
 def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal:
-    """The best of some postures (K,M) to record: after
-    them the body predicts all visible ones of them best.
+    """The best of some postures (K,M) to record, one by one:
+    each leaves the body the least variance of its predictions.
 
-    Best is least mean entropy: each prediction counts by its share, so that the postures of which
-    the body is least sure, and its error bars least true, do not decide alone. The postures are
-    chosen one by one, and each is then exchanged for the best beside the others (Fedorov 1972).
-    EvidenceError where too few are visible.
+    That is their mean over all visible candidates, by the unknowns and the residual process together
+    (I-optimality; Atkinson, Donev & Tobias 2007, ch. 10). EvidenceError where too few are visible.
     """
     senses = kinematic_senses(body, CALIBRATION)
     shown = [is_surely_visible(body, sense, candidates) for sense in senses.values()]
@@ -118,43 +104,17 @@ def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal
     most = min(len(seen), _MOST_VISIBLE, max(count, _MOST_ROWS // width))
     seen = seen[np.linspace(0, len(seen) - 1, most).round().astype(int)]
     predicted, unit = _predict_all_tracks(body, senses, candidates[seen], np.array(shown)[:, seen])
-    chosen = _choose_postures(predicted, count)
-    # recorded in the order in which they tell most
-    left = [predicted]
-    order = list[int]()
+    left = [predicted.rms_std]
+    chosen = list[int]()
     for _ in range(count):
-        entropies = left[-1].entropies()
-        order.append(min(set(chosen) - set(order), key=lambda k: (entropies[k], k)))
-        left.append(left[-1].after(order[-1:]))
+        gains = predicted.variances()
+        gains[chosen] = -np.inf
+        chosen.append(int(np.argmax(gains)))
+        predicted = predicted.after(chosen[-1])
+        left.append(predicted.rms_std)
     rig = next(iter(senses.values())).rig
     sliding = tuple(rig.slides(m) for m in range(len(body.joints)))
-    nats = -np.diff([one.entropy for one in left])
-    std = np.array([one.rms_std for one in left])
-    return Proposal(body.joints, sliding, candidates[seen[order]], nats, std, unit)
-
-
-def _choose_postures(predicted: _Predicted, count: int) -> list[int]:
-    """The numbers of `count` postures of least entropy: one by one, then exchanged."""
-    chosen = list[int]()
-    told = predicted
-    for _ in range(count):
-        chosen.append(_best_posture(told, chosen))
-        told = told.after(chosen[-1:])
-    for _ in range(_PASSES):
-        before = chosen.copy()
-        for place in range(count):
-            others = chosen[:place] + chosen[place + 1 :]
-            chosen[place] = _best_posture(predicted.after(others), others)
-        if chosen == before:
-            break
-    return chosen
-
-
-def _best_posture(predicted: _Predicted, taken: Sequence[int]) -> int:
-    """The posture, not among those taken, after which the predictions have least entropy."""
-    entropies = predicted.entropies()
-    entropies[list(taken)] = np.inf
-    return int(np.argmin(entropies))
+    return Proposal(body.joints, sliding, candidates[seen[chosen]], np.array(left), unit)
 
 
 def _predict_all_tracks(
