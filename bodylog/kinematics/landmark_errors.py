@@ -1,5 +1,5 @@
 """How far the shared unknowns may be off: errors that a
-link's landmarks share, and a jackknife over blocks, the larger.
+link's landmarks share, and a block sandwich, the larger.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ highlights and silhouettes move alike (0.5 to 1 px).
 _LEAST_MOTION_PX = 0.05
 """Motion of a joint's corners by the error of its angle, below which that error is left out."""
 BLOCK_S = 2.0
-"""Blocks of the jackknife: rows within this time, of one link or of all."""
+"""Blocks of sandwich and jackknife: rows within this time, of one link or of all."""
 ZERO_FLOOR_PX = 1.0
 """Systematic error of a link in the image, which bounds what is known of the zero that moves it."""
 
@@ -38,10 +38,10 @@ episodes differ by 2.1 to 3.4 of the model's, in 4 joints.
 def unknowns_covariance(fit: LandmarkFit) -> Array:
     """Covariance (P,P) of φ; the prior's for unknowns that were not estimated.
 
-    The largest, for each unknown, of three: the residual model (each piece an Ornstein-Uhlenbeck
-    process, one that a link's pieces share, and the errors of the smoothed joints), and jackknives
-    over blocks of BLOCK_S, of one link and of all links. Factors and floors from the scatter of
-    disjoint logs then widen zeros and row time.
+    The larger, for each unknown, of two: the residual model (each piece an Ornstein-Uhlenbeck
+    process, one that a link's pieces share, and the errors of the smoothed joints), and a sandwich
+    over blocks of one link and BLOCK_S; of delays also jackknives over blocks of one link and of
+    all. Factors and floors from the scatter of disjoint logs then widen zeros and row time.
     """
     part = np.ix_(fit.free, fit.free)
     inverse = np.linalg.inv(fit.reduced.matrix[part])
@@ -50,12 +50,11 @@ def unknowns_covariance(fit: LandmarkFit) -> Array:
     flat = weighted.reshape(-1, weighted.shape[2])
     meat = flat.T @ flat + _shared_meat(fit, weighted) + _motion_meat(fit, weighted)
     modelled = inverse @ (prior + meat[part]) @ inverse
+    scatter = inverse @ (prior + _block_meat(fit, scores)[part]) @ inverse
     std = np.sqrt(np.diag(modelled))
-    widen = np.ones(len(std))
-    for by_link in (True, False):
-        moved = _moves_by_blocks(fit, weighted, scores, _group_rows(fit, BLOCK_S, by_link))
-        scatter = np.diag(inverse @ prior @ inverse) + np.square(moved).sum(axis=0)
-        widen = np.maximum(widen, np.sqrt(scatter) / std)
+    widen = np.maximum(np.sqrt(np.diag(scatter)) / std, 1.0)
+    late = np.isin(np.flatnonzero(fit.free), np.r_[fit.model.of_delays])
+    widen[late] = np.maximum(widen, _scatter_without_blocks(fit, weighted, scores) / std)[late]
     zeros = np.zeros(len(fit.phi), bool)
     zeros[fit.model.rig.of_joints] = True
     widen[zeros[fit.free]] *= ZERO_SCATTER
@@ -113,23 +112,37 @@ def _motion_meat(fit: LandmarkFit, weighted: Array) -> Array:
     return result
 
 
-def _moves_by_blocks(fit: LandmarkFit, weighted: Array, scores: Array, groups: Array) -> Array:
-    """How far the free unknowns (G,F) move without each block of rows, groups (R,): the sum of
-    their squares is their variance by a jackknife.
+def _block_meat(fit: LandmarkFit, scores: Array) -> Array:
+    """Scatter (P,P) of the scores' sums over blocks."""
+    groups = _group_rows(fit, BLOCK_S)
+    sums = np.zeros((int(groups.max()) + 1, scores.shape[1]))
+    np.add.at(sums, groups, scores)
+    return np.asarray(sums.T @ sums)
 
-    (A − A_g)⁻¹ s_g, of the information A and a block's share A_g and score s_g. A sandwich, A⁻¹
-    s_g, is too small where blocks are few: the fit follows each of them.
+
+def _scatter_without_blocks(fit: LandmarkFit, weighted: Array, scores: Array) -> Array:
+    """Standard deviations (F,) of the free unknowns by jackknives: without each block of one link,
+    and without each block of all, the larger.
+
+    Without block g they move by (A − A_g)⁻¹ s_g, of the information A and the block's share A_g and
+    score s_g. A sandwich, A⁻¹ s_g, is too small where blocks are few: the fit follows each. Delays
+    need it: stamps of a camera that a recorder samples drift to and fro within seconds.
     """
     part = np.ix_(fit.free, fit.free)
     matrix = fit.reduced.matrix[part]
-    count = int(groups.max()) + 1
-    moved = np.empty((count, len(matrix)))
-    for number in range(count):
-        rows = np.flatnonzero(groups == number)
-        design = fit.reduced.rows[rows].reshape(-1, len(fit.phi))
-        own = weighted[rows].reshape(-1, len(fit.phi)).T @ design
-        moved[number] = np.linalg.solve(matrix - own[part], scores[rows].sum(axis=0)[fit.free])
-    return moved * np.sqrt((count - 1.0) / count)
+    largest = np.zeros(len(matrix))
+    for by_link in (True, False):
+        groups = _group_rows(fit, BLOCK_S, by_link)
+        count = int(groups.max()) + 1
+        variance = np.zeros(len(matrix))
+        for number in range(count):
+            rows = np.flatnonzero(groups == number)
+            design = fit.reduced.rows[rows].reshape(-1, len(fit.phi))
+            own = weighted[rows].reshape(-1, len(fit.phi)).T @ design
+            moved = np.linalg.solve(matrix - own[part], scores[rows].sum(axis=0)[fit.free])
+            variance += (count - 1.0) / count * np.square(moved)
+        largest = np.maximum(largest, variance)
+    return np.asarray(np.sqrt(largest))
 
 
 def _group_rows(fit: LandmarkFit, width_s: float, by_link: bool = True) -> Array:
