@@ -113,8 +113,8 @@ def test_error_bar_of_a_delay_holds_the_errors_of_smoothed_joints():
         built = model([smoothed_with_errors(real, error, draw)])
         found, placed, reduced = adjust_landmarks(built, phi, part, Landmarks(body, places), free, steps=5)
         for column, one in enumerate((error, None)):
-            told = replace(built, motions=(replace(built.motions[0], error=one),))
-            fit = LandmarkFit(told, found, free, part, np.arange(40), placed, reduced)
+            stated = replace(built, motions=(replace(built.motions[0], error=one),))
+            fit = LandmarkFit(stated, found, free, part, np.arange(40), placed, reduced)
             squares[draw, column] = found[delay] ** 2 / unknowns_covariance(fit)[delay, delay]
     held, without = squares.mean(axis=0)
     assert held < 2.0
