@@ -58,7 +58,7 @@ def doctor(
     in the middle minute of the log; --delay off skips this.
 
     LOG may be a dataset, or a folder of logs: then each episode is examined and compared with the
-    others.
+    others. Several logs are also judged together, by a body of the robot's own surface.
     """
     from bodylog.batch.dataset import holds_several_logs
 

@@ -15,7 +15,7 @@ highlights and silhouettes move alike (0.5 to 1 px).
 _LEAST_MOTION_PX = 0.05
 """Motion of a joint's corners by the error of its angle, below which that error is left out."""
 BLOCK_S = 2.0
-"""Blocks of the sandwich: one link's rows within this time."""
+"""Blocks of sandwich and jackknife: rows within this time, of one link or of all."""
 ZERO_FLOOR_PX = 1.0
 """Systematic error of a link in the image, which bounds what is known of the zero that moves it."""
 
@@ -40,7 +40,8 @@ def unknowns_covariance(fit: LandmarkFit) -> Array:
 
     The larger, for each unknown, of two: the residual model (each piece an Ornstein-Uhlenbeck
     process, one that a link's pieces share, and the errors of the smoothed joints), and a sandwich
-    over blocks of one link and BLOCK_S. Factors and floors from the scatter of disjoint logs then widen zeros and row time.
+    over blocks of one link and BLOCK_S; of delays also jackknives over blocks of one link and of
+    all. Factors and floors from the scatter of disjoint logs then widen zeros and row time.
     """
     part = np.ix_(fit.free, fit.free)
     inverse = np.linalg.inv(fit.reduced.matrix[part])
@@ -52,6 +53,8 @@ def unknowns_covariance(fit: LandmarkFit) -> Array:
     scatter = inverse @ (prior + _block_meat(fit, scores)[part]) @ inverse
     std = np.sqrt(np.diag(modelled))
     widen = np.maximum(np.sqrt(np.diag(scatter)) / std, 1.0)
+    late = np.isin(np.flatnonzero(fit.free), np.r_[fit.model.of_delays])
+    widen[late] = np.maximum(widen, _scatter_without_blocks(fit, weighted, scores) / std)[late]
     zeros = np.zeros(len(fit.phi), bool)
     zeros[fit.model.rig.of_joints] = True
     widen[zeros[fit.free]] *= ZERO_SCATTER
@@ -117,9 +120,36 @@ def _block_meat(fit: LandmarkFit, scores: Array) -> Array:
     return np.asarray(sums.T @ sums)
 
 
-def _group_rows(fit: LandmarkFit, width_s: float) -> Array:
-    """Numbers (R,) of the rows that have log, body and time, in steps of width_s, in common."""
-    body = fit.landmarks.body[fit.seen.piece]
+def _scatter_without_blocks(fit: LandmarkFit, weighted: Array, scores: Array) -> Array:
+    """Standard deviations (F,) of the free unknowns by jackknives: without each block of one link,
+    and without each block of all, the larger.
+
+    Without block g they move by (A − A_g)⁻¹ s_g, of the information A and the block's share A_g and
+    score s_g. A sandwich, A⁻¹ s_g, is too small where blocks are few: the fit follows each. Delays
+    need it: stamps of a camera that a recorder samples drift to and fro within seconds.
+    """
+    part = np.ix_(fit.free, fit.free)
+    matrix = fit.reduced.matrix[part]
+    largest = np.zeros(len(matrix))
+    for by_link in (True, False):
+        groups = _group_rows(fit, BLOCK_S, by_link)
+        count = int(groups.max()) + 1
+        variance = np.zeros(len(matrix))
+        for number in range(count):
+            rows = np.flatnonzero(groups == number)
+            design = fit.reduced.rows[rows].reshape(-1, len(fit.phi))
+            own = weighted[rows].reshape(-1, len(fit.phi)).T @ design
+            moved = np.linalg.solve(matrix - own[part], scores[rows].sum(axis=0)[fit.free])
+            variance += (count - 1.0) / count * np.square(moved)
+        largest = np.maximum(largest, variance)
+    return np.asarray(np.sqrt(largest))
+
+
+def _group_rows(fit: LandmarkFit, width_s: float, by_link: bool = True) -> Array:
+    """Numbers (R,) of the rows that have log, time in steps
+    of width_s and, `by_link`, their link in common.
+    """
+    body = fit.landmarks.body[fit.seen.piece] * by_link
     keys = np.stack([fit.seen.log, body, np.floor(fit.seen.t / width_s)], axis=1)
     return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1]).reshape(-1)
 

@@ -139,30 +139,31 @@ def _weigh_hypothesis(
 
 
 def join_changes(
-    logs: Sequence[Sequence[ChangeHypothesis]], learned_from: int
+    logs: Sequence[Sequence[ChangeHypothesis]], learned_from: int, margin: float
 ) -> list[ChangeHypothesis]:
     """The hypotheses of several logs with one change in common, from those of each log (same order).
 
     learned_from: the number of logs behind the belief. Its own error is in every log alike: of a
     log's variance the share 1 / (learned_from + 1), as its logs tell as much as this one each. A
-    joint whose offset differs between logs is no better than the sound hypothesis. The camera's
-    evidence is the product of the logs', as if it had moved differently in each: a lower bound.
+    joint of which offsets of its own in some logs win `margin` nats has their evidence, and no
+    offset in common. The camera's evidence is the product of the logs', as if it had moved
+    differently in each: a lower bound.
     """
     sound = [changes[0] for changes in logs]
     found = [ChangeHypothesis(SOUND, 0.0)]
     for each in list(zip(*logs, strict=True))[1:]:
         gains = np.array([one.nats - alone.nats for one, alone in zip(each, sound, strict=True)])
         if each[0].beforehand:
-            found.append(_join_offsets(each, gains, learned_from))
+            found.append(_join_offsets(each, gains, learned_from, margin))
         else:
             found.append(ChangeHypothesis(each[0].name, float(gains.sum())))
     return found
 
 
 def _join_offsets(
-    logs: Sequence[ChangeHypothesis], gains: Array, learned_from: int
+    logs: Sequence[ChangeHypothesis], gains: Array, learned_from: int, margin: float
 ) -> ChangeHypothesis:
-    """One offset in all logs, unless those with gains (L,) > 0 are better off with their own."""
+    """One offset in all logs, or one each in those with gains (L,) > 0."""
     prior = logs[0].beforehand ** 2
     posterior = np.array([one.std**2 for one in logs])
     variance = 1.0 / np.maximum(1.0 / posterior - 1.0 / prior, 1e-6 / prior)
@@ -175,10 +176,11 @@ def _join_offsets(
         for added in (np.full(sound.shape, prior), prior * np.diag(gains > 0.0))
     )
     gain = prior * np.linalg.inv(sound + prior).sum(axis=0)
+    common = apart - nats < margin
     return ChangeHypothesis(
         logs[0].name,
-        min(nats, 0.0) if apart > nats else nats,
-        float(gain @ measured),
+        nats if common else apart,
+        float(gain @ measured) if common else 0.0,
         float(np.sqrt(prior * (1.0 - gain.sum()))),
         logs[0].beforehand,
     )

@@ -201,6 +201,7 @@ def judge_together(
         changes = join_changes(
             [[ChangeHypothesis(**change) for change in one["changes"]] for one in each],
             len(camera.delays),
+            MARGIN_NATS,
         )
         sure = _identifiable_joints(changes, learned.surface)
         shifts = [one["shift_px"] for one in each]

@@ -77,7 +77,8 @@ def judge_pair(pair: tuple[int, int], joint: str) -> JudgedPair:
     learned = body_without(pair)
     both = [judge(number, learned, joint) for number in pair]
     assert learned.surface is not None
-    changes = join_changes([one.changes for one in both], len(learned.surface.cameras[0].delays))
+    logs = len(learned.surface.cameras[0].delays)
+    changes = join_changes([one.changes for one in both], logs, estimate.MARGIN_NATS)
     sure = estimate._identifiable_joints(changes, learned.surface)
     joined = replace(both[0], changes=changes, identifiable=sure)
     faults = [estimate._winning_fault(one, 0.0, learned) for one in (joined, *both)]

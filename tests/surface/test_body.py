@@ -12,9 +12,12 @@ from bodylog.body import storage
 from bodylog.body.surface import landmark_model
 from bodylog.body_model import BodyModel, LandmarkMap, Noise, Surface, SurfaceCamera, TouchConstants
 from bodylog.errors import ModelError
+from bodylog.recording import recording
 from bodylog.robot import calibration
+from bodylog.settings import Settings
 from bodylog.surface.body import describe_loose_marker
-from bodylog.surface.estimate import picture_shift
+from bodylog.surface.calibration import smoothed_motion
+from bodylog.surface.estimate import _winning_fault, judge_by_camera, picture_shift
 from bodylog.types import Score
 
 REACH = Path(__file__).parents[2] / "fixtures" / "arm" / "reach.mcap"
@@ -209,6 +212,10 @@ def test_rendered_arm_teaches_a_body_that_judges_another_log(worlds, run_cli, tm
     (fault,) = entry["faults"]
     assert fault["name"] == "elbow_joint"
     assert np.degrees(fault["size"]) == pytest.approx(5.0, abs=0.35)
+    assert run_cli("doctor", worlds / "bare_pick", worlds / "bare_offset", "--body", body, "--json") == 0
+    *each, whole = json.loads(capsys.readouterr().out)["results"]
+    assert [[fault["name"] for fault in one["faults"]] for one in each] == [[], ["elbow_joint"]]
+    assert not whole["faults"] and "2 logs together: no fault in common" in whole["findings"][0]["text"]
 
 
 @pytest.mark.soak
@@ -223,6 +230,32 @@ def test_sound_arm_with_another_texture_before_another_wall_is_accused_of_nothin
     assert not entry["faults"]
     (finding,) = [one["text"] for one in entry["findings"] if "whether the camera moved is not judged" in one["text"]]
     assert "does not look like the body's" in finding
+
+
+@pytest.mark.soak
+def test_camera_on_the_wrist_sees_the_scene_and_judges_another_log(run_cli, tmp_path):
+    """Landmarks lie on the base, whatever joint moves the camera."""
+    explore, reach, path = tmp_path / "explore.mcap", tmp_path / "reach.mcap", tmp_path / "body.npz"
+    common = ("--scene", "bare", "--camera", "wrist", "--seed", 3)
+    assert run_cli("record", "babble", "--full", *common, "-o", explore, "--duration", 20) == 0
+    assert run_cli("record", "reach", *common, "-o", reach, "--duration", 12) == 0
+    assert run_cli("fit", explore, "--urdf", "log", "-o", path) == 0
+    learned = storage.load_body(path)
+    (camera,) = learned.surface.cameras
+    std = np.sqrt(np.diag(camera.covariance))
+    assert (np.abs(camera.unknowns[:6]) < 3.0 * std[:6]).all()  # the recorder's /tf_static is exact
+    assert np.exp(camera.unknowns[6]) == pytest.approx(320.0, rel=3.0 * std[6])
+    read = recording.read_recording(reach, Settings(), False)
+    motion = smoothed_motion(read.signals.joints, learned.joints)
+    for joint in ("", "shoulder_lift_joint", "elbow_joint"):
+        off = np.radians(5.0) * (np.array(learned.joints) == joint)
+        judged = judge_by_camera(reach, read, learned.surface, camera, replace(motion, q=motion.q + off))
+        late, error = judged.delay
+        assert abs(late) < max(0.003, 2.0 * error)
+        fault = _winning_fault(judged, 0.0, learned)
+        assert (fault is None) == (joint == "")
+        if fault is not None:
+            assert fault.name == joint and np.degrees(fault.size) == pytest.approx(5.0, abs=0.35)
 
 
 @pytest.mark.soak
