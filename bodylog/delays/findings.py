@@ -3,7 +3,7 @@ by a body, or by one learned from the log itself.
 """
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import islice
 from math import ceil
@@ -34,11 +34,16 @@ all of a minute at 100 Hz, as motion needs neighbours.
 @dataclass(frozen=True, eq=False)
 class ExaminedDelays:
     """Delays of cameras with standard errors (s) as scores, what was found about them, and what
-    differs from the logs that a body was learned from."""
+    differs from the logs that a body was learned from.
+
+    row_shares {name of a delay: (s of delay per s of row time, row time (s) of that delay and its
+    standard error)}.
+    """
 
     scores: tuple[Score, ...] = ()
     findings: tuple[Finding, ...] = ()
     faults: tuple[Fault, ...] = ()
+    row_shares: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
 
 def measure_image_delays(log: Path, body: BodyModel | None, settings: Settings) -> ExaminedDelays:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import EvidenceError, ModelError
 from ..types import Array, LazyImage, Recording, Series
-from .map import build_map, move_landmarks
+from .map import build_map
 
 if TYPE_CHECKING:
     from ..body_model import LandmarkMap
@@ -47,8 +47,6 @@ _CONTROL_RATIO = 0.6
 explain, as a share of those that the joints explain.
 """
 _CONTROL_PIECES = 120
-_MOST_FLOW_LOGS = 8
-"""Logs by whose flow the row time is measured: more would cost time and tell little."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +59,9 @@ class SurfaceCalibration:
     picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in the logs:
     joint in the URDF} · still: angles, rad or m, of the joints at rest · delays (L,) s ± delay_std
     (L,), by tracks, which follow every image · landmarks: the map that the fit is of; None where it
-    is of tracks, as too few landmarks are found again · seen: all pieces that moved · left_out: why
-    other logs teach nothing · rolling: row time (s) by flow, of several logs; the fit contains it
-    where both agree.
+    is of tracks, as too few landmarks are found again · seen: all pieces that moved · rolling: row
+    time (s) by tracks, which the delays follow with slopes (L,) · left_out: why other logs teach
+    nothing.
     """
 
     camera: str
@@ -80,8 +78,9 @@ class SurfaceCalibration:
     delay_std: Array
     landmarks: "LandmarkMap | None"
     seen: "LandmarkSightings"
+    rolling: "Delay"
+    slopes: Array
     left_out: tuple[str, ...] = ()
-    rolling: "Delay | None" = None
 
 
 class _StrangeLog(EvidenceError):
@@ -146,24 +145,23 @@ def calibrate_cameras(
         except EvidenceError as problem:
             yield problem
             continue
+        from ..estimation.timing.delay_profile import Delay
         from ..kinematics.landmark_errors import unknowns_covariance
 
         rest = {joint: still[joint] for joint in robot.by_name if joint in still}
         seen_by = tuple(film.log for film in films)
         size = films[0].tracks.size
         picture = films[0].picture
-        by_tracks = fit.phi, unknowns_covariance(fit)
+        by_tracks = unknowns_covariance(fit)
+        std = np.sqrt(np.diag(by_tracks))
+        row = fit.model.of_row_time
+        rolling = Delay(float(fit.phi[row]), float(std[row]))
+        slopes = by_tracks[fit.model.of_delays, row] / std[row] ** 2
+        delays = fit.phi[fit.model.of_delays]
+        delay_std = std[fit.model.of_delays]
         used_share = len(fit.used) / moving
         fit, landmarks = (fit, None) if mapped is None else mapped
         covariance = unknowns_covariance(fit)
-        rolling = _row_time_by_flow([logs[film.number][1] for film in films], name)
-        if rolling is not None and agrees_with(fit, covariance, rolling):
-            by_tracks = _with_row_time(fit.model, *by_tracks, rolling)
-            phi, covariance = _with_row_time(fit.model, fit.phi, covariance, rolling)
-            landmarks = None if landmarks is None else move_landmarks(landmarks, fit, phi)
-            fit = replace(fit, phi=phi)
-        delays = by_tracks[0][fit.model.of_delays]
-        delay_std = np.sqrt(np.diag(by_tracks[1]))[fit.model.of_delays]
         yield SurfaceCalibration(
             name,
             seen_by,
@@ -179,53 +177,10 @@ def calibrate_cameras(
             delay_std,
             landmarks,
             seen,
-            tuple(left_out),
             rolling,
+            slopes,
+            tuple(left_out),
         )
-
-
-def _row_time_by_flow(reads: Sequence[Recording], camera: str) -> "Delay | None":
-    """The row time of one camera by the motion of its whole picture; None of a few logs.
-
-    It needs no link, lens or place, so its errors are others than those of landmarks. Of one log it
-    would tell little, and costs two seconds.
-    """
-    from ..delays.flow import LEAST_LOGS, delay_by_flow, pool_row_times
-    from ..perception.surface.flow import measure_grid_flow
-
-    if len(reads) < LEAST_LOGS:
-        return None
-    found = [
-        delay_by_flow(read, measure_grid_flow(_frames_by_camera(read)[camera]()))
-        for read in _spread_logs(reads)
-    ]
-    return pool_row_times(found)
-
-
-def _spread_logs(reads: Sequence[Recording]) -> list[Recording]:
-    """At most _MOST_FLOW_LOGS of the logs, evenly spread."""
-    import numpy as np
-
-    places = np.linspace(0, len(reads) - 1, min(len(reads), _MOST_FLOW_LOGS))
-    return [reads[number] for number in np.unique(places.round().astype(int))]
-
-
-def agrees_with(fit: "LandmarkFit", covariance: Array, rolling: "Delay") -> bool:
-    """Whether a row time by flow lies within two standard deviations of the landmarks' one."""
-    row = fit.model.of_row_time
-    apart = abs(rolling.seconds - float(fit.phi[row]))
-    variance = float(covariance[row, row]) + rolling.std_error**2
-    return apart**2 < 4.0 * variance
-
-
-def _with_row_time(
-    model: "LandmarkModel", phi: Array, covariance: Array, rolling: "Delay"
-) -> tuple[Array, Array]:
-    """The unknowns and their covariance, given the row time by flow as well."""
-    from ..kinematics.landmark_errors import condition_on_unknown
-
-    row = model.of_row_time
-    return condition_on_unknown(phi, covariance, row, rolling.seconds, rolling.std_error)
 
 
 def _frames_by_camera(read: Recording) -> dict[str, Callable[[], Iterator[LazyImage]]]:

@@ -209,15 +209,6 @@ def _map_of(fit: "LandmarkFit", known: "LandmarkMap") -> "LandmarkMap":
     )
 
 
-def move_landmarks(known: "LandmarkMap", fit: "LandmarkFit", phi: Array) -> "LandmarkMap":
-    """The map of a fit, with the places that follow from other unknowns φ (P,)."""
-    import numpy as np
-
-    delays = np.arange(fit.model.of_delays.start, fit.model.of_delays.stop)
-    step = np.delete(phi - fit.phi, delays)
-    return replace(known, places=known.places + known.slopes @ step)
-
-
 def distinct_landmarks(fit: "LandmarkFit") -> Array:
     """Numbers of the landmarks that lie apart from every
     other one of their link that is seen more often.

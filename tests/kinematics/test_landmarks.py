@@ -14,7 +14,7 @@ from bodylog.kinematics.landmark_adjustment import (
     reduce_normal,
     whiten_residuals,
 )
-from bodylog.kinematics.landmark_errors import condition_on_unknown, unknowns_covariance
+from bodylog.kinematics.landmark_errors import unknowns_covariance
 from bodylog.kinematics.landmark_fit import LandmarkFit, choose_pieces, search_delay, staged_fit
 from bodylog.kinematics.landmarks import LandmarkBelief, LandmarkModel, join_landmark_tracks
 from bodylog.kinematics.links import Space
@@ -153,15 +153,3 @@ def test_belief_of_earlier_logs_is_a_prior():
     sure = replace(built, belief=LandmarkBelief(phi, np.diag((1e-4 * std) ** 2)))
     held, _, _ = adjust_landmarks(sure, phi, part, few, np.ones(len(phi), bool))
     assert (np.abs(held - phi) < 1e-3 * std).all()
-
-
-def test_measurement_of_one_unknown_moves_those_that_depend_on_it():
-    rng = np.random.default_rng(5)
-    root = rng.standard_normal((4, 4))
-    covariance, phi = root @ root.T, rng.standard_normal(4)
-    found, left = condition_on_unknown(phi, covariance, 2, 1.5, 0.3)
-    information = np.linalg.inv(covariance)
-    more = np.zeros((4, 4))
-    more[2, 2] = 0.3**-2.0
-    np.testing.assert_allclose(left, np.linalg.inv(information + more))
-    np.testing.assert_allclose(found, left @ (information @ phi + more @ np.full(4, 1.5)))
