@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..estimation.timing.flow_delay import METHOD_STD_S
 from ..types import Array, Score
 from ..wording import list_in_words, quantity_text
 from .checks import BY_NAME, Check
@@ -28,9 +29,6 @@ DEGREES_PER_RAD = 57.29578
 SWAP_SHARE = 0.5
 """Distance of a swapped joint from the other's siblings, over its distance from its own."""
 SIGNIFICANT_SIGMA = 2.0
-FLOW_STD_S = 0.006
-"""s: error of delays by flow that the episodes of a dataset share: in 21 cameras of drawn worlds,
-whose delays are known, pooled ones err by 6.5 ms rms, of which their own errors explain 3.2."""
 STOP_SHARE = 0.02
 """Distance from an end of what a joint reads in all episodes, over its range, within which it is at
 a stop."""
@@ -436,7 +434,7 @@ def _pool_delays(
                 continue
             own = own_std(std, shared)
             by_flow = figure != "delay/action" and not by_surface
-            method = FLOW_STD_S if by_flow else 0.0
+            method = METHOD_STD_S if by_flow else 0.0
             summary_findings.append((value, own, float(np.hypot(shared, method))))
         if summary_findings:
             values, stds, shares = np.array(summary_findings).T

@@ -47,6 +47,12 @@ _CONTROL_RATIO = 0.6
 explain, as a share of those that the joints explain.
 """
 _CONTROL_PIECES = 120
+SAME_PICTURE_PX = 1.5
+"""Shift of the still scene, px of the full image, within which a camera did not move."""
+_LEAST_ALIKE = 0.9
+"""Correlation of two pictures of one scene, the arm elsewhere; less is another scene."""
+_BLUR_PX = 1.0
+"""Blur of the shrunken pictures, so that pixels between others can be compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +62,7 @@ class SurfaceCalibration:
 
     camera: its name, "" the first · logs: that show it, in the order of the fit's delays · moving:
     pieces that moved, and the share of them that the tracks' fit uses · size (width, height) px ·
-    picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in the logs:
+    picture (h,w): median of the last log's images, shrunken and grey · joint_of {name in the logs:
     joint in the URDF} · still: angles, rad or m, of the joints at rest · delays (L,) s ± delay_std
     (L,), by tracks, which follow every image · landmarks: the map that the fit is of; None where it
     is of tracks, as too few landmarks are found again · seen: all pieces that moved · rolling: row
@@ -151,7 +157,7 @@ def calibrate_cameras(
         rest = {joint: still[joint] for joint in robot.by_name if joint in still}
         seen_by = tuple(film.log for film in films)
         size = films[0].tracks.size
-        picture = films[0].picture
+        picture = films[-1].picture
         by_tracks = unknowns_covariance(fit)
         std = np.sqrt(np.diag(by_tracks))
         row = fit.model.of_row_time
@@ -409,10 +415,12 @@ def _calibrate_camera(
     part = seen.take(choose_pieces(seen, _most_pieces(len(films)))).thinned(ROW_STRIDE)
     few = seen.take(choose_pieces(seen, -(-SEARCH_PIECES // len(films)))).thinned(SEARCH_STRIDE)
     own_motions = [motions[one.number] for one in films]
+    placements = _place_films(films, size[0])
     best: LandmarkFit | None = None
     for cameras in _start_cameras(name or "camera", robot, space, hint):
-        models = [build_model(space, camera, own_motions, zero_std) for camera in cameras[:1]]
-        for found in _iterate_fits(models[0], cameras, few, part):
+        model = build_model(space, cameras[0], own_motions, zero_std)
+        model = replace(model, placements=placements)
+        for found in _iterate_fits(model, cameras, few, part):
             if best is None or len(found.used) > len(best.used):
                 best = found
         if best is not None and len(best.used) >= _LEAST_SHARE * part.count:
@@ -425,6 +433,49 @@ def _calibrate_camera(
         )
     _require_belonging(name, films, best, part)
     return best, seen, part.count
+
+
+def _place_films(films: Sequence[_CameraTracks], width: int) -> tuple[int, ...]:
+    """Of each log the number of its camera's placement, 0 that of the last log: another one where
+    the still scene of both lies elsewhere; empty where it does in none. Pictures of different
+    scenes tell nothing.
+    """
+    shown = [films[-1].picture]
+    found = list[int]()
+    for film in reversed(films):
+        shifts = [
+            None if known is None else picture_shift(known, film.picture, width) for known in shown
+        ]
+        near = [
+            k for k, shift in enumerate(shifts) if shift is not None and shift < SAME_PICTURE_PX
+        ]
+        if not near and any(shift is not None for shift in shifts):
+            near = [len(shown)]
+            shown.append(film.picture)
+        found.append(near[0] if near else 0)
+    return tuple(reversed(found)) if any(found) else ()
+
+
+def picture_shift(before: Array, after: Array | None, width: int) -> float | None:
+    """How far (px of images `width` px wide) the still scene
+    moved between two pictures; None for different scenes.
+    """
+    import cv2
+    import numpy as np
+
+    if after is None or before.shape != after.shape:
+        return None
+    first, second = (
+        cv2.GaussianBlur(one.astype(np.float32), (0, 0), _BLUR_PX) for one in (before, after)
+    )
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
+    try:
+        alike, warp = cv2.findTransformECC(
+            first, second, np.eye(2, 3, dtype=np.float32), cv2.MOTION_TRANSLATION, criteria
+        )
+    except cv2.error:  # it does not converge: no picture of one scene
+        return None
+    return float(np.hypot(*warp[:, 2])) * width / before.shape[1] if alike > _LEAST_ALIKE else None
 
 
 def explains_enough_pieces(fit: "LandmarkFit", part: "LandmarkSightings") -> bool:
@@ -513,11 +564,10 @@ def control_counts(best: "LandmarkFit", part: "LandmarkSightings") -> Array:
     import numpy as np
 
     from ..kinematics.landmark_fit import choose_pieces, staged_fit
-    from ..kinematics.landmarks import LandmarkModel
 
     logs = len(best.model.motions)
     motions = tuple(shifted_motion(motion) for motion in best.model.motions)
-    model = LandmarkModel(best.model.rig, best.model.bodies, motions)
+    model = replace(best.model, motions=motions)
     few = part.take(choose_pieces(part, _CONTROL_PIECES))
     found = staged_fit(model, best.phi, few)
     if found is None:

@@ -164,6 +164,10 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
             "info",
             f"{name}: a rolling shutter takes {1e3 * row:.0f} ± {1e3 * row_error:.0f} ms an image",
         )
+    elsewhere = [str(log) for log, k in zip(one.logs, model.placements, strict=False) if k]
+    if elsewhere:
+        text = f"{name}: by its still scene it stood elsewhere in {', '.join(elsewhere)}"
+        yield Finding("warning", f"{text}; the pose is that of the last log")
     focal = float(np.exp(fit.phi[6]))
     yield Finding("info", f"{name}: focal length {focal:.0f} ± {focal * float(std[6]):.0f} px")
     found = joint_zeros(model.rig, fit.phi, one.covariance)

@@ -202,7 +202,7 @@ def _map_of(fit: "LandmarkFit", known: "LandmarkMap") -> "LandmarkMap":
     reduced = fit.reduced
     model = fit.model
     delays = np.arange(model.of_delays.start, model.of_delays.stop)
-    shared = np.setdiff1d(np.arange(len(fit.phi)), delays)
+    shared = np.setdiff1d(np.arange(model.of_moves.start), delays)
     slopes = -np.linalg.solve(reduced.place_matrix, reduced.cross[..., shared] * fit.free[shared])
     return replace(
         known, places=fit.landmarks.places, precision=reduced.place_matrix, slopes=slopes

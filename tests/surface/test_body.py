@@ -14,7 +14,7 @@ from bodylog.body_model import BodyModel, LandmarkMap, Noise, Surface, SurfaceCa
 from bodylog.errors import ModelError
 from bodylog.robot import calibration
 from bodylog.surface.body import describe_loose_marker
-from bodylog.surface.estimate import picture_shift
+from bodylog.surface.calibration import picture_shift
 from bodylog.types import Score
 
 REACH = Path(__file__).parents[2] / "fixtures" / "arm" / "reach.mcap"
