@@ -185,8 +185,7 @@ def episode_evidence(
         "joints": None if reading.joints is None else _sample_curves(reading.joints),
         "action": None if reading.action is None else _sample_curves(reading.action),
         "cameras": {
-            name: _camera_evidence(film.seen)
-            | {"arm": film.arm}
+            name: _camera_evidence(film.seen) | {"arm": film.arm}
             for name, film in reading.films.items()
         },
         "statistics": {

@@ -415,7 +415,7 @@ def _calibrate_camera(
     part = seen.take(choose_pieces(seen, _most_pieces(len(films)))).thinned(ROW_STRIDE)
     few = seen.take(choose_pieces(seen, -(-SEARCH_PIECES // len(films)))).thinned(SEARCH_STRIDE)
     own_motions = [motions[one.number] for one in films]
-    placements = _place_films(films, size[0])
+    placements = number_placements([one.picture for one in films], size[0])
     best: LandmarkFit | None = None
     for cameras in _start_cameras(name or "camera", robot, space, hint):
         model = build_model(space, cameras[0], own_motions, zero_std)
@@ -435,23 +435,23 @@ def _calibrate_camera(
     return best, seen, part.count
 
 
-def _place_films(films: Sequence[_CameraTracks], width: int) -> tuple[int, ...]:
-    """Of each log the number of its camera's placement, 0 that of the last log: another one where
-    the still scene of both lies elsewhere; empty where it does in none. Pictures of different
-    scenes tell nothing.
+def number_placements(pictures: Sequence[Array | None], width: int) -> tuple[int, ...]:
+    """Of each log, by its picture (h,w), the number of its camera's placement, 0 that of the last
+    log: another one where the still scene lies elsewhere in images `width` px wide; empty where it
+    does in none. Pictures of different scenes tell nothing.
     """
-    shown = [films[-1].picture]
+    shown = [pictures[-1]]
     found = list[int]()
-    for film in reversed(films):
+    for picture in reversed(pictures):
         shifts = [
-            None if known is None else picture_shift(known, film.picture, width) for known in shown
+            None if known is None else picture_shift(known, picture, width) for known in shown
         ]
         near = [
             k for k, shift in enumerate(shifts) if shift is not None and shift < SAME_PICTURE_PX
         ]
         if not near and any(shift is not None for shift in shifts):
             near = [len(shown)]
-            shown.append(film.picture)
+            shown.append(picture)
         found.append(near[0] if near else 0)
     return tuple(reversed(found)) if any(found) else ()
 
