@@ -60,6 +60,7 @@ def examine_episode(
         faults = found.faults
     findings = [replace(one, text=one.text.replace(str(log), name)) for one in findings]
     about = episode_evidence(reading, figures) | surface
+    about["row_shares"] = _row_shares(reading, about)
     unique = tuple(dict.fromkeys(findings))
     return Result(None, Scores(scores), reading.read.facts.health, unique, faults=faults), about
 
@@ -104,10 +105,14 @@ def _add_surface(
     figures_of_surface = [
         name for name in values if name.partition("/")[0] in ("delay", "row_time")
     ]
+    row_shares = {
+        _name_first_camera(name, first): known for name, known in found.row_shares.items()
+    }
     for name in figures_of_surface:
         if name in figures:
             figures[f"flow/{name}"] = figures[name]
-        figures[name] = [values[name], values.get(f"std/{name}"), 0.0, None]
+        share, _, row_std = row_shares.get(name, (0.0, 0.0, 0.0))
+        figures[name] = [values[name], values.get(f"std/{name}"), abs(share) * row_std, None]
     beside = {*figures_of_surface, *(f"std/{name}" for name in figures_of_surface)}
     scores[:] = [
         replace(one, name=_name_beside_surface(one.name)) if one.name in beside else one
@@ -125,7 +130,24 @@ def _add_surface(
         [one.kind, one.name, one.size if isfinite(one.size) else None, one.std, one.unit]
         for one in found.faults
     ]
-    return {"by_surface": figures_of_surface, "faults": faults}
+    return {
+        "by_surface": figures_of_surface,
+        "faults": faults,
+        "row_shares": {name: [share, at] for name, (share, at, _) in row_shares.items()},
+    }
+
+
+def _row_shares(reading: EpisodeReading, about: Mapping[str, Any]) -> dict[str, list[float]]:
+    """How each camera's delay follows the row time, {figure: [s per s, row time (s) of the delay]},
+    by the surface and by flow: rows above the middle are read earlier, and show joints of an
+    earlier time."""
+    found = dict(about.get("row_shares", {}))
+    for name, film in reading.films.items():
+        figure = f"delay/{name}"
+        if film.delay is not None:
+            by_flow = f"flow/{figure}" if figure in about.get("by_surface", ()) else figure
+            found[by_flow] = [film.delay.mean_row, 0.0]
+    return {figure: share for figure, share in found.items() if figure in about["figures"]}
 
 
 def _name_first_camera(name: str, first: str) -> str:
@@ -151,20 +173,19 @@ def episode_evidence(
     figures {name: [value, standard error or null, the part of it that siblings share, the joint
     reading that it is about or null]} · joints: names, unit, low and high, t and curves of few
     points · action: the same · cameras {name: thumbnails and the view at rest (JPEG, base64), size,
-    stored_hz, mean_row: place of what moves, in image heights below the middle, arm: whose
-    joints move its picture, of several} ·
+    stored_hz, arm: whose joints move its picture, of several} ·
     robot: its type, "" if it is not known ·
     statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
-    `examine_episode` adds by_surface, the figures that are by the robot's surface, and faults
-    [kind, sensor, size, standard error, unit], what differs from a body.
+    `examine_episode` adds by_surface, the figures that are by the robot's surface, faults
+    [kind, sensor, size, standard error, unit], what differs from a body, and row_shares, how
+    delays follow the row time.
     """
     return {
         "figures": dict(sorted(figures.items())),
         "joints": None if reading.joints is None else _sample_curves(reading.joints),
         "action": None if reading.action is None else _sample_curves(reading.action),
         "cameras": {
-            name: _camera_evidence(film.seen)
-            | {"mean_row": None if film.delay is None else film.delay.mean_row, "arm": film.arm}
+            name: _camera_evidence(film.seen) | {"arm": film.arm}
             for name, film in reading.films.items()
         },
         "statistics": {

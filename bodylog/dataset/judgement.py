@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..delays.flow_delay import METHOD_STD_S
 from ..types import Array, Score
 from ..wording import list_in_words, quantity_text
 from .checks import BY_NAME, Check
@@ -28,9 +29,6 @@ DEGREES_PER_RAD = 57.29578
 SWAP_SHARE = 0.5
 """Distance of a swapped joint from the other's siblings, over its distance from its own."""
 SIGNIFICANT_SIGMA = 2.0
-FLOW_STD_S = 0.006
-"""s: error of delays by flow that the episodes of a dataset share: in 21 cameras of drawn worlds,
-whose delays are known, pooled ones err by 6.5 ms rms, of which their own errors explain 3.2."""
 STOP_SHARE = 0.02
 """Distance from an end of what a joint reads in all episodes, over its range, within which it is at
 a stop."""
@@ -89,6 +87,8 @@ def judge_episodes(
     """Judge the rows of a dataset's episodes; `findings`: what is wrong with the dataset's own
     files."""
     names = [row["name"] for row in rows if row["name"] in evidence]
+    alone = evidence
+    evidence = _with_common_row_times(names, evidence)
     kinds = _group_by_robot(names, evidence)
     groups = list(kinds.values())
     views = [compare_views(group, evidence) for group in groups]
@@ -111,7 +111,10 @@ def judge_episodes(
     odd = sorted(standouts, key=lambda one: -one.z)
     outliers = tuple(one for one in odd if one.accused)
     summary_findings = [
-        _with_outliers(row, [one for one in odd if one.episode == row["name"]]) for row in rows
+        _with_delays(
+            _with_outliers(row, [one for one in odd if one.episode == row["name"]]), alone, evidence
+        )
+        for row in rows
     ]
     doubles = tuple(_duplicate_sentences(names, evidence))
     pooled = _pool_delays(names, evidence, outliers)
@@ -423,8 +426,6 @@ def _pool_delays(
     )
     found = {}
     for figure in figures:
-        camera = figure.partition("delay/")[2]
-        rolling = pooled_row_time(camera, names, evidence)
         by_surface = {name for name in names if figure in evidence[name].get("by_surface", ())}
         summary_findings = []
         for name in names:
@@ -432,12 +433,8 @@ def _pool_delays(
             if std is None or (name, figure) in odd or (by_surface and name not in by_surface):
                 continue
             own = own_std(std, shared)
-            method = FLOW_STD_S if shared > 0.0 and figure != "delay/action" else 0.0
-            row = evidence[name]["cameras"].get(camera, {}).get("mean_row")
-            if rolling is not None and row is not None and abs(row) * rolling.std < shared:
-                # rows above the middle are read earlier, and show joints of an earlier time
-                value = value + row * rolling.mean
-                shared = abs(row) * rolling.std
+            by_flow = figure != "delay/action" and not by_surface
+            method = METHOD_STD_S if by_flow else 0.0
             summary_findings.append((value, own, float(np.hypot(shared, method))))
         if summary_findings:
             values, stds, shares = np.array(summary_findings).T
@@ -445,6 +442,47 @@ def _pool_delays(
             shared_std = float(shares.mean())
             found[figure] = PooledDelay(one.mean, one.std, shared_std, one.jitter, len(by_surface))
     return found
+
+
+def _with_common_row_times(
+    names: Sequence[str], evidence: Mapping[str, Evidence]
+) -> dict[str, Evidence]:
+    """The evidence, with each camera's delays as of the row time of all episodes, where these tell
+    it better than the episode alone."""
+    found = dict(evidence)
+    cameras = {camera for name in names for camera in evidence[name]["cameras"]}
+    pooled = {camera: pooled_row_time(camera, names, evidence) for camera in cameras}
+    for name in names:
+        figures = dict(evidence[name]["figures"])
+        for figure, (share, at) in evidence[name].get("row_shares", {}).items():
+            rolling = pooled.get(figure.partition("delay/")[2])
+            value, std, shared, where = figures[figure]
+            if rolling is None or std is None or abs(share) * rolling.std >= shared:
+                continue
+            left = abs(share) * rolling.std
+            total = float(np.hypot(own_std(std, shared), left))
+            figures[figure] = [value + share * (rolling.mean - at), total, left, where]
+        found[name] = {**evidence[name], "figures": figures}
+    return found
+
+
+def _with_delays(row: Row, alone: Mapping[str, Evidence], together: Mapping[str, Evidence]) -> Row:
+    """A row with its delays as of the row time of all episodes, and what they are alone."""
+    if row["name"] not in alone:
+        return row
+    scores = dict(row["scores"])
+    texts = list[list[str]]()
+    before = alone[row["name"]]["figures"]
+    for figure, (value, std, *_) in together[row["name"]]["figures"].items():
+        if before[figure][:2] == [value, std] or figure not in scores:
+            continue
+        scores[figure] = value
+        scores[f"std/{figure}"] = std
+        shown, own = (
+            f"{1e3 * x:.1f} ± {1e3 * s:.1f} ms" for x, s in ((value, std), before[figure][:2])
+        )
+        texts.append(["info", f"{figure}: {shown} by the row time of all episodes, alone {own}"])
+    return {**row, "scores": scores, "findings": [*row["findings"], *texts]}
 
 
 def pooled_row_time(

@@ -40,12 +40,16 @@ class ExaminedDelays:
     """Delays of cameras with standard errors (s) as scores, what was found about them, and what
     differs from the logs that a body was learned from.
 
-    changes: what each camera weighed about that, by which several logs are judged together."""
+    changes: what each camera weighed about that, by which several logs are judged together.
+    row_shares {name of a delay: (s of delay per s of row time, row time (s) of that delay and its
+    standard error)}.
+    """
 
     scores: tuple[Score, ...] = ()
     findings: tuple[Finding, ...] = ()
     faults: tuple[Fault, ...] = ()
     changes: Mapping[str, Any] = field(default_factory=dict)
+    row_shares: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
 
 def measure_image_delays(log: Path, body: BodyModel | None, settings: Settings) -> ExaminedDelays:

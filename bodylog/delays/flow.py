@@ -3,13 +3,12 @@ the motion of the whole picture: no marker, body or URDF.
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..body.data import angle_smoother
-from ..estimation.timing.delay_profile import Delay
 from ..perception.surface.flow import GridFlow, measure_grid_flow
 from ..perception.surface.repeats import FrameRepeats
 from ..types import Array, Recording, Series
@@ -28,12 +27,6 @@ LEAST_REPEATS = 10
 ALTERNATING_SHARE = 0.9
 """Share of the gaps between its repeats that have an even
 number of frames; the rest are slips of the recorder.
-"""
-LEAST_LOGS = 3
-"""Fewest logs whose row times are pooled: their scatter is part of the error."""
-ROW_TIME_FLOOR_BY_FLOW_S = 0.014
-"""Systematic error of a row time by flow: rendered cameras without one were given -7 ± 11 and
-23 ± 8 ms.
 """
 LEAST_OF_ARM = 3
 """Fewest joints of a numbered arm: numbers may count joints, too."""
@@ -88,22 +81,6 @@ def delay_by_flow(read: Recording, seen: GridFlow | None) -> FlowDelay | None:
     arms = group_joints(joints.names)
     row_time_s = _longest_row_time(seen)
     return estimate_flow_delay(joints, seen.times, seen.flow, list(arms.values()), row_time_s)
-
-
-def pool_row_times(found: Sequence[FlowDelay | None]) -> Delay | None:
-    """The time (s) that a rolling shutter takes, of logs of one camera: the mean by the logs'
-    errors, with an error that grows with their scatter, and ROW_TIME_FLOOR_BY_FLOW_S. None of fewer
-    than LEAST_LOGS.
-    """
-    rows = [one.row_time for one in found if one is not None and one.certain and one.row_time]
-    if len(rows) < LEAST_LOGS:
-        return None
-    values = np.array([one.seconds for one in rows])
-    weights = np.array([one.std_error for one in rows]) ** -2.0
-    mean = float(weights @ values / weights.sum())
-    scatter = float(weights @ np.square(values - mean)) / (len(rows) - 1)
-    variance = max(scatter, 1.0) / float(weights.sum())
-    return Delay(mean, float(np.hypot(variance**0.5, ROW_TIME_FLOOR_BY_FLOW_S)))
 
 
 def alternating_repeats(repeats: FrameRepeats) -> Array:

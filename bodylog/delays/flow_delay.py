@@ -56,6 +56,9 @@ REWEIGHTINGS = 2
 """Rounds in which intervals are weighted again."""
 JACKKNIFE_BLOCKS = 8
 """Blocks of intervals that are left out in turn."""
+METHOD_STD_S = 0.0025
+"""Error that all episodes of a camera may share: 11 cameras of drawn worlds, five episodes each, err
+by -0.5 ms in the mean, and by no more than their own errors beyond that; this is the 95 % bound."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ def estimate_flow_delay(
     delay = _refined_delay(parts, scan)
     row = _mean_row(flow)
     row_std_s = abs(row) * row_time_s
-    std_s = float(np.hypot(delay.std_error, row_std_s))
+    std_s = float(np.linalg.norm([delay.std_error, row_std_s, METHOD_STD_S]))
     total = Delay(delay.seconds, std_s)
     rolling = _measure_row_time(joints, times, flow, scan, delay.seconds)
     better = min(others, default=float("inf"))
@@ -282,7 +285,8 @@ class _JointMotion:
         begin = self.angles(times[:, 0] - delay)
         end = self.angles(times[:, 1] - delay)
         step = end - begin
-        posture = begin
+        # the mean of J over an interval is that of its middle, up to the third order
+        posture = 0.5 * (begin + end)
         square = (posture**2).sum(axis=1)
         distance = np.maximum(square[:, None] + square[None] - 2.0 * posture @ posture.T, 0.0)
         similarity = CONSTANT_SHARE + np.exp(-0.5 * distance / POSTURE_LENGTH_RAD**2)

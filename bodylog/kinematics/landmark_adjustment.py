@@ -248,7 +248,7 @@ def triangulate_pieces(
     from .camera import project_with_slopes
     from .starts import normalised_directions
 
-    rotation, place = model.frames(phi, angles, body)
+    rotation, place = model.frames(phi, angles, body, seen.log)
     rays = np.concatenate(
         [normalised_directions(seen.uv, phi[6:12]), np.ones((len(seen.uv), 1))], axis=1
     )

@@ -219,4 +219,6 @@ def _masks_of_unknowns(model: LandmarkModel) -> tuple[Array, Array, Array, Array
         mask[part] = True
         masks.append(mask)
     pose, focal, lens, zeros, delays, row = masks
+    pose[model.of_moves] = True
+    row[model.of_moves] = False
     return pose, focal, lens, zeros, delays, row

@@ -14,12 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..types import Array
-from .landmarks import LandmarkBelief, LandmarkModel
+from .landmarks import MOVED_STD, LandmarkBelief, LandmarkModel
 
 OFFSET_STD = 0.1
 """rad (m: a tenth): prior std of an offset that a faulty joint has; 5.7°."""
-MOVED_STD = 0.1
-"""m, rad: prior std of a camera's displacement since earlier logs."""
 CAMERA = "camera"
 """Name of the hypothesis that the camera moved."""
 SOUND = ""

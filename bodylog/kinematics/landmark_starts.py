@@ -78,7 +78,7 @@ def best_starts(
     """The cameras' models with the delay of least cost, the FINALISTS of least cost first."""
     found = []
     for camera in cameras:
-        there = LandmarkModel(replace(model.rig, cameras=(camera,)), model.bodies, model.motions)
+        there = replace(model, rig=replace(model.rig, cameras=(camera,)))
         phi, cost = search_delay(there, there.prior[0].copy(), seen)
         found.append((there, phi, cost))
     found.sort(key=lambda start: start[2])

@@ -11,7 +11,7 @@ H px high), and the joints' zeros δ. The unknowns that landmarks share are the 
 delay per log, then the row time.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -28,6 +28,8 @@ DELAY_STD_S = 0.3
 """Prior std of a camera's delay."""
 ROW_TIME_STD_S = 0.04
 """Prior std of the time between an image's first and last row."""
+MOVED_STD = 0.1
+"""m, rad: prior std of each part of a camera's move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +114,8 @@ class LandmarkModel:
 
     Its unknowns φ (P,) are the rig's θ, one delay (s) per log, and the row time (s). belief: their
     prior where earlier logs tell of them; else they are independent, as the rig doubts them.
+    placements: of each log, where the camera stands, 0 as in θ; of each other number 6 unknowns
+    follow, by which its pose differs; empty where it stands in all alike.
     changes: whether 6 + M more follow, by which the camera's pose and the joints' zeros differ from
     those of the logs that placed the landmarks.
     """
@@ -121,6 +125,7 @@ class LandmarkModel:
     motions: tuple[JointCurve, ...]
     belief: LandmarkBelief | None = None
     changes: bool = False
+    placements: tuple[int, ...] = ()
 
     @cached_property
     def prior_precision(self) -> Array:
@@ -138,9 +143,12 @@ class LandmarkModel:
             return self.belief.mean, np.sqrt(np.diag(self.belief.covariance))
         mean, std = self.rig.prior
         logs = len(self.motions)
+        moves = 6 * max(self.placements, default=0)
         return (
-            np.concatenate([mean, np.zeros(logs + 1)]),
-            np.concatenate([std, np.full(logs, DELAY_STD_S), [ROW_TIME_STD_S]]),
+            np.concatenate([mean, np.zeros(logs + 1 + moves)]),
+            np.concatenate(
+                [std, np.full(logs, DELAY_STD_S), [ROW_TIME_STD_S], np.full(moves, MOVED_STD)]
+            ),
         )
 
     @property
@@ -154,9 +162,26 @@ class LandmarkModel:
         return len(self.rig.prior[0]) + len(self.motions)
 
     @property
+    def of_moves(self) -> slice:
+        """The poses of placements other than the first in φ, less that of the first."""
+        begin = self.of_row_time + 1
+        return slice(begin, begin + 6 * max(self.placements, default=0))
+
+    def of_placement(self, placement: int) -> slice:
+        """The six of these of one placement, numbered from 1."""
+        begin = self.of_moves.start + 6 * (placement - 1)
+        return slice(begin, begin + 6)
+
+    def rows_by_placement(self, log: Array) -> Iterator[tuple[int, Array]]:
+        """Yield each placement and the rows, whose logs are (R,), that show it."""
+        placement = np.array(self.placements or [0] * len(self.motions))[log]
+        for number in np.unique(placement).tolist():
+            yield number, np.flatnonzero(placement == number)
+
+    @property
     def of_camera_change(self) -> slice:
         """The change of the camera's pose in φ; empty where there are no changes."""
-        begin = self.of_row_time + 1
+        begin = self.of_moves.stop
         return slice(begin, begin + 6 if self.changes else begin)
 
     @property
@@ -165,9 +190,11 @@ class LandmarkModel:
         begin = self.of_camera_change.stop
         return slice(begin, begin + len(self.rig.joints) if self.changes else begin)
 
-    def changed(self, phi: Array) -> Array:
-        """The rig's θ with the changes in it."""
+    def changed(self, phi: Array, placement: int = 0) -> Array:
+        """The rig's θ with the changes in it, and the camera at one of its placements."""
         theta = phi[: len(self.rig.prior[0])].copy()
+        if placement:
+            theta[:6] += phi[self.of_placement(placement)]
         if self.changes:
             theta[:6] += phi[self.of_camera_change]
             theta[self.rig.of_joints] += phi[self.of_changes]
@@ -187,12 +214,17 @@ class LandmarkModel:
             angles[rows], speeds[rows] = motion.at(exposed[rows])
         return angles, speeds, share
 
-    def frames(self, phi: Array, angles: Array, body: int) -> tuple[Array, Array]:
-        """Rotation (R,3,3) and place (R,3) m of a body in the camera at joint angles (R,M)."""
-        theta = self.changed(phi)
-        poses = self.bodies[body].chain.at(self.rig.angles(theta, angles))
-        camera = self.rig.camera_pose(0, theta)
-        return camera[:3, :3] @ poses.rotation, poses.place @ camera[:3, :3].T + camera[:3, 3]
+    def frames(self, phi: Array, angles: Array, body: int, log: Array) -> tuple[Array, Array]:
+        """Rotation (R,3,3) and place (R,3) m of a body in the camera at joint angles (R,M) of the
+        logs with numbers (R,)."""
+        poses = self.bodies[body].chain.at(self.rig.angles(self.changed(phi), angles))
+        rotation = np.empty_like(poses.rotation)
+        place = np.empty_like(poses.place)
+        for placement, rows in self.rows_by_placement(log):
+            camera = self.rig.camera_pose(0, self.changed(phi, placement))
+            rotation[rows] = camera[:3, :3] @ poses.rotation[rows]
+            place[rows] = poses.place[rows] @ camera[:3, :3].T + camera[:3, 3]
+        return rotation, place
 
     def predict(
         self, phi: Array, seen: LandmarkSightings, body: Array, places: Array
@@ -227,12 +259,16 @@ def _predict_images(
     by_joints = np.empty((rows, 2, len(rig.joints)))
     by_shared = np.zeros((rows, 2, len(phi)))
     anchor = rig.cameras[0].anchor
-    pose = theta[:6]
-    turn = rotation_from_vector(pose[3:])
     body_of_row = body[seen.piece]
-    for number in np.unique(body):
-        at = np.flatnonzero(body_of_row == number)
-        chain = model.bodies[int(number)].chain
+    groups = [
+        (int(number), placement, rows[body_of_row[rows] == number])
+        for placement, rows in model.rows_by_placement(seen.log)
+        for number in np.unique(body)
+    ]
+    for number, placement, at in groups:
+        pose = model.changed(phi, placement)[:6]
+        turn = rotation_from_vector(pose[3:])
+        chain = model.bodies[number].chain
         poses = chain.at(rig.angles(theta, angles[at]))
         linked = np.einsum("nij,nj->ni", poses.rotation, places[seen.piece[at]]) + poses.place
         turned = (linked @ anchor[:3, :3].T + anchor[:3, 3]) @ turn.T
@@ -246,6 +282,8 @@ def _predict_images(
         by_turn = cross_products(turned[:, None], by_point)
         by_shared[at, :, 3:6] = (by_turn.reshape(-1, 3) @ left_jacobian(pose[3:])).reshape(-1, 2, 3)
         by_shared[at, :, 6:12] = by_lens
+        if placement:
+            by_shared[at, :, model.of_placement(placement)] = by_shared[at, :, :6]
     by_shared[:, :, rig.of_joints] = by_joints
     by_time = np.einsum("nim,nm->ni", by_joints, speeds)
     delays = model.of_delays.start + seen.log

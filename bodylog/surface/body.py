@@ -177,7 +177,7 @@ def _build_surface_camera(one: SurfaceCalibration, topic: str) -> SurfaceCamera:
     phi = one.fit.phi
     placed = model.rig.cameras[0]
     delays = np.arange(model.of_delays.start, model.of_delays.stop)
-    shared = np.setdiff1d(np.arange(len(phi)), delays)
+    shared = np.setdiff1d(np.arange(model.of_moves.start), delays)
     assert one.picture is not None
     return SurfaceCamera(
         one.camera or "camera",

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import EvidenceError, ModelError
 from ..types import Array, LazyImage, Recording, Series
-from .map import build_map, move_landmarks
+from .map import build_map
 
 if TYPE_CHECKING:
     from ..body_model import LandmarkMap
@@ -47,8 +47,12 @@ _CONTROL_RATIO = 0.6
 explain, as a share of those that the joints explain.
 """
 _CONTROL_PIECES = 120
-_MOST_FLOW_LOGS = 8
-"""Logs by whose flow the row time is measured: more would cost time and tell little."""
+SAME_PICTURE_PX = 1.5
+"""Shift of the still scene, px of the full image, within which a camera did not move."""
+_LEAST_ALIKE = 0.9
+"""Correlation of two pictures of one scene, the arm elsewhere; less is another scene."""
+_BLUR_PX = 1.0
+"""Blur of the shrunken pictures, so that pixels between others can be compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +62,12 @@ class SurfaceCalibration:
 
     camera: its name, "" the first · logs: that show it, in the order of the fit's delays · moving:
     pieces that moved, and the share of them that the tracks' fit uses · size (width, height) px ·
-    picture (h,w): median of the first log's images, shrunken and grey · joint_of {name in the logs:
+    picture (h,w): median of the last log's images, shrunken and grey · joint_of {name in the logs:
     joint in the URDF} · still: angles, rad or m, of the joints at rest · delays (L,) s ± delay_std
     (L,), by tracks, which follow every image · landmarks: the map that the fit is of; None where it
-    is of tracks, as too few landmarks are found again · seen: all pieces that moved · left_out: why
-    other logs teach nothing · rolling: row time (s) by flow, of several logs; the fit contains it
-    where both agree.
+    is of tracks, as too few landmarks are found again · seen: all pieces that moved · rolling: row
+    time (s) by tracks, which the delays follow with slopes (L,) · left_out: why other logs teach
+    nothing.
     """
 
     camera: str
@@ -80,8 +84,9 @@ class SurfaceCalibration:
     delay_std: Array
     landmarks: "LandmarkMap | None"
     seen: "LandmarkSightings"
+    rolling: "Delay"
+    slopes: Array
     left_out: tuple[str, ...] = ()
-    rolling: "Delay | None" = None
 
 
 class _StrangeLog(EvidenceError):
@@ -146,24 +151,23 @@ def calibrate_cameras(
         except EvidenceError as problem:
             yield problem
             continue
+        from ..estimation.timing.delay_profile import Delay
         from ..kinematics.landmark_errors import unknowns_covariance
 
         rest = {joint: still[joint] for joint in robot.by_name if joint in still}
         seen_by = tuple(film.log for film in films)
         size = films[0].tracks.size
-        picture = films[0].picture
-        by_tracks = fit.phi, unknowns_covariance(fit)
+        picture = films[-1].picture
+        by_tracks = unknowns_covariance(fit)
+        std = np.sqrt(np.diag(by_tracks))
+        row = fit.model.of_row_time
+        rolling = Delay(float(fit.phi[row]), float(std[row]))
+        slopes = by_tracks[fit.model.of_delays, row] / std[row] ** 2
+        delays = fit.phi[fit.model.of_delays]
+        delay_std = std[fit.model.of_delays]
         used_share = len(fit.used) / moving
         fit, landmarks = (fit, None) if mapped is None else mapped
         covariance = unknowns_covariance(fit)
-        rolling = _row_time_by_flow([logs[film.number][1] for film in films], name)
-        if rolling is not None and agrees_with(fit, covariance, rolling):
-            by_tracks = _with_row_time(fit.model, *by_tracks, rolling)
-            phi, covariance = _with_row_time(fit.model, fit.phi, covariance, rolling)
-            landmarks = None if landmarks is None else move_landmarks(landmarks, fit, phi)
-            fit = replace(fit, phi=phi)
-        delays = by_tracks[0][fit.model.of_delays]
-        delay_std = np.sqrt(np.diag(by_tracks[1]))[fit.model.of_delays]
         yield SurfaceCalibration(
             name,
             seen_by,
@@ -179,53 +183,10 @@ def calibrate_cameras(
             delay_std,
             landmarks,
             seen,
-            tuple(left_out),
             rolling,
+            slopes,
+            tuple(left_out),
         )
-
-
-def _row_time_by_flow(reads: Sequence[Recording], camera: str) -> "Delay | None":
-    """The row time of one camera by the motion of its whole picture; None of a few logs.
-
-    It needs no link, lens or place, so its errors are others than those of landmarks. Of one log it
-    would tell little, and costs two seconds.
-    """
-    from ..delays.flow import LEAST_LOGS, delay_by_flow, pool_row_times
-    from ..perception.surface.flow import measure_grid_flow
-
-    if len(reads) < LEAST_LOGS:
-        return None
-    found = [
-        delay_by_flow(read, measure_grid_flow(_frames_by_camera(read)[camera]()))
-        for read in _spread_logs(reads)
-    ]
-    return pool_row_times(found)
-
-
-def _spread_logs(reads: Sequence[Recording]) -> list[Recording]:
-    """At most _MOST_FLOW_LOGS of the logs, evenly spread."""
-    import numpy as np
-
-    places = np.linspace(0, len(reads) - 1, min(len(reads), _MOST_FLOW_LOGS))
-    return [reads[number] for number in np.unique(places.round().astype(int))]
-
-
-def agrees_with(fit: "LandmarkFit", covariance: Array, rolling: "Delay") -> bool:
-    """Whether a row time by flow lies within two standard deviations of the landmarks' one."""
-    row = fit.model.of_row_time
-    apart = abs(rolling.seconds - float(fit.phi[row]))
-    variance = float(covariance[row, row]) + rolling.std_error**2
-    return apart**2 < 4.0 * variance
-
-
-def _with_row_time(
-    model: "LandmarkModel", phi: Array, covariance: Array, rolling: "Delay"
-) -> tuple[Array, Array]:
-    """The unknowns and their covariance, given the row time by flow as well."""
-    from ..kinematics.landmark_errors import condition_on_unknown
-
-    row = model.of_row_time
-    return condition_on_unknown(phi, covariance, row, rolling.seconds, rolling.std_error)
 
 
 def _frames_by_camera(read: Recording) -> dict[str, Callable[[], Iterator[LazyImage]]]:
@@ -457,10 +418,12 @@ def _calibrate_camera(
     part = seen.take(choose_pieces(seen, _most_pieces(len(films)))).thinned(ROW_STRIDE)
     few = seen.take(choose_pieces(seen, -(-SEARCH_PIECES // len(films)))).thinned(SEARCH_STRIDE)
     own_motions = [motions[one.number] for one in films]
+    placements = number_placements([one.picture for one in films], size[0])
     best: LandmarkFit | None = None
     for cameras in _start_cameras(name or "camera", robot, space, hint):
-        models = [build_model(space, camera, own_motions, zero_std) for camera in cameras[:1]]
-        for found in _iterate_fits(models[0], cameras, few, part):
+        model = build_model(space, cameras[0], own_motions, zero_std)
+        model = replace(model, placements=placements)
+        for found in _iterate_fits(model, cameras, few, part):
             if best is None or len(found.used) > len(best.used):
                 best = found
         if best is not None and len(best.used) >= _LEAST_SHARE * part.count:
@@ -473,6 +436,49 @@ def _calibrate_camera(
         )
     _require_belonging(name, films, best, part)
     return best, seen, part.count
+
+
+def number_placements(pictures: Sequence[Array | None], width: int) -> tuple[int, ...]:
+    """Of each log, by its picture (h,w), the number of its camera's placement, 0 that of the last
+    log: another one where the still scene lies elsewhere in images `width` px wide; empty where it
+    does in none. Pictures of different scenes tell nothing.
+    """
+    shown = [pictures[-1]]
+    found = list[int]()
+    for picture in reversed(pictures):
+        shifts = [
+            None if known is None else picture_shift(known, picture, width) for known in shown
+        ]
+        near = [
+            k for k, shift in enumerate(shifts) if shift is not None and shift < SAME_PICTURE_PX
+        ]
+        if not near and any(shift is not None for shift in shifts):
+            near = [len(shown)]
+            shown.append(picture)
+        found.append(near[0] if near else 0)
+    return tuple(reversed(found)) if any(found) else ()
+
+
+def picture_shift(before: Array, after: Array | None, width: int) -> float | None:
+    """How far (px of images `width` px wide) the still scene
+    moved between two pictures; None for different scenes.
+    """
+    import cv2
+    import numpy as np
+
+    if after is None or before.shape != after.shape:
+        return None
+    first, second = (
+        cv2.GaussianBlur(one.astype(np.float32), (0, 0), _BLUR_PX) for one in (before, after)
+    )
+    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
+    try:
+        alike, warp = cv2.findTransformECC(
+            first, second, np.eye(2, 3, dtype=np.float32), cv2.MOTION_TRANSLATION, criteria
+        )
+    except cv2.error:  # it does not converge: no picture of one scene
+        return None
+    return float(np.hypot(*warp[:, 2])) * width / before.shape[1] if alike > _LEAST_ALIKE else None
 
 
 def explains_enough_pieces(fit: "LandmarkFit", part: "LandmarkSightings") -> bool:
@@ -561,11 +567,10 @@ def control_counts(best: "LandmarkFit", part: "LandmarkSightings") -> Array:
     import numpy as np
 
     from ..kinematics.landmark_fit import choose_pieces, staged_fit
-    from ..kinematics.landmarks import LandmarkModel
 
     logs = len(best.model.motions)
     motions = tuple(shifted_motion(motion) for motion in best.model.motions)
-    model = LandmarkModel(best.model.rig, best.model.bodies, motions)
+    model = replace(best.model, motions=motions)
     few = part.take(choose_pieces(part, _CONTROL_PIECES))
     found = staged_fit(model, best.phi, few)
     if found is None:

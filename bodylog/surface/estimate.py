@@ -28,10 +28,12 @@ from .calibration import (
     LONGEST_S,
     MOST_IMAGES,
     ROW_STRIDE,
+    SAME_PICTURE_PX,
     SEARCH_PIECES,
     SEARCH_STRIDE,
     control_counts,
     explains_enough_pieces,
+    picture_shift,
     smoothed_motion,
     track_camera,
 )
@@ -62,10 +64,6 @@ LEAST_OFFSET = 0.006
 """rad (m: a tenth): smaller offsets are within what two logs of a sound robot differ by, 0.3°."""
 _SLIDES_BELOW = 0.05
 """Prior standard deviation of a zero below which it is in m: that of a sliding joint is a tenth."""
-_SAME_PICTURE_PX = 1.5
-"""Shift of the still scene, px of the full image, within which a camera did not move."""
-_LEAST_ALIKE = 0.9
-"""Correlation of two pictures of one scene, the arm elsewhere; less is another scene."""
 _SOUND_CHANGE = 0.0015
 """rad (m: a tenth): how far a sound joint's zero differs between logs, one standard deviation."""
 _SWAY = 0.002
@@ -77,8 +75,6 @@ _SEARCH_STEP = 0.05
 """rad (m: a tenth) between offsets under which landmarks are looked for: a hand of 0.15 m at 0.5 m
 then moves by about _SEARCH_REACH_PX.
 """
-_BLUR_PX = 1.0
-"""Blur of the shrunken pictures, so that pixels between others can be compared."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,7 +240,7 @@ def judge_by_camera(
     model = landmark_model(surface, camera, [motion])
     belief = _landmark_belief(model, camera)
     shift = picture_shift(camera.picture, picture, camera.size[0])
-    may_move = shift is None or shift > _SAME_PICTURE_PX
+    may_move = shift is None or shift > SAME_PICTURE_PX
     free = hypotheses.widen_zero_belief(model, belief)
     seen = join_landmark_tracks([(tracks.piece, tracks.t[tracks.frame], tracks.uv)], tracks.size[1])
     part = seen.take(choose_pieces(seen, MOST_PIECES)).thinned(ROW_STRIDE)
@@ -408,32 +404,6 @@ def _landmark_belief(model: "LandmarkModel", camera: SurfaceCamera) -> "Landmark
     return LandmarkBelief(mean, covariance)
 
 
-def picture_shift(before: Array, after: Array | None, width: int) -> float | None:
-    """How far (px of images `width` px wide) the still scene
-    moved between two pictures; None for different scenes.
-    """
-    import cv2
-    import numpy as np
-
-    if after is None or before.shape != after.shape:
-        return None
-    first, second = (
-        cv2.GaussianBlur(one.astype(np.float32), (0, 0), _BLUR_PX) for one in (before, after)
-    )
-    criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
-    try:
-        indistinct_names, warp = cv2.findTransformECC(
-            first, second, np.eye(2, 3, dtype=np.float32), cv2.MOTION_TRANSLATION, criteria
-        )
-    except cv2.error:  # it does not converge: no picture of one scene
-        return None
-    return (
-        float(np.hypot(*warp[:, 2])) * width / before.shape[1]
-        if indistinct_names > _LEAST_ALIKE
-        else None
-    )
-
-
 def _with_judgement(
     found: Estimate,
     one: CameraJudgement,
@@ -468,7 +438,7 @@ def _with_judgement(
     )
     if one.shift is None:
         findings.append(_describe_other_scene(one))
-    elif one.shift > _SAME_PICTURE_PX:
+    elif one.shift > SAME_PICTURE_PX:
         text = (
             f"its still scene lies {one.shift:.1f} px beside that of the body: scene or camera "
             "moved"

@@ -12,7 +12,7 @@ from ..delays.findings import ExaminedDelays, middle_of_recording
 from ..errors import EvidenceError, ModelError
 from ..settings import Settings
 from ..types import SURFACE_CHANGES, Fault, Finding, Recording, Score
-from .calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, agrees_with, calibrate_cameras
+from .calibration import LONGEST_S, MOST_IMAGES, SurfaceCalibration, calibrate_cameras
 from .estimate import estimate_by_surface, judge_by_camera, judge_together
 from .tracks import LinkedTracks, describe_foreign, link_tracks
 
@@ -43,16 +43,19 @@ def examine_by_surface(log: Path, settings: Settings) -> ExaminedDelays:
     )
     scores = list[Score]()
     findings = list[Finding]()
+    row_shares = dict[str, tuple[float, float, float]]()
     try:
         for one in calibrate_cameras([(log, read)], settings):
             if isinstance(one, EvidenceError):
                 findings.append(Finding("info", f"{one}; nothing is learned from its images"))
                 continue
             scores += scores_of(one)
+            known = float(one.slopes[0]), one.rolling.seconds, one.rolling.std_error
+            row_shares[f"delay/{one.camera or 'camera'}"] = known
             findings += [Finding(f.severity, f"{log}: {f.text}") for f in findings_of(one)]
     except EvidenceError as problem:
         findings.append(Finding("info", str(problem)))
-    return ExaminedDelays(tuple(scores), tuple(findings))
+    return ExaminedDelays(tuple(scores), tuple(findings), row_shares=row_shares)
 
 
 def examine_by_body(log: Path, body: BodyModel, settings: Settings) -> ExaminedDelays:
@@ -185,8 +188,10 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
             "info",
             f"{name}: a rolling shutter takes {1e3 * row:.0f} ± {1e3 * row_error:.0f} ms an image",
         )
-    if one.rolling is not None:
-        yield _describe_row_time_by_flow(name, one)
+    elsewhere = [str(log) for log, k in zip(one.logs, model.placements, strict=False) if k]
+    if elsewhere:
+        text = f"{name}: by its still scene it stood elsewhere in {', '.join(elsewhere)}"
+        yield Finding("warning", f"{text}; the pose is that of the last log")
     focal = float(np.exp(fit.phi[6]))
     yield Finding("info", f"{name}: focal length {focal:.0f} ± {focal * float(std[6]):.0f} px")
     found = joint_zeros(model.rig, fit.phi, one.covariance)
@@ -199,14 +204,3 @@ def findings_of(one: SurfaceCalibration) -> Iterator[Finding]:
         yield Finding(
             "info", f"joints at rest, of which the log says nothing: {', '.join(one.still)}"
         )
-
-
-def _describe_row_time_by_flow(name: str, one: SurfaceCalibration) -> Finding:
-    """Whether the row time by flow is part of the calibration, in words."""
-    assert one.rolling is not None
-    seconds = 1e3 * one.rolling.seconds
-    std = 1e3 * one.rolling.std_error
-    text = f"{name}: by the motion of the whole picture a row time of {seconds:.0f} ± {std:.0f} ms"
-    if agrees_with(one.fit, one.covariance, one.rolling):
-        return Finding("info", f"{text}, which is part of the calibration")
-    return Finding("warning", f"{text}, which the landmarks contradict; it is left out")

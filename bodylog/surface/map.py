@@ -202,20 +202,11 @@ def _map_of(fit: "LandmarkFit", known: "LandmarkMap") -> "LandmarkMap":
     reduced = fit.reduced
     model = fit.model
     delays = np.arange(model.of_delays.start, model.of_delays.stop)
-    shared = np.setdiff1d(np.arange(len(fit.phi)), delays)
+    shared = np.setdiff1d(np.arange(model.of_moves.start), delays)
     slopes = -np.linalg.solve(reduced.place_matrix, reduced.cross[..., shared] * fit.free[shared])
     return replace(
         known, places=fit.landmarks.places, precision=reduced.place_matrix, slopes=slopes
     )
-
-
-def move_landmarks(known: "LandmarkMap", fit: "LandmarkFit", phi: Array) -> "LandmarkMap":
-    """The map of a fit, with the places that follow from other unknowns φ (P,)."""
-    import numpy as np
-
-    delays = np.arange(fit.model.of_delays.start, fit.model.of_delays.stop)
-    step = np.delete(phi - fit.phi, delays)
-    return replace(known, places=known.places + known.slopes @ step)
 
 
 def distinct_landmarks(fit: "LandmarkFit") -> Array:

@@ -3,11 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bodylog[datasets]'")
 
 
+from bodylog.dataset.judgement import judge_episodes
 from tests.dataset.judged_episodes import examined, judged
 
 from . import arm_dataset
@@ -45,3 +47,40 @@ def test_a_fault_of_one_episode_is_found_and_nothing_else(
     assert {one.episode for one in found.outliers} == {str(FAULTY)}
     assert figure in {name for one in found.outliers for name in one.figures}
     assert len(found.outliers) == 1, [one.text for one in found.outliers]
+
+
+def rolled_episodes(row_times_s: list[float]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Rows and evidence of a camera whose delay is 0.1 s at a row time of 0.06 s, where every second episode shows
+    what is above the middle and every other one what is below it, each with the delay of its own row time."""
+    evidence, rows = {}, []
+    for number, row_time in enumerate(row_times_s):
+        share = -0.3 if number % 2 else 0.2
+        delay = 0.1 + share * (row_time - 0.06)
+        std = float(np.hypot(0.002, abs(share) * 0.02))
+        figures = {"delay/top": [delay, std, abs(share) * 0.02, None], "row_time/top": [row_time, 0.02, 0.0, None]}
+        about = {"view": None, "size": None, "stored_hz": None, "thumbnails": []}
+        evidence[str(number)] = {
+            "figures": figures, "joints": None, "action": None, "cameras": {"top": about}, "digest": None,
+            "duration_s": 10.0, "by_surface": ["delay/top", "row_time/top"], "row_shares": {"delay/top": [share, row_time]},
+        }  # fmt: skip
+        scores = {"delay/top": delay, "std/delay/top": std}
+        rows.append({"name": str(number), "exit_code": 0, "findings": [], "verdict": [], "scores": scores})
+    return rows, evidence
+
+
+def test_delays_of_episodes_have_the_row_time_of_all() -> None:
+    row_times_s = [0.03, 0.04, 0.05, 0.07, 0.08, 0.09, 0.05, 0.07]
+    rows, evidence = rolled_episodes(row_times_s)
+    found = judge_episodes(rows, evidence)
+    delays = [row["scores"]["delay/top"] for row in found.rows]
+    assert max(abs(np.array([row["scores"]["delay/top"] for row in rows]) - 0.1)) > 0.006
+    np.testing.assert_allclose(delays, 0.1, atol=1e-9)
+    assert all(row["scores"]["std/delay/top"] < one["scores"]["std/delay/top"] for row, one in zip(found.rows, rows, strict=True))
+    text = found.rows[1]["findings"][0][1]
+    assert text.startswith("delay/top: 100.0 ± ") and "alone 106.0 ± 6.3 ms" in text
+    assert found.pooled["delay/top"].mean == pytest.approx(0.1)
+
+
+def test_delays_of_few_episodes_stay_as_they_are() -> None:
+    rows, evidence = rolled_episodes([0.03, 0.09, 0.05])
+    assert judge_episodes(rows, evidence).rows == rows

@@ -6,16 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog.delays import flow as flow_module
-from bodylog.delays.flow import (
-    group_joints,
-    measure_flow_delays,
-    name_moving_arm,
-    pool_row_times,
-    smooth_joints,
-)
-from bodylog.delays.flow_delay import FlowDelay, estimate_flow_delay
-from bodylog.estimation.timing.delay_profile import Delay
+from bodylog.delays.flow import group_joints, measure_flow_delays, name_moving_arm, smooth_joints
+from bodylog.delays.flow_delay import estimate_flow_delay
 from bodylog.recording import recording
 from bodylog.settings import Settings, TopicSettings
 from bodylog.types import Array, Series
@@ -113,18 +105,3 @@ def test_the_delay_of_a_recorded_humanoid_is_found_without_marker_or_urdf() -> N
     # an adjustment with the URDF gives 85.2 ms
     assert abs(camera.found.delay.seconds - 0.0852) < min(0.02, 2.0 * camera.found.delay.std_error + 0.005)
     assert {read.signals.joints.names[k][:6] for k in camera.found.joints} == {"kRight"}  # type: ignore[union-attr]
-
-
-def row_times(seconds: list[float], std: float) -> list[FlowDelay]:
-    return [FlowDelay(Delay(0.1, 0.01), 300.0, (0,), False, row_time=Delay(each, std)) for each in seconds]
-
-
-def test_row_times_of_logs_are_pooled_with_their_scatter():
-    steady = pool_row_times(row_times([0.04, 0.05, 0.06], 0.02))
-    assert steady is not None and steady.seconds == pytest.approx(0.05)
-    floor = flow_module.ROW_TIME_FLOOR_BY_FLOW_S
-    assert steady.std_error == pytest.approx(np.hypot(0.02 / np.sqrt(3.0), floor))
-    wild = pool_row_times(row_times([0.0, 0.05, 0.1], 0.02))
-    assert wild is not None and wild.std_error == pytest.approx(np.hypot(0.05 / np.sqrt(3.0), floor))
-    assert pool_row_times(row_times([0.04, 0.05], 0.02)) is None
-    assert pool_row_times([*row_times([0.04, 0.05], 0.02), None]) is None

@@ -89,7 +89,7 @@ def test_camera_on_the_hand_sees_the_scene_as_landmarks_on_the_base():
     rng = np.random.default_rng(2)
     # far before the hand wherever it looks, so that every image shows them
     body = np.full(60, base)
-    turn, place = built.frames(phi, real.at(np.array([8.0 - phi[built.of_delays][0]]))[0], base)
+    turn, place = built.frames(phi, real.at(np.array([8.0 - phi[built.of_delays][0]]))[0], base, np.zeros(1, int))
     ahead = np.column_stack([rng.uniform(-0.5, 0.5, (60, 2)), rng.uniform(1.5, 3.0, 60)])
     places = (ahead - place[0]) @ turn[0]
     part = sightings(built, phi, body, places)

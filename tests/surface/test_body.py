@@ -16,8 +16,8 @@ from bodylog.recording import recording
 from bodylog.robot import calibration
 from bodylog.settings import Settings
 from bodylog.surface.body import describe_loose_marker
-from bodylog.surface.calibration import smoothed_motion
-from bodylog.surface.estimate import _winning_fault, judge_by_camera, picture_shift
+from bodylog.surface.calibration import number_placements, picture_shift, smoothed_motion
+from bodylog.surface.estimate import _winning_fault, judge_by_camera
 from bodylog.types import Score
 
 REACH = Path(__file__).parents[2] / "fixtures" / "arm" / "reach.mcap"
@@ -191,6 +191,19 @@ def test_shift_of_a_still_scene_is_measured():
     assert picture_shift(before, before, 640) == pytest.approx(0.0, abs=0.2)
     other = cv2.GaussianBlur(rng.uniform(0, 255, (120, 160)), (0, 0), 3.0)
     assert picture_shift(before, other, 640) is None
+
+
+def test_a_camera_has_another_placement_where_the_still_scene_lies_elsewhere():
+    import cv2
+
+    rng = np.random.default_rng(5)
+    scene = cv2.GaussianBlur(rng.uniform(0, 255, (200, 260)), (0, 0), 3.0)
+    scene = 128.0 + 8.0 * (scene - scene.mean())
+    here, aside, far = (scene[20:140, left : left + 160] for left in (20, 22, 26))
+    other = cv2.GaussianBlur(rng.uniform(0, 255, (120, 160)), (0, 0), 3.0)
+    assert number_placements([here, here, here], 640) == ()
+    assert number_placements([aside, here, far, aside, here], 640) == (1, 0, 2, 1, 0)
+    assert number_placements([other, None, aside, here], 640) == (0, 0, 1, 0)
 
 
 @pytest.mark.soak
