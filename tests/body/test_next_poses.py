@@ -59,9 +59,9 @@ def test_proposed_postures_leave_less_variance_than_random_ones(learned):
     assert left[1] < min(left[2:])
 
 
-def _left_of_variance(model, senses, x, told):
-    """Variance (N,) px² of predictions of all tracks at x (K,M) once `told` (n,M) are seen: one number after another."""
-    both = np.concatenate([told, x])
+def _left_of_variance(model, senses, x, recorded):
+    """Variance (N,) px² of predictions of all tracks at x (K,M) once `recorded` (n,M) are seen: one number after another."""
+    both = np.concatenate([recorded, x])
     unknown = np.concatenate([sense.unknowns(both) for sense in senses.values()], axis=1)
     width = unknown.shape[1]
     covariance = np.einsum("nrp,msp->nrms", unknown, unknown)
@@ -69,10 +69,10 @@ def _left_of_variance(model, senses, x, told):
         covariance[:, r, :, r] += GP.covariance(sense, both)[0] * sense.share[d]
     covariance = covariance.reshape(len(both) * width, -1)
     noise = np.concatenate([model.noise.senses[name] for name in senses])
-    for row in range(len(told) * width):
+    for row in range(len(recorded) * width):
         gain = covariance[:, row] / (covariance[row, row] + noise[row % width])
         covariance = covariance - np.outer(gain, covariance[row])
-    return np.diag(covariance)[len(told) * width :]
+    return np.diag(covariance)[len(recorded) * width :]
 
 
 def test_postures_out_of_sight_are_refused(learned):

@@ -89,8 +89,8 @@ class Widened:
 def include_resting_joints(
     found: Calibrated, both: Together, shown: Mapping[str, ThingSightings], beside: Surroundings
 ) -> Widened:
-    """Learn the unknowns beside the process anew, together
-    with the zeros of joints that stood still.
+    """Learn the unknowns beside the process again, now with
+    the zeros of joints that stood still.
 
     What such a zero imitates, as a tracker's turn does, is as little known as the zero itself.
     shown: the sightings, one for each sight.
