@@ -11,7 +11,7 @@ from ..dataset import corrected_files, outputs, remedies
 from ..errors import ModelError, UsageError
 from ..evaluation import bounds as score_bounds
 from ..io import episodes, remote
-from ..io.atomic_files import replace_atomically
+from ..io.atomic_files import write_text_atomically
 from ..io.outputs import Output, guard_outputs
 from ..io.temporary import create_scratch_folder
 from ..io.values import read_json
@@ -89,8 +89,7 @@ def examine_dataset(
     whole = read_json((plan.out / folders.DATASET).read_text(encoding="utf-8"))
     if page is not None:
         text = (plan.out / folders.PAGE).read_text(encoding="utf-8")
-        with replace_atomically(page) as beside:
-            beside.write_text(text, encoding="utf-8")
+        write_text_atomically(page, text)
     if table is not None:
         outputs.write_table(rows, table)
     _require_measured(plan, rows, whole)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..findings import headline, verdict
-from ..io.atomic_files import replace_atomically
+from ..io.atomic_files import write_text_atomically
 from . import folders, resume
 from .jobs import EXAMINE, Job, Row
 from .resume import ODD
@@ -85,7 +85,7 @@ class Journal:
         return [row for row in found if row is not None]
 
     def _rewrite(self) -> None:
-        _write_batch_text(self._path, "".join(map(row_as_json_line, self._rows())))
+        write_text_atomically(self._path, "".join(map(row_as_json_line, self._rows())), ODD)
         self._seen = self._state()
 
     def _state(self) -> tuple[int, int]:
@@ -107,7 +107,7 @@ def write_batch_files(out: Path, rows: Sequence[Row]) -> None:
         "summary.html": summary_page(rows),
     }
     for name, text in texts.items():
-        _write_batch_text(out / name, text)
+        write_text_atomically(out / name, text, ODD)
 
 
 def write_examined(out: Path, rows: Sequence[Row], bounds: Sequence[str]) -> list[Row]:
@@ -126,13 +126,8 @@ def write_examined(out: Path, rows: Sequence[Row], bounds: Sequence[str]) -> lis
         folders.PAGE: outputs.render_dataset_page(judged),
     }
     for name, text in texts.items():
-        _write_batch_text(out / name, text)
+        write_text_atomically(out / name, text, ODD)
     return judged.rows
-
-
-def _write_batch_text(path: Path, text: str) -> None:
-    with replace_atomically(path) as beside:
-        beside.write_text(text, encoding="utf-8", errors=ODD)
 
 
 def junit_xml(rows: Sequence[Row]) -> str:

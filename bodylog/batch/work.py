@@ -6,7 +6,6 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 from .. import pipeline, views
@@ -14,7 +13,7 @@ from ..config import settings_as_toml
 from ..errors import BodylogError, BoundError, LogError
 from ..evaluation import bounds
 from ..io import remote
-from ..io.atomic_files import FULL, hash_files, replace_atomically
+from ..io.atomic_files import FULL, hash_files, write_text_atomically
 from ..io.temporary import PART, remove_stale
 from ..runtime import sigbus
 from ..types import Fault, Health
@@ -110,7 +109,7 @@ def _estimate_job(job: Job) -> dict[str, Any]:
         )
         result = replace(result, findings=about)
     views.write_report(annotated, job.folder / "report.html", job.settings)
-    _write_job_text(job.folder / "robot.toml", settings_as_toml(job.settings))
+    write_text_atomically(job.folder / "robot.toml", settings_as_toml(job.settings), ODD)
     lost = any(finding.severity == "lost" for finding in result.findings)
     code = 3 if lost else 0
     error = None
@@ -137,7 +136,7 @@ def _examine_job(job: Job) -> dict[str, Any]:
     with remote.local_copy(job.log, job.folder, job.settings.input.max_wait_s) as log:
         result, evidence = examination.examine_episode(log, job.settings, job.log, job.body)
     text = json.dumps(evidence, sort_keys=True, ensure_ascii=False, allow_nan=False)
-    _write_job_text(job.folder / EVIDENCE[0], text)
+    write_text_atomically(job.folder / EVIDENCE[0], text, ODD)
     lost = any(finding.severity == "lost" for finding in result.findings)
     code = 3 if lost else 0
     error = None
@@ -207,8 +206,3 @@ def _plain_fault(fault: Fault) -> dict[str, Any]:
 
 def _finite_or_none(value: float) -> float | None:
     return float(value) if value - value == 0 else None
-
-
-def _write_job_text(path: Path, text: str) -> None:
-    with replace_atomically(path) as beside:
-        beside.write_text(text, encoding="utf-8", errors=ODD)

@@ -50,9 +50,9 @@ def against_truth(estimate: Estimate, truth: Series, names: list[str]) -> list[S
         ratio = error**2 / var
     nees = _normalised_error(error, cov) / len(names)
     return [
-        Score("rmse/joint", _root_mean_square(error), "rad"),
+        Score("rmse/joint", root_mean_square(error), "rad"),
         *(
-            Score(f"rmse/joint/{name}", _root_mean_square(error[:, i]), "rad")
+            Score(f"rmse/joint/{name}", root_mean_square(error[:, i]), "rad")
             for i, name in enumerate(names)
         ),
         Score("nees/joint", float(nees.mean()), "1"),
@@ -88,7 +88,7 @@ def encoder_scores(
         - truth_at_times(truth, names, joints.t)
     )[rows]
     error = error[np.isfinite(error)]
-    return [Score("rmse/encoders", _root_mean_square(error), "rad")] if len(error) else []
+    return [Score("rmse/encoders", root_mean_square(error), "rad")] if len(error) else []
 
 
 def own_scores(estimate: Estimate) -> list[Score]:
@@ -167,7 +167,7 @@ def track_scores(estimate: Estimate) -> list[Score]:
             np.searchsorted(predicted.t, errors.t - SAME_TIME_S), len(predicted.t) - 1
         )
         pixels = errors.values * predicted.std[rows]
-        error = _root_mean_square(pixels[np.isfinite(pixels)])
+        error = root_mean_square(pixels[np.isfinite(pixels)])
         found.append(Score(f"rmse/innovation/{name}", error, predicted.unit))
     return found
 
@@ -187,5 +187,6 @@ def overlaps_truth(t: Array, truth: Series) -> Array:
     return inside
 
 
-def _root_mean_square(error: Array) -> float:
+def root_mean_square(error: Array) -> float:
+    """The root of the mean square of all elements, in their unit."""
     return float(np.sqrt(np.mean(error**2)))

@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import factorial
 
 import numpy as np
 
+from ..evaluation.scores import root_mean_square
 from ..types import Array
 from .beliefs import BeliefWithTruth, believe_by_default
 from .cases import build_case, explore_by_preset, sample_signals
@@ -14,7 +16,7 @@ from .drawn import place_in_image
 from .judging import judge_own_claim, median_interval
 from .lab import JOINTS, OTHER_LOG_SEED, Lab, ObservedLog
 from .printed import filter_encoders, run_printed_model
-from .records import Experiment, ExperimentReadings, TextTable, Trial, figure_column
+from .records import Experiment, ExperimentReadings, TextTable, Trial, figure_column, figure_ratios
 
 DURATION = 20.0
 SINCE = 2.0
@@ -86,7 +88,7 @@ def _run_baselines(lab: Lab, seed: int, tried: ExperimentReadings) -> Trial:
     log = sample_signals(observed)
     start = observed.true(JOINTS, observed.truth.t[:1])[0]
     figures = {
-        "raw encoders": _rms_error(_raw_encoder_errors(observed)),
+        "raw encoders": root_mean_square(_raw_encoder_errors(observed)),
         "printed model, centre": log.error(
             run_printed_model(
                 log, [build_case(explore_by_preset(lab.body("paper", seed)), {}, "p+v", start)]
@@ -121,17 +123,13 @@ def _raw_encoder_errors(observed: ObservedLog) -> Array:
     )
 
 
-def _rms_error(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _oracle_figures(observed: ObservedLog) -> dict[str, float]:
     figures: dict[str, float] = {}
     for vision, name in ((False, ", encoders alone"), (True, "")):
         sensed = oracle_inputs(observed, vision)
         found = estimate_by_oracle(sensed)
         figures |= {
-            f"oracle {kind}{name}": _rms_error(error)
+            f"oracle {kind}{name}": root_mean_square(error)
             for kind, error in _oracle_errors(observed, sensed, found).items()
         }
         figures[f"order{name}"] = float(found.order)
@@ -166,12 +164,7 @@ def oracle_inputs(observed: ObservedLog, vision: bool) -> OracleInputs:
 
 
 def _claim_baselines(trials: Sequence[Trial], tried: ExperimentReadings) -> tuple[Claim, ...]:
-    def over(more: str, less: str) -> list[float]:
-        return [
-            a / b
-            for a, b in zip(figure_column(trials, more), figure_column(trials, less), strict=True)
-        ]
-
+    over = partial(figure_ratios, trials)
     return (
         judge_own_claim(
             "B.1",

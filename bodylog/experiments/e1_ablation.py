@@ -3,10 +3,12 @@ elbow; vision alone, with two encoders, with all, Kalman.
 """
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
+from ..evaluation.scores import root_mean_square
 from ..types import Array
 from . import drawn, readings
 from .beliefs import BeliefWithTruth, believe_by_default
@@ -31,6 +33,7 @@ from .records import (
     build_panel,
     by_reading,
     figure_column,
+    figure_ratios,
     name_figure,
     shown_reading_key,
 )
@@ -121,7 +124,7 @@ def _ablation_figures(made: StudyBeliefs) -> dict[str, float]:
     found |= {f"followed {i + 1}": share_of_motion_followed(made, "v", i) for i in (0, 1)}
     found["apart"] = abs(found["p"] / found["Kalman"] - 1.0)
     found["differ"] = (
-        _rms_over_joints((made.x["p"] - beside)[made.signals.t >= drawn.SETTLING]) / found["Kalman"]
+        root_mean_square((made.x["p"] - beside)[made.signals.t >= drawn.SETTLING]) / found["Kalman"]
     )
     return found
 
@@ -141,10 +144,6 @@ def share_of_motion_followed(made: StudyBeliefs, name: str, joint: int) -> float
     return float(np.cov(x, true)[0, 1] / np.var(true, ddof=1))
 
 
-def _rms_over_joints(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def _ablation_by_default(
     lab: Lab, seed: int, observed: ObservedLog
 ) -> tuple[dict[str, float], dict[str, BeliefWithTruth]]:
@@ -159,7 +158,7 @@ def _ablation_by_default(
     figures = {f"ours {name}": belief.rmse(drawn.SETTLING) for name, belief in beliefs.items()}
     joints = observed.features.joints
     assert joints is not None
-    figures["encoders"] = _rms_over_joints(
+    figures["encoders"] = root_mean_square(
         (joints.values - observed.true(joints.names, joints.t))[joints.t >= drawn.SETTLING]
     )
     return figures, beliefs
@@ -292,12 +291,7 @@ def _claim_ablation(trials: Sequence[Trial], tried: ExperimentReadings) -> tuple
 
 
 def _own_ablation_claims(trials: Sequence[Trial]) -> tuple[Claim, ...]:
-    def over(more: str, fewer: str) -> list[float]:
-        return [
-            a / b
-            for a, b in zip(figure_column(trials, more), figure_column(trials, fewer), strict=True)
-        ]
-
+    over = partial(figure_ratios, trials)
     explanation = (
         "vision alone takes a joint no encoder reads to be about where it was explored: "
         "remembered, not seen"

@@ -4,6 +4,7 @@ that starts 0.1 to 0.2 rad off, a hand that strokes it.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,7 @@ from .records import (
     build_panel,
     by_reading,
     figure_column,
+    figure_ratios,
     name_figure,
     shown_reading_key,
 )
@@ -185,12 +187,7 @@ def _claim_refinement(trials: Sequence[Trial], tried: ExperimentReadings) -> tup
             controls,
         )
 
-    def over(more: str, fewer: str) -> list[float]:
-        return [
-            a / b
-            for a, b in zip(figure_column(trials, more), figure_column(trials, fewer), strict=True)
-        ]
-
+    over = partial(figure_ratios, trials)
     explanation = "ours knows from a log of touches where each cell is seen beside the effector"
     return (
         claim(1, "vision adds accuracy to encoders, the prior being wrong", "p+v", "p", names=BODY),

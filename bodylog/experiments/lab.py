@@ -121,6 +121,6 @@ def load_or_make(path: Path, make: Any) -> Any:
     """The value in a JSON file; made by `make()` and stored there unless it exists."""
     if not path.exists():
         path.parent.mkdir(parents=True, exist_ok=True)
-        with atomic_files.replace_atomically(path) as beside:
-            beside.write_text(json.dumps(to_json_value(make()), sort_keys=True), encoding="utf-8")
+        text = json.dumps(to_json_value(make()), sort_keys=True)
+        atomic_files.write_text_atomically(path, text)
     return json.loads(path.read_text(encoding="utf-8"))

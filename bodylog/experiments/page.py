@@ -1,6 +1,4 @@
-"""The page: readings, tables of verdicts, the paper's
-figures redrawn with ours, and the data files.
-"""
+"""The page: readings, tables of verdicts, the figures, and the data files."""
 
 import base64
 import csv
@@ -56,9 +54,13 @@ def write_reproduction_page(
     """Write index.html, claims.json, data and figures, the same bytes for the same figures."""
     claims = {name: EXPERIMENTS[name].claims(found, tried[name]) for name, found in trials.items()}
     every = tuple(claim for found in claims.values() for claim in found)
-    _save_text(out / "claims.json", _claim_json([asdict(claim) for claim in every]))
+    atomic_files.write_text_atomically(
+        out / "claims.json", _claim_json([asdict(claim) for claim in every])
+    )
     write_figure_data(out, trials, every)
-    _save_text(out / "index.html", render_page(trials, claims, seeds, size, out))
+    atomic_files.write_text_atomically(
+        out / "index.html", render_page(trials, claims, seeds, size, out)
+    )
     return every
 
 
@@ -195,11 +197,6 @@ def _write_figure(out: Path, title: str, make: Callable[[Path], None]) -> Path:
 def _claim_json(value: Any) -> str:
     """JSON, as `to_json_value` writes numbers that are not finite."""
     return json.dumps(to_json_value(value), indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-
-
-def _save_text(path: Path, text: str) -> None:
-    with atomic_files.replace_atomically(path) as beside:
-        beside.write_text(text, encoding="utf-8", newline="\n")
 
 
 def write_figure_data(

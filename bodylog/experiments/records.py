@@ -93,6 +93,12 @@ def shown_reading_key(trials: Sequence[Trial]) -> str:
     return CENTRE if CENTRE in found or not found else found[0]
 
 
+def figure_ratios(trials: Sequence[Trial], more: str, fewer: str) -> list[float]:
+    """One figure over another, of every seed."""
+    columns = figure_column(trials, more), figure_column(trials, fewer)
+    return [a / b for a, b in zip(*columns, strict=True)]
+
+
 def figure_column(trials: Sequence[Trial], name: str) -> tuple[float, ...]:
     """One figure of every seed; JSON's null is NaN."""
     found = (trial["figures"][name] for trial in trials)

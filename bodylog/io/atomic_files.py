@@ -47,6 +47,12 @@ def replace_atomically(path: Path) -> Iterator[Path]:
         raise (WriteError if failed else OutputError)(text) from problem
 
 
+def write_text_atomically(path: Path, text: str, errors: str = "strict") -> None:
+    """Write a file of UTF-8 with `replace_atomically`."""
+    with replace_atomically(path) as beside:
+        beside.write_text(text, encoding="utf-8", errors=errors, newline="\n")
+
+
 def require_writable(path: Path, folder: bool = False) -> Path:
     """The file of an output, behind symlinks; OutputError if it is impossible or protected.
 

@@ -1,4 +1,4 @@
-"""Open any log: the first bytes of a file select its reader in FORMATS."""
+"""Open any log: the first bytes of a file select its reader in FORMATS; the files of a log."""
 
 from collections.abc import Collection, Iterator, Mapping
 from functools import partial

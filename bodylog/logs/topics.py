@@ -1,6 +1,4 @@
-"""One Topic per name, type, encoding and definition,
-however many channels carry it; batches by topic.
-"""
+"""One Topic per name, type, encoding and definition; batches by topic; names of our topics."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping

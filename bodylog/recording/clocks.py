@@ -1,4 +1,4 @@
-"""Select the clock of a stream; handle stamps that are out of order, duplicated or years off."""
+"""Find a stream's stamps, select its clock; stamps out of order, duplicated or years off."""
 
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple

@@ -1,6 +1,4 @@
-"""Tracks published by another detector: one position
-per message of a topic, by its type or a message path.
-"""
+"""Tracks of other detectors: from topics, by type or message path, or a table beside the log."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence

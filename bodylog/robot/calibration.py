@@ -16,7 +16,7 @@ from ..body.kinematic.offsets import offsets_as_values
 from ..body.kinematic.placements import Calibration, Lens, Placement, calibration_of_body
 from ..body_model import BodyModel
 from ..errors import ModelError, UsageError
-from ..io.atomic_files import ensure_dir, replace_atomically
+from ..io.atomic_files import ensure_dir, write_text_atomically
 from ..kinematics import urdf as files
 from ..kinematics.corrected import CameraFrame, correct_urdf
 from ..kinematics.identifiability import Offset
@@ -206,8 +206,7 @@ def write_calibration(
         if urdf is not None and out.suffix == ".urdf"
         else _values_as_text(values, out.suffix)
     )
-    with replace_atomically(out) as beside:
-        beside.write_text(text)
+    write_text_atomically(out, text)
 
 
 def _values_as_text(values: Mapping[str, Any], suffix: str) -> str:
@@ -263,8 +262,7 @@ def write_lenses(body: Path, found: Calibration, folder: Path) -> tuple[Path, ..
         texts[folder / f"{name}.yaml"] = camera_info_yaml(name, lens, size)
     ensure_dir(folder)
     for path, text in texts.items():
-        with replace_atomically(path) as beside:
-            beside.write_text(text)
+        write_text_atomically(path, text)
     return tuple(texts)
 
 

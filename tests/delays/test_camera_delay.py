@@ -1,5 +1,7 @@
 """Bodies learned from images with late timestamps: as good as with correct ones, with the delay known."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,13 @@ from bodylog.estimation import estimate_from_features
 from bodylog.settings import EstimationSettings, Settings, TimeSettings
 from tests.body.conftest import run
 from tests.estimation.spoilt_logs import delayed
+
+
+@cache
+def explored(seed):
+    """The features of a sound exploration, and the body learned from them."""
+    features = run(seed, 0.003).features
+    return features, learned(features)
 
 
 def learned(*features, delay="auto", known=None):
@@ -28,8 +37,8 @@ def off(model, seed=9):
 
 
 def test_learn_does_not_change_a_sound_exploration():
-    features = run(0, 0.003).features
-    found, plain = learned(features), body.learn_body([features], Settings(), {"version": "0"})
+    features, found = explored(0)
+    plain = body.learn_body([features], Settings(), {"version": "0"})
     assert not findings_of(found) and found.model.provenance == plain.model.provenance and found.scores == plain.scores
     ours, theirs = found.model.senses["effector"], plain.model.senses["effector"]
     assert all(np.array_equal(getattr(ours, part), getattr(theirs, part)) for part in ("weights", "centres", "spread"))
@@ -57,8 +66,8 @@ LATE = ((0, -0.1), *(pytest.param(*case, marks=pytest.mark.soak) for case in ((1
 
 @pytest.mark.parametrize("seed, seconds", LATE)
 def test_learn_corrects_a_late_exploration(seed, seconds):
-    features = run(seed, 0.003).features
-    sound, late = learned(features), learned(delayed(features, seconds))
+    features, sound = explored(seed)
+    late = learned(delayed(features, seconds))
     left = learned(delayed(features, seconds), delay="off")
     (text,) = findings_of(late)
     assert text.startswith("camera: ") and (" timestamps lag the encoders" in text) == (seconds > 0)
@@ -80,9 +89,8 @@ def test_learn_gives_each_log_its_delay():
 
 
 def test_learn_corrects_and_stores_a_configured_delay():
-    features = run(3, 0.003).features
+    features, plain = explored(0)
     found = learned(delayed(features, 0.05), delay={"camera": 0.05})
-    plain = learned(features)
     assert not findings_of(found) and found.model.provenance["delay"] == {"camera": 0.05}
     assert off(found.model) == pytest.approx(off(plain.model), rel=1e-6)
     more = learned(delayed(run(4, 0.003).features, 0.05), known=found.model)

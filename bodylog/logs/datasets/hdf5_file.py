@@ -1,4 +1,4 @@
-"""Open HDF5 files with episodes, and find the datasets of one episode."""
+"""Open HDF5 files with episodes, find one episode's datasets, and unpack their chunks."""
 
 import math
 import re

@@ -1,4 +1,4 @@
-"""Read video files frame by frame: presentation times and images; memory holds one frame."""
+"""Read videos frame by frame: times and images; MP4 tables are counted before they are opened."""
 
 import mmap
 import re

@@ -1,4 +1,4 @@
-"""Decode protobuf payloads to dictionaries, with the FileDescriptorSet in the log."""
+"""Decode protobuf with the FileDescriptorSet in the log: to dictionaries, or by position."""
 
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""The content of an MCAP file, as far as it was surveyed."""
+"""The content of an MCAP file, as far as it was surveyed, and the span of each topic's times."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field

@@ -210,7 +210,7 @@ def _follow_joints(
         if len(chosen.frame) < _FEWEST:
             return _empty_choice(q)
         off = np.hypot(*(chosen.place - place[chosen.frame]).T)
-        usual = max(_least_residual_px(width), float(np.median(off)))
+        usual = max(joint_motion.assumed_noise_px(width), float(np.median(off)))
         if len(chosen.frame) <= last:
             allowed = rows.only(~_rows_at_still_things(rows, still, place, width))
         last = len(chosen.frame)
@@ -258,15 +258,11 @@ def _of_predicted_size(rows: _CandidateRows, radius: Array) -> Array:
     return np.abs(rows.area / (np.pi * radius[rows.frame] ** 2) - 1) < _DIFFERENT
 
 
-def _least_residual_px(width: float) -> float:
-    return max(1.0, 0.004 * width)
-
-
 def _usual_residual(q: Array, start: _CandidateRows, width: float) -> float:
     """The usual residual (px) of rows in held-out time."""
     order = np.argsort(start.frame, kind="stable")
     rest = joint_motion.held_out_place_residuals(q[start.frame[order]], start.place[order], width)
-    return max(_least_residual_px(width), float(np.median(np.hypot(*rest.T))))
+    return max(joint_motion.assumed_noise_px(width), float(np.median(np.hypot(*rest.T))))
 
 
 def _empty_choice(q: Array) -> BlobChoice:

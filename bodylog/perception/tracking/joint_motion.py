@@ -133,7 +133,7 @@ def held_out_place_residuals(q: Array, y: Array, width: float) -> Array:
     some = thin_indices(len(y), _MOST)
     kernel = _posture_kernel(q, q[some])
     label = np.arange(len(y)) * _BLOCKS // len(y)
-    noise = np.square(_assumed_noise_px(width) / (_AMPLITUDE * width))
+    noise = np.square(assumed_noise_px(width) / (_AMPLITUDE * width))
     rest = np.empty(y.shape)
     for block in range(_BLOCKS):
         out = label == block
@@ -171,7 +171,7 @@ def fit_regression(q: Array, y: Array, std: Array, width: float) -> Regression:
     """
     some = thin_indices(len(y), _MOST)
     return Regression.fit(
-        q[some], y[some], np.hypot(std[some], _assumed_noise_px(width)), _AMPLITUDE * width
+        q[some], y[some], np.hypot(std[some], assumed_noise_px(width)), _AMPLITUDE * width
     )
 
 
@@ -180,7 +180,8 @@ def thin_indices(count: int, most: int) -> Array:
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(int))
 
 
-def _assumed_noise_px(width: float) -> float:
+def assumed_noise_px(width: float) -> float:
+    """The noise (px) of a coarse place in images of that width."""
     return max(1.0, 0.004 * width)
 
 

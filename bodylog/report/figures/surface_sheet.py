@@ -13,7 +13,7 @@ import numpy as np
 from ...errors import FormatError
 from ...types import SURFACE_VIEWS, Array, Estimate, Recording
 from ..page.tables import escape_text
-from ..viewers.image_overlay import OverlayPicture, scale_image
+from ..viewers.image_overlay import FINE, OverlayPicture, scale_image, subpixel_place
 from .canvas import LINES
 
 LEGEND = "ring: measured | cross: predicted | white: skeleton of the URDF | a colour for each link"
@@ -22,7 +22,6 @@ _MARGIN = 0.2
 """Share of the arm's extent that is shown around it."""
 _LEAST_SHARE = 1.0 / 3.0
 """Share of an image that is shown at least."""
-_FINE = 4
 _RIM = (20, 20, 20)
 _BONE = (255, 255, 255)
 _FOREIGN = (150, 150, 150)
@@ -65,27 +64,27 @@ def draw_surface(image: Array, view: SurfaceView) -> Array:
             for width, ink in ((5, _RIM), (2, _BONE)):
                 cv2.line(
                     drawn,
-                    _subpixel_place((u, v)),
-                    _subpixel_place((a, b)),
+                    subpixel_place((u, v)),
+                    subpixel_place((a, b)),
                     ink,
                     width,
                     cv2.LINE_AA,
-                    _FINE,
+                    FINE,
                 )
-            cv2.circle(drawn, _subpixel_place((u, v)), 4 << _FINE, _BONE, -1, cv2.LINE_AA, _FINE)
+            cv2.circle(drawn, subpixel_place((u, v)), 4 << FINE, _BONE, -1, cv2.LINE_AA, FINE)
     for number, places in view.trails:
-        line = np.rint(np.asarray(places) * scale * (1 << _FINE)).astype(np.int32)
+        line = np.rint(np.asarray(places) * scale * (1 << FINE)).astype(np.int32)
         for width, ink in ((4, _RIM), (2, link_colour(number))):
-            cv2.polylines(drawn, [line], False, ink, width, cv2.LINE_AA, _FINE)
-        cv2.circle(drawn, tuple(line[-1].tolist()), 3 << _FINE, ink, -1, cv2.LINE_AA, _FINE)
+            cv2.polylines(drawn, [line], False, ink, width, cv2.LINE_AA, FINE)
+        cv2.circle(drawn, tuple(line[-1].tolist()), 3 << FINE, ink, -1, cv2.LINE_AA, FINE)
     for u, v, a, b, number in np.asarray(view.corners, float).reshape(-1, 5):
         ink = link_colour(int(number))
         ring, cross = np.array([u, v]) * scale, np.array([a, b]) * scale
         for width, colour in ((4, _RIM), (2, ink)):
-            cv2.circle(drawn, _subpixel_place(ring), 6 << _FINE, colour, width, cv2.LINE_AA, _FINE)
+            cv2.circle(drawn, subpixel_place(ring), 6 << FINE, colour, width, cv2.LINE_AA, FINE)
         for arm in (np.array([4.0, 0.0]), np.array([0.0, 4.0])):
-            begin, end = _subpixel_place(cross - arm), _subpixel_place(cross + arm)
-            cv2.line(drawn, begin, end, (255, 255, 255), 1, cv2.LINE_AA, _FINE)
+            begin, end = subpixel_place(cross - arm), subpixel_place(cross + arm)
+            cv2.line(drawn, begin, end, (255, 255, 255), 1, cv2.LINE_AA, FINE)
     return drawn
 
 
@@ -197,7 +196,3 @@ def _declared_views(images: Any) -> Iterator[SurfaceView]:
             sound = np.abs(corners).max(initial=0.0) < _FARTHEST_PX and np.isfinite(bones).all()
             if sound and math.isfinite(t):
                 yield SurfaceView(t, bones, corners)
-
-
-def _subpixel_place(place: Any) -> tuple[int, int]:
-    return round(float(place[0]) * (1 << _FINE)), round(float(place[1]) * (1 << _FINE))

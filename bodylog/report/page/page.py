@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 
-from ...io.atomic_files import replace_atomically
+from ...io.atomic_files import write_text_atomically
 from ...types import Estimate, Features, Recording, Score
 from ..figures import reprojection, surface_sheet
 from ..viewers.image_overlay import MOST_POSES, OverlayPicture
@@ -68,8 +68,7 @@ def write_report_page(
         settings_section(estimate, provenance),
     ]
     page = render_document(name, "\n".join(part for part in body if part), groups)
-    with replace_atomically(out) as beside:
-        beside.write_text(page, encoding="utf-8", newline="\n")
+    write_text_atomically(out, page)
 
 
 def _plots_section(points: int, lines: Sequence[str], title: str = "Over time") -> str:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ...io.atomic_files import replace_atomically
+from ...io.atomic_files import write_text_atomically
 from ...logs.topics import PREFIX
 from ...types import Estimate
 
@@ -19,10 +19,8 @@ def write_foxglove_layout(
     """Write the layout as JSON to `out`, for the camera
     topics and the joints and senses of `estimate`.
     """
-    with replace_atomically(out) as beside:
-        beside.write_text(
-            json.dumps(build_layout(camera, estimate, views), indent=2) + "\n", encoding="utf-8"
-        )
+    layout = build_layout(camera, estimate, views)
+    write_text_atomically(out, json.dumps(layout, indent=2) + "\n")
 
 
 def build_layout(

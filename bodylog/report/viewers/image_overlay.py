@@ -24,7 +24,7 @@ MOST_POSES = 16
 # images per row of a sheet, and their width there in px
 _ACROSS = 3
 _TILE = 320
-_FINE = 4  # cv2 draws in 1/16 px with shift 4
+FINE = 4  # cv2 draws in 1/16 px with shift 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,25 +51,25 @@ def draw_overlay(
             for arm in (np.array([5.0, 0.0]), np.array([0.0, 5.0])):
                 cv2.line(
                     drawn,
-                    _fixed_point(place - arm),
-                    _fixed_point(place + arm),
+                    subpixel_place(place - arm),
+                    subpixel_place(place + arm),
                     inks[1],
                     width,
                     cv2.LINE_AA,
-                    _FINE,
+                    FINE,
                 )
             _draw_ellipse(drawn, place, cov, inks[1], width)
         if (place := _drawable_point(seen)) is not None:
-            cv2.circle(drawn, _fixed_point(place), 11 << _FINE, inks[0], width, cv2.LINE_AA, _FINE)
+            cv2.circle(drawn, subpixel_place(place), 11 << FINE, inks[0], width, cv2.LINE_AA, FINE)
         if (place := _drawable_point(hand)) is not None:
             cv2.rectangle(
                 drawn,
-                _fixed_point(place - 9.0),
-                _fixed_point(place + 9.0),
+                subpixel_place(place - 9.0),
+                subpixel_place(place + 9.0),
                 inks[2],
                 width,
                 cv2.LINE_AA,
-                _FINE,
+                FINE,
             )
     return drawn
 
@@ -239,9 +239,9 @@ def _draw_arrows(image: Array, arrows: Array, times: float) -> Array:
         tip = place + times * scale * (end - start)
         if (np.abs(tip) < 1e5).all():
             for width, ink in ((4, _RIM), (2, _PREDICTED)):
-                ends = _fixed_point(place), _fixed_point(tip)
-                cv2.arrowedLine(drawn, *ends, ink, width, cv2.LINE_AA, _FINE, 0.25)
-            cv2.circle(drawn, _fixed_point(place), 3 << _FINE, _MEASURED, -1, cv2.LINE_AA, _FINE)
+                ends = subpixel_place(place), subpixel_place(tip)
+                cv2.arrowedLine(drawn, *ends, ink, width, cv2.LINE_AA, FINE, 0.25)
+            cv2.circle(drawn, subpixel_place(place), 3 << FINE, _MEASURED, -1, cv2.LINE_AA, FINE)
     return drawn
 
 
@@ -263,8 +263,9 @@ def _drawable_point(point: Array | None) -> Array | None:
     return point if point is not None and bool((np.abs(point) < 1e5).all()) else None
 
 
-def _fixed_point(point: Array) -> tuple[int, int]:
-    return round(float(point[0]) * (1 << _FINE)), round(float(point[1]) * (1 << _FINE))
+def subpixel_place(point: Array | Sequence[float]) -> tuple[int, int]:
+    """A place (2,) px in OpenCV's units of a drawing with `shift=FINE`."""
+    return round(float(point[0]) * (1 << FINE)), round(float(point[1]) * (1 << FINE))
 
 
 def _draw_ellipse(
@@ -276,8 +277,8 @@ def _draw_ellipse(
         return
     corners = ellipse_corners(centre[None], cov[None])
     if np.isfinite(corners).all():
-        fixed = np.rint(corners * (1 << _FINE)).astype(np.int32)
-        cv2.polylines(image, fixed, True, ink, width, cv2.LINE_AA, _FINE)
+        fixed = np.rint(corners * (1 << FINE)).astype(np.int32)
+        cv2.polylines(image, fixed, True, ink, width, cv2.LINE_AA, FINE)
 
 
 def _captioned_tile(picture: OverlayPicture) -> Array:
