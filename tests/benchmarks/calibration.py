@@ -18,10 +18,10 @@ from scipy.optimize import least_squares
 
 from bodylog import pipeline
 from bodylog.body.kinematic.placements import Calibration
-from bodylog.body.kinematic.sag import collect_weights
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import Chain, chain_between
 from bodylog.kinematics.rotations import invert_transform, make_transform
+from bodylog.kinematics.weights import collect_weights
 from bodylog.robot import calibration
 from bodylog.settings import Settings
 from bodylog.sources import CharucoSource

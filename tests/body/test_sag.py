@@ -9,9 +9,9 @@ from bodylog import body
 from bodylog.body import storage
 from bodylog.body.kinematic.learn import learn_kinematics
 from bodylog.body.kinematic.placements import calibration_of_body
-from bodylog.body.kinematic.sag import collect_weights
 from bodylog.errors import FormatError
 from bodylog.kinematics import urdf
+from bodylog.kinematics.weights import collect_weights
 from bodylog.robot.calibration import calibration_lines
 from bodylog.settings import Settings
 from tests.body.boards import features
