@@ -83,6 +83,7 @@ def test_compliances_and_zeros_are_separated(bent):
     assert {"lift", "elbow"} <= set(zeros)
     for joint, one in zeros.items():
         assert abs(one.value - OFFSETS.get(joint, 0.0)) < 3.0 * one.std
+    assert any(one.text.startswith("pan: its compliance ") for one in found.findings)
     lines = list(calibration_lines(found))
     assert any(line.startswith("lift ") and "compliance" in line and "mrad/(N m)" in line for line in lines)
     assert any(line.startswith("pan ") and "compliance not identifiable" in line for line in lines)
