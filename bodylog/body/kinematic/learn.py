@@ -264,9 +264,9 @@ def learn_residuals(
     described = dict[str, str]()
     if sag is not None:
         sagging, bent, _ = adjust_calibration(links, shown, beside, both.theta, covariance, sag)
-        share = left_out_share(adjusted, bent)
-        described[SAG] = describe_sag(share, sagging)
-        if share < 1.0:
+        share, better = left_out_share(adjusted, bent)
+        described[SAG] = describe_sag(share, better, sagging)
+        if better:
             calibration = sagging
     offsets = (*calibration.zeros, *calibration.scales)
     senses = {

@@ -19,6 +19,8 @@ from .residuals import ResidualPart, solve_together
 
 MOST_RAD = float(np.radians(1.0))
 """Prior standard deviation of the sag under the largest torque of a log."""
+BETTER_SIGMAS = 2.0
+"""Standard errors, by the groups' scatter, by which images left out are predicted better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,15 +54,19 @@ def solve_with_sag(
     return Sag(weights, doubt, both.theta, doubt * both.beside.mean, covariance)
 
 
-def left_out_share(without: Adjusted, with_sag: Adjusted) -> float:
-    """RMS error of groups of images that are left out, as a share of that without sag."""
-    return float(np.sqrt(with_sag.left_out.mean() / without.left_out.mean()))
+def left_out_share(without: Adjusted, with_sag: Adjusted) -> tuple[float, bool]:
+    """RMS error of groups of images that are left out, as a share of that without
+    sag, and whether it is less by more than BETTER_SIGMAS.
+    """
+    gain = without.left_out - with_sag.left_out
+    share = float(np.sqrt(with_sag.left_out.mean() / without.left_out.mean()))
+    return share, bool(gain.mean() > BETTER_SIGMAS * gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
-def describe_sag(share: float, found: Calibration) -> str:
+def describe_sag(share: float, better: bool, found: Calibration) -> str:
     """A sentence about sag, by `left_out_share` and by whether the images identify it."""
     text = f"gravity sag: with it images left out have {share:.1%} of their error"
-    if share < 1.0:
+    if better:
         return f"{text}; zeros are those without weight"
     if any(one.identifiable for one in found.compliances):
         return f"{text}, so none is estimated; zeros contain what there is"
