@@ -98,9 +98,18 @@ def test_calibration_is_printed_and_written(learned, tmp_path, run_cli, capsys):
 
 
 CAMERA_FIELDS = {
-    "link": str, "xyz_m": 3, "xyz_std_m": 3, "quaternion_xyzw": 4, "rotation_std_rad": 3, "focal_px": 2,
-    "focal_std_px": 2, "centre_px": 2, "distortion": 2, "row_time_s": float, "row_time_std_s": float,
-}  # fmt: skip
+    "link": str,
+    "xyz_m": 3,
+    "xyz_std_m": 3,
+    "quaternion_xyzw": 4,
+    "rotation_std_rad": 3,
+    "focal_px": 2,
+    "focal_std_px": 2,
+    "centre_px": 2,
+    "distortion": 2,
+    "row_time_s": float,
+    "row_time_std_s": float,
+}
 """Fields of a camera that others read, with their type, or the count of their numbers."""
 MARKER_FIELDS = {name: CAMERA_FIELDS[name] for name in ("link", "xyz_m", "xyz_std_m", "quaternion_xyzw", "rotation_std_rad")}
 

@@ -77,18 +77,6 @@ def test_without_a_urdf_error_bars_hold_beyond_the_explored_path(seed, monkeypat
     assert not found.faults and not any("errors last" in one.text for one in found.findings)
 
 
-@pytest.mark.soak
-def test_without_a_urdf_late_points_are_found_and_sound_ones_are_not_late(monkeypatch):
-    off = []
-    for seed in range(11, 16):
-        late = learn_with_delays([moving_arm(seed)], Settings(), {}, None, None).model.provenance["delay"]["tracker"]
-        off.append(abs(late - LATE_S))
-    assert np.sort(off)[-2] < 0.005
-    monkeypatch.setattr(f"{__name__}.LATE_S", 0.0)
-    for seed in range(31, 34):
-        assert "delay" not in learn_with_delays([moving_arm(seed)], Settings(), {}, None, None).model.provenance
-
-
 @pytest.fixture(scope="module")
 def learned():
     return learn_with_delays([moving_arm(1)], Settings(), {}, None, given())

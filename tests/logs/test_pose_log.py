@@ -129,7 +129,7 @@ def test_columns_that_lack_others_are_no_joints_and_fit_says_what_lacks(tmp_path
     assert len(str(refused.value).splitlines()) == 1 and str(refused.value).count(str(path)) == 1
 
 
-def test_deviations_along_some_axes_are_said_to_be_incomplete(tmp_path):
+def test_deviations_along_some_axes_are_named_with_the_axis_that_lacks(tmp_path):
     path = _csv(tmp_path, "pan,tip_u,tip_v,tip_std_u", "0.1,1,2,0.3", "0.2,2,2,0.3")
     found = assign_column_roles(read_table_file(path, "csv"), str(path))
     assert found.odd == ("tip_std_u: no standard deviation of tip along v",)

@@ -163,8 +163,8 @@ def _time_column_scale(name: str) -> float:
 def _take_point_columns(
     left: dict[str, Array], frames: Collection[str]
 ) -> tuple[dict[str, Array], dict[str, str]]:
-    """Points (N,3) of NAME_x, NAME_y and NAME_z, removed from `left`, by track; and columns
-    of names with two of the three, with what is missing; names of poses have other columns.
+    """Points (N,3) of NAME_x, NAME_y and NAME_z, removed from `left`, by track; and, of names with
+    two of the three, the missing column by those there; names of poses have other columns.
     """
     points = dict[str, Array]()
     halves = dict[str, str]()
@@ -184,8 +184,8 @@ def _take_point_columns(
 
 
 def _find_lone_columns(left: Mapping[str, Array]) -> dict[str, str]:
-    """Columns of a place in images or of standard deviations that
-    lack the columns beside them, with what is missing.
+    """What is missing beside columns of a place in images
+    or of standard deviations, by the column there.
     """
     lone = dict[str, str]()
     deviations: dict[str, list[str]] = {}
