@@ -81,6 +81,10 @@ def require_sights(logs: Sequence[Path], observed: Sequence[tuple[Recording, Fea
     read, found = observed[0]
     with log_context(logs[0], read.facts.findings, len(logs) - 1):
         what = f"no images and no tracks in it, only {_describe_joints(found)}"
+        # of a table: which columns lack others
+        warnings = [one.text for one in read.facts.findings if one.severity == "warning"]
+        odd = [text.removeprefix(f"{logs[0]}: ") for text in warnings if found.poses]
+        what = "; ".join([*odd, what])
         learned_from = "a body is learned from joints and what a camera sees of the arm"
         raise EvidenceError(f"{what}; {learned_from}{_sights_to_add(logs[0], read)}")
 

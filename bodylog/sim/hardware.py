@@ -23,8 +23,9 @@ class Hardware:
     """How joints turn and how they are read; 0 where an error is absent.
 
     play: between motor and link, from one end to the other, rad · sag, payload: of a joint that
-    holds the whole arm stretched out, rad; the first was there when the body was learned, the
-    second was not · stick: how far a joint is driven before it slips, rad · correlated: standard
+    holds the whole arm stretched out, rad; the first by the torque of the links' masses, which was
+    there when the body was learned, the second by that of a weight at the hand, which was not ·
+    stick: how far a joint is driven before it slips, rad · correlated: standard
     deviation (rad) of an Ornstein-Uhlenbeck error of each encoder, and its time constant (s) ·
     counts: an encoder's steps in a turn · tails: degrees of freedom of Student's t in place of
     normal noise · outliers: share of readings that are OUTLIER_RAD off · jitter: standard deviation

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..kinematics import chain, urdf
+from ..kinematics.weights import GRAVITY, collect_weights
 from ..types import Array
 from .arms import Arm
 from .hardware import Hardware, add_play, add_stick
@@ -38,18 +39,22 @@ def move_joints(commanded: Motion, hardware: Hardware, arm: Arm, duration: float
     driven = add_stick(path, hardware.stick)
     behind = driven - path
     slack = add_play(driven, hardware.play) - driven
-    levers = _gravity_levers(arm)
+    loaded = _load_shares(arm)
+    weighed = _torque_shares(arm)
 
     def motors(at: Array) -> Array:
         return commanded.position(at) + _interpolate_columns(at, t, behind)
 
-    def sagging(at: Array, load: float) -> Array:
+    def bent(at: Array, sag: float) -> Array:
         angles = motors(at)
-        loose = angles + _interpolate_columns(at, t, slack)
-        return loose - load * levers(angles) if load else loose
+        links = angles + _interpolate_columns(at, t, slack)
+        for largest, shares in ((hardware.payload, loaded), (sag, weighed)):
+            if largest:
+                links = links + largest * shares(angles)
+        return links
 
-    truth = _motion_by_differences(lambda at: sagging(at, hardware.payload))
-    links = _motion_by_differences(lambda at: sagging(at, hardware.sag + hardware.payload))
+    truth = _motion_by_differences(lambda at: bent(at, 0.0))
+    links = _motion_by_differences(lambda at: bent(at, hardware.sag))
     return DrivenMotion(_motion_by_differences(motors), links, truth)
 
 
@@ -67,20 +72,37 @@ def _motion_by_differences(position: Callable[[Array], Array]) -> Motion:
     return Motion(position, rate)
 
 
-def _gravity_levers(arm: Arm) -> Callable[[Array], Array]:
-    """How far the weight of the effector turns each joint
-    (N,M) at angles (N,M), where 1 is the whole arm's length.
+def _load_shares(arm: Arm) -> Callable[[Array], Array]:
+    """How far a weight at the effector turns each joint (N,M)
+    at angles (N,M), where 1 is by the whole arm's length.
 
     A joint with a spring turns by its torque over the spring's constant; the torque of a weight is
     minus the derivative of its height by the joint.
     """
     robot = urdf.load_urdf(arm.urdf)
     hand = chain.chain_between(robot, robot.root, "effector").over(arm.joints)
-    # the first joint's column stands upright: it carries nothing
-    length = float(np.linalg.norm(hand.fixed[2:, :3, 3], axis=1).sum())
+    length = _stretched_length(hand)
 
-    def levers(angles: Array) -> Array:
+    def shares(angles: Array) -> Array:
         poses = hand.at(angles)
-        return hand.slopes(poses, poses.place[:, None])[:, 0, 2] / length
+        return -hand.slopes(poses, poses.place[:, None])[:, 0, 2] / length
 
-    return levers
+    return shares
+
+
+def _torque_shares(arm: Arm) -> Callable[[Array], Array]:
+    """The torque (N,M) of the links' masses about each joint at angles
+    (N,M), where 1 is that of the whole arm stretched out.
+    """
+    weights = collect_weights(urdf.load_urdf(arm.urdf), arm.joints, {})
+    largest = sum(
+        GRAVITY * mass * (_stretched_length(to_link) + float(np.linalg.norm(centre)))
+        for mass, centre, to_link in weights.parts
+        if len(to_link.fixed) > 2
+    )
+    return lambda angles: weights.torques(angles) / largest
+
+
+def _stretched_length(to_link: chain.Chain) -> float:
+    """Length (m) of a chain beyond its first joint, which stands upright: it carries nothing."""
+    return float(np.linalg.norm(to_link.fixed[2:, :3, 3], axis=1).sum())

@@ -18,18 +18,20 @@ from scipy.optimize import least_squares
 
 from bodylog import pipeline
 from bodylog.body.kinematic.placements import Calibration
-from bodylog.body.kinematic.sag import collect_weights
 from bodylog.kinematics import urdf
 from bodylog.kinematics.chain import Chain, chain_between
 from bodylog.kinematics.rotations import invert_transform, make_transform
+from bodylog.kinematics.weights import collect_weights
 from bodylog.robot import calibration
 from bodylog.settings import Settings
 from bodylog.sources import CharucoSource
 from bodylog.types import Array
+from tests.kinematics.motoman import LEFT_ARM, left_arm_urdf
 
 ZERO_STD = np.radians(5.0)
 """Prior std of a joint's zero in the plain adjustment; without one, the first joint and the base are one unknown."""
 KNEE_PX = 1.0
+KNEE_MM = 1.0
 HAND_EYE = ("TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS")
 
 
@@ -266,17 +268,104 @@ def nao(folder: Path) -> Split:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class TrackedPoints:
+    """Points (N,3) m of one target that a tracker measures at joints q (N,M) rad · robot: its URDF · learn, test: rows."""
+
+    robot: Path
+    q: Array
+    points: Array
+    learn: Array
+    test: Array
+
+    def chain(self, links: tuple[str, str] = ("base", "flange")) -> Chain:
+        """From the link where the tracker stands to that with the target."""
+        return chain_between(urdf.load_urdf(self.robot), *links).over(tuple(LEFT_ARM))
+
+    def withheld_mm(self, chain: Chain, frame: Array, target: Array, zeros: Array) -> float:
+        """RMS distance, mm, of the withheld points from where they are predicted."""
+        off = place_points(chain, frame, target, self.q[self.test] + zeros) - self.points[self.test]
+        return 1e3 * float(np.sqrt(np.mean(np.square(off).sum(axis=1))))
+
+
+def place_points(chain: Chain, frame: Array, target: Array, q: Array) -> Array:
+    """Where a tracker with its frame (4,4) at a chain's start sees a target (3,) m of its end, at q (N,M) rad: (N,3) m."""
+    arm = chain.at(q)
+    return (arm.rotation @ target + arm.place - frame[:3, 3]) @ frame[:3, :3]
+
+
+def motoman(table: Path, folder: Path) -> TrackedPoints:
+    """Every third pose is withheld; poses without a reading of the tracker are left out after that."""
+    robot = folder / "motoman.urdf"
+    robot.write_text(left_arm_urdf())
+    read = np.genfromtxt(table, delimiter=",", names=True)
+    q = np.column_stack([read[name] for name in LEFT_ARM])
+    points = np.column_stack([read[f"leica_{axis}"] for axis in "xyz"])
+    rows = np.flatnonzero(np.isfinite(points).all(axis=1))
+    return TrackedPoints(robot, q, points, rows[rows % 3 != 2], rows[rows % 3 == 2])
+
+
+def track_with_bodylog(data: TrackedPoints) -> float:
+    """`bodylog fit` on the rows to learn from; the withheld points by the printed calibration alone, in mm."""
+    log = data.robot.parent / "learn.csv"
+    head = ",".join([*LEFT_ARM, *(f"leica_{axis}" for axis in "xyz")])
+    both = np.column_stack([data.q, data.points])[data.learn]
+    np.savetxt(log, both, delimiter=",", header=head, comments="", fmt="%.9f")
+    settings = replace(Settings(), kinematics=replace(Settings().kinematics, urdf=str(data.robot)))
+    pipeline.fit([log], data.robot.parent / "body.npz", settings)
+    found = calibration.load_calibration(data.robot.parent / "body.npz")
+    zeros = {one.joint: one.value for one in found.zeros if one.identifiable}
+    tracker, target = found.trackers[0], found.markers[0]
+    chain = data.chain((tracker.link, target.link))
+    return data.withheld_mm(chain, tracker.pose, target.pose[:3, 3], np.array([zeros.get(name, 0.0) for name in LEFT_ARM]))
+
+
+def track_by_adjustment(data: TrackedPoints) -> float:
+    """Soft L1 of all points in mm, the tracker's frame, the target and zeros unknown together; withheld, in mm."""
+    chain = data.chain()
+    arm = chain.at(data.q[data.learn])
+    seen = data.points[data.learn]
+    left, _, right = np.linalg.svd((arm.place - arm.place.mean(axis=0)).T @ (seen - seen.mean(axis=0)))
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    first = make_transform(turn, arm.place.mean(axis=0) - turn @ seen.mean(axis=0))
+
+    def unpacked(x: Array) -> tuple[Array, Array, Array]:
+        return first @ make_transform(cv2.Rodrigues(x[3:6])[0], x[:3]), x[6:9], x[9:]
+
+    def residual(x: Array) -> Array:
+        frame, target, zeros = unpacked(x)
+        off = 1e3 * (place_points(chain, frame, target, data.q[data.learn] + zeros) - seen)
+        return np.concatenate([off.ravel(), x[9:] / ZERO_STD])
+
+    found = least_squares(residual, np.zeros(9 + len(LEFT_ARM)), loss="soft_l1", f_scale=KNEE_MM, x_scale="jac", max_nfev=300)
+    return data.withheld_mm(chain, *unpacked(found.x))
+
+
+def print_motoman(folder: Path) -> None:
+    """Print a row for each method that points in space allow, and why others have none."""
+    with TemporaryDirectory() as own:
+        data = motoman(folder / "motoman" / "leica_left_hand_6x6x6.csv", Path(own))
+        best = track_with_bodylog(data)
+        for name, figure in (("bodylog", best), ("bundle adjustment", track_by_adjustment(data))):
+            print(f"| motoman | {name} | – | – | {figure:.2f} | {figure / best:.2f} |", flush=True)
+    print("| motoman | calibrateHandEye | – | – | a point has no turn, and it needs poses | – |")
+    print("| motoman | its cameras | their place is not in the data | – | – | – |")
+
+
 ROBOTS: Mapping[str, Callable[[Path], Split]] = {"franka": franka, "panda": panda, "nao": nao}
 
 
 def main(folder: Path, robots: list[str]) -> None:
     """Print a row for each robot and method, with the ratio to ours."""
-    if not hasattr(cv2, "calibrateHandEye"):
+    if robots != ["motoman"] and not hasattr(cv2, "calibrateHandEye"):
         wanted = "type: pip install --no-deps --target cv4 'opencv-python-headless<5', then PYTHONPATH=cv4"
         raise SystemExit(f"OpenCV {cv2.__version__} has no calibrateHandEye for Python; {wanted}")
-    print("| robot | method | withheld, px | ratio | board's place, mm | ratio |")
+    print("| robot | method | withheld, px | ratio | board's place, or withheld points, mm | ratio |")
     print("|---|---|---|---|---|---|")
-    for robot in robots or list(ROBOTS):
+    for robot in robots or [*ROBOTS, "motoman"]:
+        if robot == "motoman":
+            print_motoman(folder)
+            continue
         split = ROBOTS[robot](folder)
         best: dict[str, float] = {}
         for name, method in METHODS.items():

@@ -97,6 +97,47 @@ def test_calibration_is_printed_and_written(learned, tmp_path, run_cli, capsys):
     assert not (tmp_path / "none").exists()
 
 
+CAMERA_FIELDS = {
+    "link": str,
+    "xyz_m": 3,
+    "xyz_std_m": 3,
+    "quaternion_xyzw": 4,
+    "rotation_std_rad": 3,
+    "focal_px": 2,
+    "focal_std_px": 2,
+    "centre_px": 2,
+    "distortion": 2,
+    "row_time_s": float,
+    "row_time_std_s": float,
+}
+"""Fields of a camera that others read, with their type, or the count of their numbers."""
+MARKER_FIELDS = {name: CAMERA_FIELDS[name] for name in ("link", "xyz_m", "xyz_std_m", "quaternion_xyzw", "rotation_std_rad")}
+
+
+def test_printed_json_has_the_fields_that_others_read(learned, tmp_path, run_cli, capsys):
+    """Numbers where they are known; null, and a sentence in the findings, where they are not identifiable."""
+    files.save(learned, tmp_path / "body.npz")
+    assert run_cli("calibration", tmp_path / "body.npz", "--json") == 0
+    (result,) = json.loads(capsys.readouterr().out)["results"]
+    values = result["calibration"]
+    for kind, fields in (("cameras", CAMERA_FIELDS), ("markers", MARKER_FIELDS)):
+        assert values[kind]
+        for one in values[kind].values():
+            for name, shape in fields.items():
+                if name.startswith("row_time"):
+                    assert one[name] is None or isinstance(one[name], float)  # None: not a log of a motion
+                elif isinstance(shape, int):
+                    assert len(one[name]) == shape and all(isinstance(value, float) for value in one[name])
+                else:
+                    assert isinstance(one[name], shape)
+            np.testing.assert_allclose(np.linalg.norm(one["quaternion_xyzw"]), 1.0)
+    assert isinstance(values["scales"], dict) and set(values["zeros"]) == set(robots.JOINTS)
+    sentences = " ".join(one["text"] for one in result["findings"])
+    for joint, zero in values["zeros"].items():
+        assert zero["std"] >= 0.0 and isinstance(zero["identifiable"], bool)
+        assert (zero["value"] is None) == (not zero["identifiable"]) == (joint in sentences)
+
+
 def test_written_urdf_agrees_with_the_table(learned, tmp_path, run_cli):
     files.save(learned, tmp_path / "body.npz")
     (tmp_path / "arm.urdf").write_text(ARM)

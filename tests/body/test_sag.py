@@ -9,9 +9,9 @@ from bodylog import body
 from bodylog.body import storage
 from bodylog.body.kinematic.learn import learn_kinematics
 from bodylog.body.kinematic.placements import calibration_of_body
-from bodylog.body.kinematic.sag import collect_weights
 from bodylog.errors import FormatError
 from bodylog.kinematics import urdf
+from bodylog.kinematics.weights import collect_weights
 from bodylog.robot.calibration import calibration_lines
 from bodylog.settings import Settings
 from tests.body.boards import features
@@ -83,6 +83,7 @@ def test_compliances_and_zeros_are_separated(bent):
     assert {"lift", "elbow"} <= set(zeros)
     for joint, one in zeros.items():
         assert abs(one.value - OFFSETS.get(joint, 0.0)) < 3.0 * one.std
+    assert any(one.text.startswith("pan: its compliance ") for one in found.findings)
     lines = list(calibration_lines(found))
     assert any(line.startswith("lift ") and "compliance" in line and "mrad/(N m)" in line for line in lines)
     assert any(line.startswith("pan ") and "compliance not identifiable" in line for line in lines)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bodylog import Estimator, pipeline
+from bodylog import Estimator, body, pipeline
 from bodylog.body.kinematic.placements import calibration_of_body
 from bodylog.delays.camera_delay import learn_with_delays
 from bodylog.delays.tracker_delay import measure_tracker_delays
@@ -24,8 +24,8 @@ SEEN_FROM = make_transform(rotation_from_vector(np.array([0.3, -0.5, 2.0])), np.
 TOOL = np.array([0.03, -0.02, 0.08])
 
 
-def moving_arm(seed: int, offset=(0.0, 0.0, 0.0, 0.0), shift_m: float = 0.0) -> Features:
-    """An arm in slow waves; its readings lack an offset (M,) rad, and the tracker moves by shift_m half-way."""
+def path_of_arm(seed: int | np.random.Generator):
+    """The angles (N,M) rad at times (N,) s of slow waves."""
     draw = np.random.default_rng(seed)
     speed, phase = draw.uniform(0.3, 1.3, (3, 4)), draw.uniform(0.0, 6.0, (3, 4))
 
@@ -33,6 +33,13 @@ def moving_arm(seed: int, offset=(0.0, 0.0, 0.0, 0.0), shift_m: float = 0.0) -> 
         waves = sum(np.sin(speed[k] * t[:, None] + phase[k]) for k in range(3))
         return np.array([0.0, -0.6, 0.9, 0.2]) + 0.25 * waves
 
+    return angles
+
+
+def moving_arm(seed: int, offset=(0.0, 0.0, 0.0, 0.0), shift_m: float = 0.0) -> Features:
+    """An arm in slow waves; its readings lack an offset (M,) rad, and the tracker moves by shift_m half-way."""
+    draw = np.random.default_rng(seed)
+    angles = path_of_arm(draw)
     t = np.arange(0.0, END_S, 0.02)
     joints = Series(t, angles(t) - offset + draw.normal(0.0, 2e-4, (len(t), 4)), JOINTS, "rad", (t * 1e9).astype(np.int64))
     at = np.arange(0.3, END_S - 0.3, 0.04)
@@ -52,6 +59,22 @@ def test_each_log_has_its_own_delay():
     assert found[2] == {}
     hidden = points_series(late.tracks["tracker/ball"].t, np.full((len(late.tracks["tracker/ball"].t), 3), np.nan))
     assert measure_tracker_delays([replace(late, tracks={"tracker/ball": hidden})], Settings(), given(), ["tracker"]) == [{}]
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_without_a_urdf_error_bars_hold_beyond_the_explored_path(seed, monkeypatch):
+    """Another log goes where the process errs by millimetres for seconds: no error of encoders, and no noise of one axis."""
+    monkeypatch.setattr(f"{__name__}.LATE_S", 0.0)
+    model = body.learn_body([moving_arm(seed)], Settings(), {}, None, "explained").model
+    np.testing.assert_allclose(np.sqrt(model.noise.senses["tracker/ball"]), 1e3 * NOISE_M, rtol=0.15)
+    log = moving_arm(seed + 100)
+    found = pipeline.infer(log, model, Settings())
+    exact = path_of_arm(seed + 100)(found.joints.t)
+    off = found.joints.values - exact
+    nees = np.einsum("ni,ni->n", off, np.linalg.solve(found.cov, off[..., None])[..., 0]).mean() / len(JOINTS)
+    raw = log.joints.values - path_of_arm(seed + 100)(log.joints.t)
+    assert 0.5 < nees < 2.0 and np.square(off).mean() < np.square(raw).mean()
+    assert not found.faults and not any("errors last" in one.text for one in found.findings)
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 import pytest
 
-from bodylog.errors import FormatError, InputError, LogError
+from bodylog.errors import EvidenceError, FormatError, InputError, LogError
 from bodylog.kinematics import urdf
 from bodylog.logs.formats import open_log
 from bodylog.logs.tables.pose_columns import assign_column_roles
 from bodylog.logs.tables.table_file import read_table_file
-from bodylog.pipeline import ingest, observe
+from bodylog.pipeline import fit, ingest, observe
 from bodylog.recording import recording
 from bodylog.recording.robot_description import read_robot_description
 from bodylog.robot.model import _build_camera_hints
@@ -106,6 +106,33 @@ def test_points_in_space_are_tracks_of_a_tracker_in_metres(tmp_path):
     track = recording.read_recording(path, Settings()).signals.features.tracks["tracker/ball"]
     assert (track.names, track.unit) == (("x", "y", "z"), "mm")
     np.testing.assert_allclose(track.values[0], [-300.0, 20.0, 1000.0])
+
+
+@pytest.mark.parametrize(
+    ("columns", "missing"),
+    [
+        ("ball_x,ball_y", "ball_x and ball_y without ball_z are no point in space"),
+        ("ball_x,ball_z", "ball_x and ball_z without ball_y are no point in space"),
+        ("ball_y,ball_z", "ball_y and ball_z without ball_x are no point in space"),
+        ("ball_v", "ball_v without ball_u is no place in an image"),
+        ("ball_std_x,ball_std_y,ball_std_z", "ball_std_z without ball_u and ball_v, or ball_x, ball_y and ball_z"),
+        ("ball_sigma", "ball_sigma without ball_u and ball_v, or ball_x, ball_y and ball_z"),
+    ],
+)
+def test_columns_that_lack_others_are_no_joints_and_fit_says_what_lacks(tmp_path, columns, missing):
+    rows = [",".join(f"{0.1 * (k + m)}" for m in range(2 + columns.count(","))) for k in range(3)]
+    path = _csv(tmp_path, f"pan,{columns}", *rows)
+    found = assign_column_roles(read_table_file(path, "csv"), str(path))
+    assert list(found.joints) == ["pan"] and not found.tracks
+    with pytest.raises(EvidenceError, match=missing) as refused:
+        fit([path], tmp_path / "body.npz")
+    assert len(str(refused.value).splitlines()) == 1 and str(refused.value).count(str(path)) == 1
+
+
+def test_deviations_along_some_axes_are_named_with_the_axis_that_lacks(tmp_path):
+    path = _csv(tmp_path, "pan,tip_u,tip_v,tip_std_u", "0.1,1,2,0.3", "0.2,2,2,0.3")
+    found = assign_column_roles(read_table_file(path, "csv"), str(path))
+    assert found.odd == ("tip_std_u: no standard deviation of tip along v",)
 
 
 def test_open_reports_and_converts_degrees(tmp_path):

@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from bodylog.errors import UsageError
+from bodylog.kinematics import urdf
+from bodylog.kinematics.weights import collect_weights
 from bodylog.sim.arms import ARMS
 from bodylog.sim.hardware import (
     Hardware,
@@ -111,12 +113,16 @@ def test_sag_moves_links_and_payload_the_truth_as_well(arm):
     commanded = path(arm)
     moved = move_joints(commanded, hardware, ARMS[arm], 20.0)
     t = np.linspace(0.0, 19.0, 200)
-    lever = (moved.motors.position(t) - moved.truth.position(t)) / hardware.payload
     assert np.array_equal(moved.motors.position(t), commanded.position(t))
-    assert np.allclose(moved.truth.position(t) - moved.links.position(t), 0.3 * DEGREE * lever)
-    assert 0.3 < np.abs(lever).max() <= 1.0
-    # a joint with an upright axis carries nothing
-    assert np.abs(lever[:, 0]).max() < 1e-9
+    payload = (moved.truth.position(t) - moved.motors.position(t)) / hardware.payload
+    sag = (moved.links.position(t) - moved.truth.position(t)) / hardware.sag
+    for share in (payload, sag):
+        assert 0.3 < np.abs(share).max() <= 1.0
+        # a joint with an upright axis carries nothing
+        assert np.abs(share[:, 0]).max() < 1e-9
+    # one compliance: torques are those of the links' masses, of every joint in the same proportion
+    torques = collect_weights(urdf.load_urdf(ARMS[arm].urdf), ARMS[arm].joints, {}).torques(moved.motors.position(t))
+    np.testing.assert_allclose(sag * np.abs(torques).max(), torques * np.abs(sag).max(), atol=1e-6)
 
 
 def test_without_errors_the_path_is_the_commanded_one():

@@ -121,7 +121,12 @@ def fit_kernels(
         )
     return replace(
         found,
-        spreads=propagate_input_noise(data, assemble_exact_gp(part, found, (), ""), found.groups),
+        spreads=propagate_input_noise(
+            data,
+            assemble_exact_gp(part, found, (), ""),
+            found.groups,
+            () if data.floor.any() else tuple(kernel.noise for kernel in found.kernels),
+        ),
     )
 
 
@@ -144,23 +149,28 @@ def fit_kernels_and_noise(data: Samples, prior: Prior, shared: bool, seed: int) 
         search_kernel(data.x, data.y[:, g], s, prior, seed)
         for g, s in zip(groups, spreads, strict=True)
     )
+    # before the inputs' noise is known, white noise holds it
+    white: tuple[float, ...] = ()
+    stated = data.floor.any()
     for _ in range(_ROUNDS):
         if data.variance is None:
             break
-        before = np.concatenate(
-            [s.diagonal + k.noise for s, k in zip(spreads, kernels, strict=True)]
-        )
-        spreads = propagate_input_noise(
-            data, assemble_exact_gp(data, FittedKernels(groups, kernels, spreads), (), ""), groups
-        )
+        before = _noise_by_output(spreads, kernels)
+        found = assemble_exact_gp(data, FittedKernels(groups, kernels, spreads), (), "")
+        spreads = propagate_input_noise(data, found, groups, white)
         parts = zip(kernels, groups, spreads, strict=True)
         kernels = tuple(polish_kernel(k, data.x, data.y[:, g], s, prior) for k, g, s in parts)
-        after = np.concatenate(
-            [s.diagonal + k.noise for s, k in zip(spreads, kernels, strict=True)]
-        )
+        white = () if stated else tuple(kernel.noise for kernel in kernels)
+        after = _noise_by_output(spreads, kernels)
         if np.abs(after - before).mean() < _SETTLED * after.mean():
             break
     return FittedKernels(groups, kernels, spreads)
+
+
+def _noise_by_output(spreads: Sequence[Spread], kernels: Sequence[Hyper]) -> Array:
+    """Variance (n,D) of the samples' noise."""
+    parts = zip(spreads, kernels, strict=True)
+    return np.hstack([np.outer(s.diagonal + k.noise, s.share) for s, k in parts])
 
 
 def search_kernel(x: Array, y: Array, spread: Spread, prior: Prior, seed: int) -> Hyper:
@@ -191,13 +201,22 @@ def polish_kernel(start: Hyper, x: Array, y: Array, spread: Spread, prior: Prior
     return Hyper(found.scales * sx, found.amplitude * sy**2, found.noise * sy**2)
 
 
-def propagate_input_noise(data: Samples, gp: GP, groups: Sequence[slice]) -> tuple[Spread, ...]:
+def propagate_input_noise(
+    data: Samples, gp: GP, groups: Sequence[slice], white: tuple[float, ...] = ()
+) -> tuple[Spread, ...]:
     """Floor plus input noise propagated through the mean's
     slope: σ² + J Σₓ Jᵀ, one for each group of outputs.
+
+    white: variance of each group beyond it, in equal parts: the
+    sensor's, where samples state none. Beside a stated one it is the model's misfit.
     """
     slope = gp.means(data.x)[1]
     diagonal = data.floor + np.einsum("ndm,nm->nd", slope**2, np.asarray(data.variance))
-    return tuple(_coupled_noise(data, slope[:, g], diagonal[:, g]) for g in groups)
+    beyond = white or (0.0,) * len(groups)
+    return tuple(
+        _coupled_noise(data, slope[:, g], diagonal[:, g], noise)
+        for g, noise in zip(groups, beyond, strict=True)
+    )
 
 
 def assemble_exact_gp(
@@ -286,8 +305,8 @@ def _make_gp(
     )
 
 
-def _coupled_noise(data: Samples, slope: Array, diagonal: Array) -> Spread:
-    known = independent_noise(diagonal)
+def _coupled_noise(data: Samples, slope: Array, diagonal: Array, white: float) -> Spread:
+    known = independent_noise(diagonal, white)
     if data.coupling is None:
         return known
     c = data.coupling

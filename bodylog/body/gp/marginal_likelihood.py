@@ -60,11 +60,15 @@ class Spread:
         return Spread(self.diagonal * factor, self.i, self.j, self.value * factor, self.share)
 
 
-def independent_noise(diagonal: Array) -> Spread:
-    """Noise (n,) of all outputs, or (n,G) of each, without covariance between samples."""
+def independent_noise(diagonal: Array, white: float = 0.0) -> Spread:
+    """Noise (n,) of all outputs, or (n,G) of each, without covariance between samples.
+
+    white: variance of each output beyond it. It is the same for all, and
+    where it is larger, it makes the outputs' shares more alike.
+    """
     diagonal = diagonal.reshape(len(diagonal), -1)
     nothing = np.zeros(0, np.int64)
-    share = variance_shares(diagonal)
+    share = variance_shares(diagonal + white)
     return Spread((diagonal / share).mean(axis=1), nothing, nothing, np.zeros(0), share)
 
 

@@ -14,6 +14,8 @@ from ...types import Array
 _BLOCK_BYTES = 1 << 19
 _SOME = 64
 """Samples at which the correlation length of errors is estimated."""
+_STEP = 1e-3
+"""rad: to either side, where the growth of errors is taken from differences."""
 
 MISFIT = 1.2
 """Factor on the posterior variance for model misfit: projected arms are rougher than draws of a
@@ -133,13 +135,22 @@ class GP:
         """Correlation length (M,) rad of the model's
         errors: they correlate by exp(−½ Σ (δ/reach)²).
 
-        From the curvature at zero: the variance of the error's
-        slope over that of the error, where it was learned.
+        From the curvature at zero: the variance of the error's slope, less what its deviation
+        grows, over that of the error, at angles of the samples, those of each joint from other
+        samples. An exploration is a path: on it errors are small and grow within a step across it,
+        and logs go elsewhere.
         """
-        x = self.samples[:: max(1, len(self.samples) // _SOME)]
+        turns = np.arange(self.samples.shape[1]) * (len(self.samples) // self.samples.shape[1])
+        apart = [np.roll(own, turn) for own, turn in zip(self.samples.T, turns, strict=True)]
+        x = np.column_stack(apart)[:: max(1, len(self.samples) // _SOME)]
         # a variance below this share of the amplitude is rounding
         error = max(self.predict(x)[2].mean(), np.finfo(float).eps * self.amplitude.max())
-        bend = self.slope_variance(x).mean(axis=(0, 1)) / error
+        grown = [
+            np.subtract(*(np.sqrt(self.predict(x + way)[2]) for way in (step, -step)))
+            for step in _STEP * np.eye(x.shape[1])
+        ]
+        lean = self.slope_variance(x) - np.square(np.stack(grown, axis=2) / (2.0 * _STEP))
+        bend = lean.mean(axis=(0, 1)) / error
         return np.asarray(1.0 / np.sqrt(np.maximum(bend, np.finfo(float).tiny)))
 
     @cached_property

@@ -12,6 +12,7 @@ from ...errors import ModelError
 from ...kinematics.identifiability import GIVEN
 from ...kinematics.links import CameraHint, FoundLinks, MarkerHint, MarkerTrack, find_links
 from ...kinematics.robot import Robot, reason_implausible
+from ...kinematics.weights import collect_weights
 from ...runtime.blas_threads import one_thread
 from ...settings import Settings
 from ...sources import group_of
@@ -34,7 +35,7 @@ from .move_findings import move_findings
 from .moves import Move, find_moves
 from .placements import KEPT, SAG, kept_calibration
 from .residuals import RESIDUAL, Together, fit_residual_kernel, forward_models, solve_together
-from .sag import Sag, collect_weights, describe_sag, left_out_share, solve_with_sag
+from .sag import Sag, describe_sag, left_out_share, solve_with_sag
 from .scores import kinematic_findings, kinematic_scores, kinematics_gain_nats, zero_scores
 from .sightings import ThingSightings, gather_sightings
 
@@ -268,9 +269,9 @@ def learn_residuals(
     described = dict[str, str]()
     if sag is not None:
         sagging, bent, _ = adjust_calibration(links, shown, beside, wide, sag)
-        share = left_out_share(adjusted, bent)
-        described[SAG] = describe_sag(share, sagging)
-        if share < 1.0:
+        share, better = left_out_share(adjusted, bent)
+        described[SAG] = describe_sag(share, better, sagging)
+        if better:
             calibration = sagging
     offsets = (*calibration.zeros, *calibration.scales)
     senses = {

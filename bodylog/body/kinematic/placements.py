@@ -141,14 +141,14 @@ def calibration_of_body(model: BodyModel) -> Calibration:
         for part in ("cameras", "markers", "earlier", "trackers")
     )
     lenses = tuple(_lens_from(one) for one in kept["lenses"])
+    sagging = tuple(_offset_from(one) for one in kept.get("compliances", ()))
     findings = [
         *map(_without_row_time, cameras),
-        *_unidentified_findings((*cameras, *trackers), markers, (*zeros, *scales)),
+        *_unidentified_findings((*cameras, *trackers), markers, (*zeros, *scales, *sagging)),
     ]
     if not zeros:
         findings.append(_without_zeros(model.joints))
     sizes = {f"camera {name}".strip(): size for name, size in image_sizes(model).items()}
-    sagging = tuple(_offset_from(one) for one in kept.get("compliances", ()))
     return Calibration(
         cameras,
         lenses,

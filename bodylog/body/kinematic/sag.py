@@ -1,43 +1,26 @@
 """Gravity sag: each joint gives way to the weight that it carries, by its torque times a compliance.
 
-The torques are those of the URDF's masses, with the z axis of its root upright. Sag and a joint's
+The torques are those of the URDF's masses. Sag and a joint's
 zero look alike where the torque hardly changes; then nothing separates the two, and the zero's
 error bar contains that.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...kinematics.adjustment import Adjusted
-from ...kinematics.chain import Chain, chain_between
 from ...kinematics.rig import Rig
-from ...kinematics.robot import Robot
+from ...kinematics.weights import Weights
 from ...types import Array
 from .placements import Calibration
 from .residuals import ResidualPart, solve_together
 
-GRAVITY = 9.81
 MOST_RAD = float(np.radians(1.0))
 """Prior standard deviation of the sag under the largest torque of a log."""
-
-
-@dataclass(frozen=True, eq=False)
-class Weights:
-    """What a robot's joints carry: mass, kg · centre (3,), m, of a link · chain to it."""
-
-    parts: tuple[tuple[float, Array, Chain], ...]
-
-    def torques(self, q: Array) -> Array:
-        """Gravity's torque (N,M) about each joint, N m (N where it slides), at q (N,M)."""
-        found = np.zeros(q.shape)
-        for mass, centre, chain in self.parts:
-            poses = chain.at(q)
-            place = poses.place + poses.rotation @ centre
-            # minus the derivative of the height
-            found -= mass * GRAVITY * chain.slopes(poses, place[:, None])[:, 0, 2]
-        return found
+BETTER_SIGMAS = 2.0
+"""Standard errors, by the groups' scatter, by which images left out are predicted better."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,17 +34,6 @@ class Sag:
     theta: Array
     compliance: Array
     covariance: Array
-
-
-def collect_weights(robot: Robot, joints: Sequence[str], still: Mapping[str, float]) -> Weights:
-    """The weights beyond the joints; other joints are held at `still` (rad or m), or at 0."""
-    found = []
-    for link, (mass, centre) in robot.masses.items():
-        chain = chain_between(robot, robot.root, link)
-        if mass > 0.0 and set(chain.joints) & set(joints):
-            held = {name: still.get(name, 0.0) for name in chain.joints if name not in joints}
-            found.append((mass, centre, chain.holding(held).over(tuple(joints))))
-    return Weights(tuple(found))
 
 
 def solve_with_sag(
@@ -82,15 +54,19 @@ def solve_with_sag(
     return Sag(weights, doubt, both.theta, doubt * both.beside.mean, covariance)
 
 
-def left_out_share(without: Adjusted, with_sag: Adjusted) -> float:
-    """RMS error of groups of images that are left out, as a share of that without sag."""
-    return float(np.sqrt(with_sag.left_out.mean() / without.left_out.mean()))
+def left_out_share(without: Adjusted, with_sag: Adjusted) -> tuple[float, bool]:
+    """RMS error of groups of images that are left out, as a share of that without
+    sag, and whether it is less by more than BETTER_SIGMAS.
+    """
+    gain = without.left_out - with_sag.left_out
+    share = float(np.sqrt(with_sag.left_out.mean() / without.left_out.mean()))
+    return share, bool(gain.mean() > BETTER_SIGMAS * gain.std(ddof=1) / np.sqrt(len(gain)))
 
 
-def describe_sag(share: float, found: Calibration) -> str:
+def describe_sag(share: float, better: bool, found: Calibration) -> str:
     """A sentence about sag, by `left_out_share` and by whether the images identify it."""
     text = f"gravity sag: with it images left out have {share:.1%} of their error"
-    if share < 1.0:
+    if better:
         return f"{text}; zeros are those without weight"
     if any(one.identifiable for one in found.compliances):
         return f"{text}, so none is estimated; zeros contain what there is"

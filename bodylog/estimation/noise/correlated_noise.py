@@ -106,6 +106,21 @@ def correlation_length(model: ForwardModel) -> Array:
     return np.asarray(getattr(model, "reach", np.inf))
 
 
+def correlate_postures(model: ForwardModel, x: Array) -> Array:
+    """Correlation (F,F) of the model's errors at angles x (F,M) rad, by its own covariance; 1
+    where it has none.
+
+    `correlation_length` is a mean over postures: beyond what a body was learned from, errors last
+    for much longer steps than beside it.
+    """
+    covariance = getattr(model, "covariance", None)
+    if covariance is None:
+        return np.ones((len(x), len(x)))
+    shared = covariance(x).mean(axis=0)
+    std = np.sqrt(np.maximum(np.diag(shared), np.finfo(float).tiny))
+    return np.asarray(np.clip(shared / np.outer(std, std), -1.0, 1.0))
+
+
 def inflate_variances(
     like: ErrorCorrelation,
     t: Array,

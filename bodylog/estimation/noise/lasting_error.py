@@ -20,7 +20,7 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Encoders, Sighting, mix_rows
-from .correlated_noise import PIXEL_CORRELATION_PX, correlation_length
+from .correlated_noise import PIXEL_CORRELATION_PX, correlate_postures
 from .quantisation import quantisation_variance
 
 STRETCHES_PER_LOG = 4
@@ -157,7 +157,6 @@ def _stretch_residuals(
     inlying = _find_inliers(residual)
     width = max(ROWS_PER_STRETCH // values.shape[1], 1)
     frames = np.arange(len(usable))[inlying]
-    length = correlation_length(sighting.model)
     counts = _count_variances(encoders)
     for start in np.unique(
         np.linspace(0, max(len(frames) - width, 0), STRETCHES_PER_LOG).astype(int)
@@ -178,7 +177,7 @@ def _stretch_residuals(
             sighting.t[rows],
             variance,
             counts,
-            length,
+            correlate_postures(sighting.model, angles[rows]),
         )
 
 
@@ -221,16 +220,16 @@ def _build_piece_residuals(
     t: Array,
     variance: Array,
     counts: Array,
-    length: Array,
+    near_posture: Array,
 ) -> Residuals:
     """The residuals (F,D) of F images, whose D rows are independent, as R = F D rows.
 
     places (F,D): predicted, as measured ones are near where their errors are alike · jac, unread
     (F,D,M): slopes of joints with and without readings · late (F,D): by a second · counts (M,)
-    rad²: variance of the readings that comes from whole counts.
+    rad²: variance of the readings that comes from whole counts · near_posture (F,F): correlation of
+    the body's errors.
     """
     step = q[:, None, :] - q[None, :, :]
-    near_posture = np.exp(-0.5 * np.square(step / length).sum(axis=-1))
     apart = np.sqrt(np.square(places[:, None] - places[None]).sum(axis=-1))
     # the error of a count turns from one half of it to the other
     same_count = np.exp(-0.5 * np.square(step) / np.maximum(12.0 * counts / 16.0, 1e-30))

@@ -37,7 +37,7 @@ from .lasting_likelihood import (
 )
 
 Prior = Callable[[Array], tuple[Array, Array]]
-"""The prior of a track at angles (B,M) rad: mean (D,) px and covariance (D,B,B) px²."""
+"""The prior of a track at angles (B,M) rad: mean (D,) and covariance (D,B,B), px or mm, squared."""
 MOST_HALF = 0.05
 """rad: half of the largest play, 5.7°; more is no play."""
 PLAY_STD = 0.01
@@ -76,6 +76,11 @@ class _PriorCurve:
     mean: Array
     cov: Array
     share: float
+
+    @property
+    def has_rows(self) -> bool:
+        """Whether it is in images, which are exposed row by row; points in space have none."""
+        return len(self.mean) == 2
 
     @property
     def span(self) -> tuple[float, float]:
@@ -122,7 +127,10 @@ class _Search:
         self.middle = {name: 0.5 * sum(span) for name, span in widest.items()}
         self.span = {name: max(span[1] - span[0], 1.0) for name, span in widest.items()}
         first = len(self.late)
-        self.rows = np.arange(first, first + len(self.cameras))
+        imaging = {one.camera for one in self.curves if one.has_rows}
+        self.rows = np.array(
+            [first + k for k, name in enumerate(self.cameras) if name in imaging], int
+        )
         self.play = np.arange(len(joints)) + first + len(self.cameras)
         self.std = np.concatenate(
             [
@@ -195,11 +203,12 @@ class _Search:
             own = np.array(
                 [
                     self.late.index((one.log, one.camera)),
-                    self.rows[self.cameras.index(one.camera)],
+                    len(self.late) + self.cameras.index(one.camera),
                     *self.play,
                 ]
             )
             rows = one.curve.predicted[:, -1] - self.middle[one.camera]
+            rows = rows if one.has_rows else np.zeros(len(rows))
             aligned = _align_curve(one, rows, slack, sizes[own])
             if len(aligned.kept) >= MIN_READINGS:
                 yield one, own, aligned
@@ -235,7 +244,7 @@ class _Search:
                 delays[log][name] = Delay(float(size), float(error))
         rows = {
             name: RowExposure(float(sizes[p]), float(errors[p]), self.middle[name], self.span[name])
-            for name, p in zip(self.cameras, self.rows, strict=True)
+            for p, name in enumerate(self.cameras, len(self.late))
             if p in free
         }
         play = {

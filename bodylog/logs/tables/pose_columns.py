@@ -44,7 +44,7 @@ class PoseColumns:
     m} · std {name: the same} · images {column: files} · t (N,) s.
 
     `time`: the column of times, None if rows are numbered · notes on the roles of the columns ·
-    odd: names of which an axis is missing.
+    odd: what columns lack beside them.
     lens {LENS and others: number}: of the camera; empty without its columns.
     """
 
@@ -66,8 +66,9 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     images = {name: files for name, files in table.texts.items() if are_image_files(files)}
     time, t = _take_time_column(left, table.rows, notes)
     frames = frame_poses(left, path)
-    points, halves = _take_point_columns(left, {one.name for one in frames})
-    tracks, std = _take_track_columns(left, points)
+    points, odd = _take_point_columns(left, {one.name for one in frames})
+    tracks, std, partial = _take_track_columns(left, points)
+    odd |= _find_lone_columns(left)
     scales = {name: metres_per_unit(places) for name, places in points.items()}
     for name, scale in scales.items():
         tracks[name] = tracks[name] * scale
@@ -81,9 +82,8 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
         )
     )
     empty = [name for name, values in left.items() if not np.isfinite(values).any()]
-    lone = [name for name in left if _PLACE.fullmatch(name)]
     unused = dict.fromkeys(
-        [*(n for n in table.texts if n not in images), *labels, *spaces, *empty, *lone]
+        [*(n for n in table.texts if n not in images), *labels, *spaces, *empty, *odd]
     )
     joints = {name: values for name, values in left.items() if name not in unused}
     if frames and not joints:
@@ -105,7 +105,7 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     notes += [f"the camera's lens: {', '.join(lens)}"] if lens else []
     if unused:
         notes.append(f"columns not used: {', '.join(unused)}")
-    return PoseColumns(joints, tracks, std, images, t, time, tuple(notes), lens, tuple(halves))
+    return PoseColumns(joints, tracks, std, images, t, time, tuple(notes), lens, (*dict.fromkeys(odd.values()), *partial))
 
 
 def are_image_files(files: Array) -> bool:
@@ -162,24 +162,43 @@ def _time_column_scale(name: str) -> float:
 
 def _take_point_columns(
     left: dict[str, Array], frames: Collection[str]
-) -> tuple[dict[str, Array], list[str]]:
-    """Points (N,3) of NAME_x, NAME_y and NAME_z, removed from `left`, by track,
-    and notes on names with two of the three; names of poses have other columns.
+) -> tuple[dict[str, Array], dict[str, str]]:
+    """Points (N,3) of NAME_x, NAME_y and NAME_z, removed from `left`, by track; and, of names with
+    two of the three, the missing column by those there; names of poses have other columns.
     """
     points = dict[str, Array]()
-    halves = list[str]()
+    halves = dict[str, str]()
     for name, found in _axes_by_name(left).items():
         known = {axis: found[axis] for axis in PLACE if axis in found}
-        if name in frames or len(known) < len(found) or len(known) < 2:
+        if name in frames or len(known) < len(found) or len(known) < 2 or _STD.fullmatch(name):
             continue
         if len(known) == 2:
             missing = next(axis for axis in PLACE if axis not in known)
-            have = " and ".join(known.values())
-            halves.append(f"{have} without {name}_{missing} are no point in space")
+            first, second = known.values()
+            halves[first] = f"{first} and {second} without {name}_{missing} are no point in space"
+            halves[second] = halves[first]
             continue
         track = name if "/" in name else f"{TRACKER}/{name}"
         points[track] = np.column_stack([left.pop(known[axis]) for axis in PLACE])
     return points, halves
+
+
+def _find_lone_columns(left: Mapping[str, Array]) -> dict[str, str]:
+    """What is missing beside columns of a place in images
+    or of standard deviations, by the column there.
+    """
+    lone = dict[str, str]()
+    deviations: dict[str, list[str]] = {}
+    for column in left:
+        if match := _STD.fullmatch(column):
+            deviations.setdefault(match["name"], []).append(column)
+        elif match := _PLACE.fullmatch(column):
+            other = "v" if match["axis"] == "u" else "u"
+            lone[column] = f"{column} without {match['name']}_{other} is no place in an image"
+    for name, columns in deviations.items():
+        beside = f"{name}_u and {name}_v, or {name}_x, {name}_y and {name}_z"
+        lone |= dict.fromkeys(columns, f"{', '.join(columns)} without {beside}: of no use alone")
+    return lone
 
 
 def metres_per_unit(points: Array) -> float:
@@ -196,9 +215,9 @@ def millimetres_note(name: str, points: Array) -> str:
 
 def _take_track_columns(
     left: dict[str, Array], points: Mapping[str, Array]
-) -> tuple[dict[str, Array], dict[str, Array]]:
+) -> tuple[dict[str, Array], dict[str, Array], list[str]]:
     """Positions (N,2) px of NAME_u and NAME_v, beside them points (N,3), and
-    the standard deviations of both, removed from `left`.
+    the standard deviations of both, removed from `left`; which of these some axes lack.
     """
     axes: dict[str, dict[str, str]] = {}
     for column in left:
@@ -219,10 +238,14 @@ def _take_track_columns(
                     column
                 )
                 break
-    return tracks, {
-        name: _track_std(found, left, "xyz" if name in points else "uv")
+    axes_of = {name: "xyz" if name in points else "uv" for name in stds}
+    partial = [
+        f"{', '.join(found.values())}: no standard deviation of {name} along {', '.join(missing)}"
         for name, found in stds.items()
-    }
+        if "all" not in found and (missing := [axis for axis in axes_of[name] if axis not in found])
+    ]
+    both = {name: _track_std(found, left, axes_of[name]) for name, found in stds.items()}
+    return tracks, both, partial
 
 
 def _track_std(found: Mapping[str, str], left: dict[str, Array], axes: str) -> Array:
