@@ -117,7 +117,8 @@ def _examine_logs(
         for path, result in results.items():
             count = sum(finding.severity != "info" for finding in result.findings)
             finding_count = "1 finding" if count == 1 else f"{count} findings"
-            print_line(f"{path}: {finding_count if count else 'sound'}")
+            quiet = "nothing in common" if result is whole else "sound"
+            print_line(f"{path}: {finding_count if count else quiet}")
             for finding in result.findings:
                 print_line(f"  {finding.severity}: {finding.text}")
     return code or max(exit_code_of_findings(result.findings) for result in results.values())

@@ -139,23 +139,31 @@ def _weigh_hypothesis(
 def join_changes(
     logs: Sequence[Sequence[ChangeHypothesis]], learned_from: int, margin: float
 ) -> list[ChangeHypothesis]:
-    """The hypotheses of several logs with one change in common, from those of each log (same order).
+    """The hypotheses of several logs with one change in common, the sound one first, from those of
+    each log, the sound one first.
 
     learned_from: the number of logs behind the belief. Its own error is in every log alike: of a
     log's variance the share 1 / (learned_from + 1), as its logs tell as much as this one each. A
     joint of which offsets of its own in some logs win `margin` nats has their evidence, and no
-    offset in common. The camera's evidence is the product of the logs', as if it had moved
-    differently in each: a lower bound.
+    offset in common. The camera's evidence is the product of that of the logs in which it may have
+    moved, as if it had moved differently in each: a lower bound.
     """
-    sound = [changes[0] for changes in logs]
-    found = [ChangeHypothesis(SOUND, 0.0)]
-    for each in list(zip(*logs, strict=True))[1:]:
-        gains = np.array([one.nats - alone.nats for one, alone in zip(each, sound, strict=True)])
-        if each[0].beforehand:
-            found.append(_join_offsets(each, gains, learned_from, margin))
-        else:
-            found.append(ChangeHypothesis(each[0].name, float(gains.sum())))
-    return found
+    gains = dict[str, list[float]]()
+    offsets = dict[str, list[ChangeHypothesis]]()
+    for changes in logs:
+        for one in changes[1:]:
+            gains.setdefault(one.name, []).append(one.nats - changes[0].nats)
+            if one.beforehand:
+                offsets.setdefault(one.name, []).append(one)
+    return [
+        ChangeHypothesis(SOUND, 0.0),
+        *(
+            _join_offsets(offsets[name], np.array(own), learned_from, margin)
+            if name in offsets
+            else ChangeHypothesis(name, sum(own))
+            for name, own in gains.items()
+        ),
+    ]
 
 
 def _join_offsets(

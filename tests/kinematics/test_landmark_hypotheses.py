@@ -127,6 +127,10 @@ def test_offset_of_one_log_is_none_of_all_logs():
     logs = changes_by_measurements(np.array([0.0, 0.087, 0.001]), np.full(3, 0.004), 0.1)
     _, joint, _ = join_changes(logs, 6, 4.0)
     assert joint.value == 0.0 and joint.nats > 100.0  # it differs: so no other joint explains it
+    still = [logs[0][:2], *logs[1:]]  # in the first log the camera cannot have moved
+    assert [one.name for one in join_changes(still, 6, 4.0)] == [SOUND, "elbow", CAMERA]
+    assert join_changes(still, 6, 4.0)[2].nats == 2.0
+    assert len(join_changes([one[:2] for one in logs], 6, 4.0)) == 2
     same = changes_by_measurements(np.array([0.085, 0.087, 0.094]), np.full(3, 0.004), 0.1)
     _, joint, _ = join_changes(same, 6, 4.0)
     assert joint.value == pytest.approx(0.0885, abs=0.001) and joint.nats > 100.0
