@@ -473,12 +473,16 @@ def picture_shift(before: Array, after: Array | None, width: int) -> float | Non
     )
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-4)
     try:
-        alike, warp = cv2.findTransformECC(
+        correlation, warp = cv2.findTransformECC(
             first, second, np.eye(2, 3, dtype=np.float32), cv2.MOTION_TRANSLATION, criteria
         )
     except cv2.error:  # it does not converge: no picture of one scene
         return None
-    return float(np.hypot(*warp[:, 2])) * width / before.shape[1] if alike > _LEAST_ALIKE else None
+    return (
+        float(np.hypot(*warp[:, 2])) * width / before.shape[1]
+        if correlation > _LEAST_ALIKE
+        else None
+    )
 
 
 def explains_enough_pieces(fit: "LandmarkFit", part: "LandmarkSightings") -> bool:

@@ -60,9 +60,15 @@ def rolled_episodes(row_times_s: list[float]) -> tuple[list[dict[str, Any]], dic
         figures = {"delay/top": [delay, std, abs(share) * 0.02, None], "row_time/top": [row_time, 0.02, 0.0, None]}
         about = {"view": None, "size": None, "stored_hz": None, "thumbnails": []}
         evidence[str(number)] = {
-            "figures": figures, "joints": None, "action": None, "cameras": {"top": about}, "digest": None,
-            "duration_s": 10.0, "by_surface": ["delay/top", "row_time/top"], "row_shares": {"delay/top": [share, row_time]},
-        }  # fmt: skip
+            "figures": figures,
+            "joints": None,
+            "action": None,
+            "cameras": {"top": about},
+            "digest": None,
+            "duration_s": 10.0,
+            "by_surface": ["delay/top", "row_time/top"],
+            "row_shares": {"delay/top": [share, row_time]},
+        }
         scores = {"delay/top": delay, "std/delay/top": std}
         rows.append({"name": str(number), "exit_code": 0, "findings": [], "verdict": [], "scores": scores})
     return rows, evidence
@@ -75,7 +81,8 @@ def test_delays_of_episodes_have_the_row_time_of_all() -> None:
     delays = [row["scores"]["delay/top"] for row in found.rows]
     assert max(abs(np.array([row["scores"]["delay/top"] for row in rows]) - 0.1)) > 0.006
     np.testing.assert_allclose(delays, 0.1, atol=1e-9)
-    assert all(row["scores"]["std/delay/top"] < one["scores"]["std/delay/top"] for row, one in zip(found.rows, rows, strict=True))
+    for row, one in zip(found.rows, rows, strict=True):
+        assert row["scores"]["std/delay/top"] < one["scores"]["std/delay/top"]
     text = found.rows[1]["findings"][0][1]
     assert text.startswith("delay/top: 100.0 ± ") and "alone 106.0 ± 6.3 ms" in text
     assert found.pooled["delay/top"].mean == pytest.approx(0.1)

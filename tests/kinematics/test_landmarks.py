@@ -249,7 +249,8 @@ def test_a_camera_moved_between_logs_has_a_placement_in_each():
     start[built.of_moves] = 0.0
     free = np.zeros(len(phi), bool)
     free[built.of_moves] = True
-    sure = replace(Landmarks(bodies, places), prior=PlacePrior(places, np.stack([1e6 * np.eye(3)] * len(places)),
-                   np.zeros((len(places), 3, len(phi))), phi))  # fmt: skip
+    certain = np.stack([1e6 * np.eye(3)] * len(places))
+    prior = PlacePrior(places, certain, np.zeros((len(places), 3, len(phi))), phi)
+    sure = Landmarks(bodies, places, prior)
     found, _, _ = adjust_landmarks(built, start, shown, sure, free)
     np.testing.assert_allclose(found[built.of_moves], phi[built.of_moves], atol=2e-3)
