@@ -1,4 +1,4 @@
-"""Inputs of the filter kernel: dynamics and the readings of each stretch."""
+"""Inputs of the filter kernel: dynamics and the readings of each path."""
 
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -134,7 +134,7 @@ class FilterReadings:
         return replace(self, **parts)
 
     def repeated(self, count: int) -> "FilterReadings":
-        """One stretch, `count` times side by side."""
+        """One path, `count` times side by side."""
         parts: dict[str, Any] = {
             k: np.repeat(part, count, axis=-1)
             for k, part in vars(self).items()

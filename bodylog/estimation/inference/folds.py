@@ -1,6 +1,4 @@
-"""A long log folded into stretches that are filtered
-in parallel: (E,…) in time order <-> (L,…,C).
-"""
+"""A log's rows (E,…) as the kernel takes them, (L,…,C): one path, or several side by side."""
 
 from dataclasses import dataclass, replace
 
@@ -8,16 +6,12 @@ import numpy as np
 
 from ...types import Array
 from .filter_records import FilterReadings
-from .kernel import LANES
 from .problem import FilterProblem
-
-MIN_STRETCH_INSTANTS = 32
-"""Least number of instants in a stretch: its end must not depend on its start."""
 
 
 @dataclass(frozen=True)
 class Fold:
-    """`count` stretches C of `length` instants L each."""
+    """`count` paths C of `length` instants L each; E rows are the first path's, then the next's."""
 
     events: int
     length: int
@@ -44,21 +38,14 @@ class Fold:
         """Write rows (F,…) into the folded a (L,…,C) at the given events."""
         a[events % self.length, ..., events // self.length] = rows
 
-    def lasts(self) -> Array:
-        """Last event (C−1,) before each stretch but the first starts."""
-        return np.arange(1, self.count) * self.length - 1
+    @staticmethod
+    def of(problem: FilterProblem) -> "Fold":
+        """A log as one path."""
+        events = len(problem.timeline.t)
+        return Fold(events, events, 1)
 
 
-def choose_fold(events: int) -> Fold:
-    """Fold with as many stretches as the kernel filters side by side, if the log is long enough."""
-    count = min(LANES, max(1, events // MIN_STRETCH_INSTANTS))
-    length = max(1, -(-events // count))
-    return Fold(events, length, max(1, -(-events // length)))
-
-
-def fold_readings(
-    problem: FilterProblem, fold: Fold, held: Array | None = None
-) -> FilterReadings:
+def fold_readings(problem: FilterProblem, fold: Fold, held: Array | None = None) -> FilterReadings:
     """Readings of all instants, folded, without the frames'
     tangents; held (E,M) bool: joints silent for long.
     """
