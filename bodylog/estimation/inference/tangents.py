@@ -1,4 +1,7 @@
-"""Linearisation points of frames; only frames whose point moved are predicted again."""
+"""Linearisation points of frames; only frames whose point moved are predicted again.
+
+Where a log's path starts, and the first linearisation points of its frames.
+"""
 
 from copy import copy
 
