@@ -14,7 +14,7 @@ from bodylog.estimation.inference.filter_records import (
     FilterReadings,
 )
 from bodylog.estimation.inference.reacquisition import START_STD
-from bodylog.estimation.inference.scan import TraceDetail, filter_stretches
+from bodylog.estimation.inference.scan import TraceDetail, filter_stretches, restart_filter
 
 JOINTS = 3
 
@@ -118,8 +118,9 @@ CASES = [(order, drift, tracks, count) for order in (2, 3) for drift in (False, 
 
 @pytest.fixture(params=CASES, ids=str)
 def drawn(request, monkeypatch):
-    """Irregular readings of paths side by side, some absent, some wrong, over several blocks: (readings, dynamics, z, p)."""
-    monkeypatch.setattr("bodylog.estimation.inference.scan.BLOCK_INSTANTS", 16)
+    """Irregular stretches of readings, some absent, some wrong, over several blocks: (readings, dynamics, z, p)."""
+    for module in ("scan", "solution"):
+        monkeypatch.setattr(f"bodylog.estimation.inference.{module}.BLOCK_INSTANTS", 16)
     order, drift, tracks, c = request.param
     rng, length, rows = np.random.default_rng(order + 10 * tracks + drift), 40, 2 + tracks % 2
     dynamics = FilterDynamics(rng.uniform(0.1, 1.0, JOINTS), np.array([1e-4, 0.0, 1e-5]) if drift else None, order=order)
@@ -168,11 +169,12 @@ def test_scan_knows_changing_noise_and_restarts(drawn):
 def test_backward_pass_is_rauch_tung_striebels(drawn):
     readings, dynamics, z, p = drawn
     trace, c = filter_stretches(readings, dynamics, z, p, TraceDetail.COVARIANCES), z.shape[1]
-    found, _ = solution.smooth_states(readings, trace, dynamics)
+    ends = np.zeros_like(z)
+    found, _ = solution.smooth_states(readings, trace, ends, dynamics)
     outputs = np.r_[:JOINTS, dynamics.order * JOINTS : dynamics.size]
-    means, _ = solution.smooth_states(readings, filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS), dynamics)
+    means, _ = solution.smooth_states(readings, filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS), ends, dynamics)
     np.testing.assert_allclose(means, found[:, outputs], atol=1e-12)
-    # each path alone
+    # each stretch alone: nothing follows it
     alone = [replace(readings, **{name: np.ascontiguousarray(getattr(readings, name)[..., k : k + 1])
                                   for name in ("dt", "encoders", "encoder_var", "y", "jac", "var")})
              for k in range(c)]  # fmt: skip
@@ -184,9 +186,41 @@ def test_backward_pass_is_rauch_tung_striebels(drawn):
         x, spread = smoothed(prior, prior_p, mean, cov, move)
         np.testing.assert_allclose(found[..., k], x, atol=1e-7)
         single = filter_stretches(own, dynamics, z[:, k : k + 1], p[..., k : k + 1], TraceDetail.MEANS)
-        all_states, ours = solution.smooth_with_covariances(own, single, dynamics)
+        all_states, ours = solution.smooth_with_covariances(own, single, ends[:, :1], dynamics)
         np.testing.assert_allclose(all_states[..., 0], x, atol=1e-7)
         np.testing.assert_allclose(ours[..., 0], rows @ spread @ rows.T, atol=1e-8)
+
+
+def test_stretches_that_follow_each_other_are_one(drawn):
+    readings, dynamics, z, p = drawn
+    c, names = z.shape[1], ("dt", "encoders", "encoder_var", "y", "jac", "var")
+    whole = replace(readings, **{name: np.ascontiguousarray(np.concatenate(
+        [getattr(readings, name)[..., k : k + 1] for k in range(c)])) for name in names})  # fmt: skip
+    one = filter_stretches(whole, dynamics, z[:, :1], p[..., :1], TraceDetail.COVARIANCES)
+    length = len(readings.dt)
+    for k in range(1, c):
+        z[:, k], p[..., k] = one.z[k * length - 1, :, 0], one.p[k * length - 1, ..., 0]
+    trace, ends = filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS), np.zeros_like(z)
+    for _ in range(c):
+        _, start = solution.smooth_states(readings, trace, ends, dynamics)
+        ends = solution.adjoints_for_next_round(start)
+    x, cov = solution.smooth_with_covariances(readings, trace, ends, dynamics)
+    one = filter_stretches(whole, dynamics, z[:, :1], p[..., :1], TraceDetail.MEANS)
+    expected, expected_cov = solution.smooth_with_covariances(whole, one, np.zeros((dynamics.size, 1)), dynamics)
+    np.testing.assert_allclose(np.concatenate(np.moveaxis(x, -1, 0)), expected[..., 0], atol=1e-9)
+    np.testing.assert_allclose(np.concatenate(np.moveaxis(cov, -1, 0)), expected_cov[..., 0], atol=1e-9)
+
+
+def test_restart_filters_until_the_start_is_forgotten(drawn):
+    readings, dynamics, z, p = drawn
+    fresh, trace = (filter_stretches(readings, dynamics, *start, TraceDetail.MEANS) for start in ((z, p), (z + 0.3, 2.0 * p)))
+    restart_filter(readings, dynamics, z, p, trace)
+    for name in ("prior", "prior_cov", "z", "cov", "end_p", "nats", "encoder_d", "p", "information"):
+        np.testing.assert_array_equal(getattr(trace, name), getattr(fresh, name))
+    second = fresh.blocks[1]
+    trace.z[second], trace.end_p[:] = 0.0, 0.0
+    restart_filter(readings, dynamics, z, p, trace)  # the first block ends as before
+    assert not trace.z[second].any() and not trace.end_p.any()
 
 
 def test_candidates_stand_side_by_side(drawn):

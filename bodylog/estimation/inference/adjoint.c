@@ -1,4 +1,4 @@
-/* The smoother's backward pass in Bryson–Frazier form, eight paths side by side. Shapes are in adjoint.py. */
+/* The smoother's backward pass in Bryson–Frazier form, eight stretches side by side. Shapes are in adjoint.py. */
 
 #include "motion.h"
 
@@ -104,7 +104,7 @@ static void undo_readings(struct back *b, int64_t i, const lanes *x)
     }
 }
 
-/* gᵀ W (W), without the states `row` and `off`. */
+/* gᵀ W and gᵀ Ψ (W), without the states `row` and `off`. */
 static void weigh(struct back *b, const lanes *g, int64_t row, int64_t off, lanes *restrict sum)
 {
     int64_t width = b->s->width;
@@ -117,7 +117,7 @@ static void weigh(struct back *b, const lanes *g, int64_t row, int64_t off, lane
     }
 }
 
-/* W (K,K) back over a track's row: (I − g h)ᵀ W (I − g h) + weight hᵀ h. */
+/* W and Ψ (K,W) back over a track's row: (I − g h)ᵀ W (I − g h) + weight hᵀ h, and (I − g h)ᵀ Ψ. */
 static void undo_track(struct back *b, int64_t i, int64_t row, const lanes *g, lanes weight)
 {
     const struct adjoint *s = b->s;
@@ -138,7 +138,7 @@ static void undo_track(struct back *b, int64_t i, int64_t row, const lanes *g, l
     }
 }
 
-/* W back over an encoder, of whose reading hᵀ takes the angle `row` and, where there is one, the offset `off`.
+/* W and Ψ back over an encoder, of whose reading hᵀ takes the angle `row` and, where there is one, the offset `off`.
 
 1 − h g = R weight of an exact reading is far below the rounding of h g, and W is as much larger, so `left` is not taken
 from a difference. */
@@ -202,7 +202,7 @@ static void covariance(struct back *b, int64_t i)
         }
 }
 
-/* W back over the rows of an instant, one after the other. */
+/* W and Ψ back over the rows of an instant, one after the other. */
 static void undo_rows(struct back *b, int64_t i)
 {
     const struct adjoint *s = b->s;
@@ -221,7 +221,7 @@ static void undo_rows(struct back *b, int64_t i)
     }
 }
 
-/* Back over the log: adjoints (K,1), or W (K,K). */
+/* Back over the log: adjoints (K,1), or W and Ψ (K,W). */
 static void back_over(struct back *b)
 {
     const struct adjoint *s = b->s;

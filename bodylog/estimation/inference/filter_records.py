@@ -1,4 +1,4 @@
-"""Inputs of the filter kernel: dynamics and the readings of each path.
+"""Inputs of the filter kernel: dynamics and the readings of each stretch.
 
 The gate of the filter: readings too far from the belief to be Gaussian.
 
@@ -145,7 +145,7 @@ class FilterReadings:
         return replace(self, **parts)
 
     def repeated(self, count: int) -> "FilterReadings":
-        """One path, `count` times side by side."""
+        """One stretch, `count` times side by side."""
         parts: dict[str, Any] = {
             k: np.repeat(part, count, axis=-1)
             for k, part in vars(self).items()

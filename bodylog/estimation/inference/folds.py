@@ -1,4 +1,8 @@
-"""A log's rows (E,…) as the kernel takes them, (L,…,C): one path, or several side by side."""
+"""A long log folded into stretches that are filtered
+in parallel: (E,…) in time order <-> (L,…,C).
+
+A log's readings, folded into stretches for the filter.
+"""
 
 from dataclasses import dataclass, replace
 
@@ -6,12 +10,16 @@ import numpy as np
 
 from ...types import Array
 from .filter_records import FilterReadings
+from .kernel import LANES
 from .problem import FilterProblem
+
+MIN_STRETCH_INSTANTS = 32
+"""Least number of instants in a stretch: its end must not depend on its start."""
 
 
 @dataclass(frozen=True)
 class Fold:
-    """`count` paths C of `length` instants L each; E rows are the first path's, then the next's."""
+    """`count` stretches C of `length` instants L each."""
 
     events: int
     length: int
@@ -38,14 +46,21 @@ class Fold:
         """Write rows (F,…) into the folded a (L,…,C) at the given events."""
         a[events % self.length, ..., events // self.length] = rows
 
-    @staticmethod
-    def of(problem: FilterProblem) -> "Fold":
-        """A log as one path."""
-        events = len(problem.timeline.t)
-        return Fold(events, events, 1)
+    def lasts(self) -> Array:
+        """Last event (C−1,) before each stretch but the first starts."""
+        return np.arange(1, self.count) * self.length - 1
 
 
-def fold_readings(problem: FilterProblem, fold: Fold, held: Array | None = None) -> FilterReadings:
+def choose_fold(events: int) -> Fold:
+    """Fold with as many stretches as the kernel filters side by side, if the log is long enough."""
+    count = min(LANES, max(1, events // MIN_STRETCH_INSTANTS))
+    length = max(1, -(-events // count))
+    return Fold(events, length, max(1, -(-events // length)))
+
+
+def fold_readings(
+    problem: FilterProblem, fold: Fold, held: Array | None = None
+) -> FilterReadings:
     """Readings of all instants, folded, without the frames'
     tangents; held (E,M) bool: joints silent for long.
     """

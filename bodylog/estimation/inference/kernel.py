@@ -14,6 +14,8 @@ from ...errors import UsageError
 from ...types import Array
 
 LIBRARY = Path(__file__).with_name("libkernel.so")
+LANES = 8
+"""Stretches, or candidates, that the library computes side by side."""
 
 
 @cache

@@ -1,7 +1,7 @@
-"""The Gaussian filter of a log, or of several paths side by side, by the kernel (scan.c).
+"""The Gaussian filter: stretches of a log side by side, by the kernel (scan.c).
 
 State z (K,C) = joint angles, rates[, accelerations][,
-encoder offsets]; the last axis C is the path.
+encoder offsets]; the last axis C is the stretch.
 """
 
 import ctypes
@@ -12,6 +12,7 @@ from enum import Enum
 import numpy as np
 
 from ...types import Array
+from .convergence import CONVERGED_MOVE, measure_farthest_move
 from .filter_records import FLAT_COST_NATS, GATE_SIGMA, FilterDynamics, FilterReadings
 from .kernel import bind_kernel_call, list_struct_fields
 from .reacquisition import START_STD
@@ -72,6 +73,21 @@ class FilterTrace:
             for at in range(0, len(self.z), BLOCK_INSTANTS)
         ]
 
+    def between(self, at: slice) -> "FilterTrace":
+        """Views of one block of what a smoother's means need."""
+        parts = {
+            name: part[at]
+            for name, part in vars(self).items()
+            if part is not None and len(part) == len(self.z)
+        }
+        assert self.marks is not None
+        return replace(
+            self,
+            **parts,
+            end_p=self.end_p.copy(),
+            marks=self.marks[at.start // BLOCK_INSTANTS :][:1],
+        )
+
     def without_gains(self) -> "FilterTrace":
         """The trace without what only the backward pass needs, most of its memory."""
         return replace(self, p=None, back=None, marks=None)
@@ -86,10 +102,10 @@ def filter_stretches(
     into: FilterTrace | None = None,
     every: int = 1,
 ) -> FilterTrace:
-    """Filter every path from its own start z (K,C), p (K,K,C).
+    """Filter every stretch from its own start z (K,C), p (K,K,C).
 
-    Candidates stand side by side: several paths to each of the readings, with their own process
-    and frame variances. Only every `every`-th path keeps more than nats. `into`: a trace of the
+    Candidates stand side by side: several stretches to each of the readings, with their own process
+    and frame variances. Only every `every`-th stretch keeps more than nats. `into`: a trace of the
     same shape to overwrite, as fresh memory costs as much as the arithmetic.
     """
     trace = into or allocate_trace(readings, dynamics, z.shape[1], every, keep)
@@ -161,6 +177,30 @@ def prepare_filter(
     )
 
 
+def restart_filter(
+    readings: FilterReadings, dynamics: FilterDynamics, z: Array, p: Array, trace: FilterTrace
+) -> None:
+    """Filter again, in place, from starts z (K,C), p
+    (K,K,C), until a block ends with the belief of before.
+    """
+    assert trace.marks is not None
+    for at, after in zip(trace.blocks, [*trace.marks[1:], None], strict=True):
+        part = filter_stretches(
+            readings.between(at.start, at.stop),
+            dynamics,
+            z,
+            p,
+            TraceDetail.MEANS,
+            trace.between(at),
+        )
+        z = part.z[-1]
+        p = part.end_p
+        if after is None:
+            trace.end_p[:] = p
+        elif measure_farthest_move(after[:, -1], after[:, :-1], z, p) < CONVERGED_MOVE:
+            return
+
+
 def allocate_trace(
     readings: FilterReadings,
     dynamics: FilterDynamics,
@@ -168,7 +208,7 @@ def allocate_trace(
     every: int = 1,
     keep: TraceDetail = TraceDetail.BELIEFS,
 ) -> FilterTrace:
-    """Room for the trace of so many paths, of which every `every`-th is kept."""
+    """Room for the trace of so many stretches, of which every `every`-th is kept."""
     (length, m, _), k, kept = readings.encoders.shape, dynamics.size, -(-stretches // every)
     o = m if dynamics.drift is None else 2 * m
     rows = m + readings.y.shape[1] * readings.y.shape[2]

@@ -191,7 +191,7 @@ def _write_lines_over_beliefs(
 
 
 def _smooth_stretches(problem: FilterProblem, solution: Solution) -> Smooth:
-    """The smoothed log of a solution's readings, path by path."""
+    """The smoothed log of a solution's readings, whose stretches do not follow one another."""
     trace = filter_stretches(
         solution.readings,
         problem.dynamics,
@@ -199,5 +199,5 @@ def _smooth_stretches(problem: FilterProblem, solution: Solution) -> Smooth:
         TraceDetail.MEANS,
     )
     return assemble_smooth(
-        solution.fold, solution.readings, solution.tangents, trace, problem.dynamics
+        solution.fold, solution.readings, solution.tangents, trace, None, problem.dynamics
     )

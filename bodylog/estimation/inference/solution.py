@@ -16,7 +16,7 @@ from ...types import Array
 from .filter_records import FilterDynamics, FilterReadings
 from .folds import Fold
 from .kernel import bind_kernel_call, list_struct_fields
-from .scan import FilterTrace, TraceDetail, filter_stretches
+from .scan import BLOCK_INSTANTS, FilterTrace, TraceDetail, filter_stretches
 from .tangents import Tangents
 
 
@@ -30,44 +30,97 @@ class _Adjoint(ctypes.Structure):
 
 
 def smooth_states(
-    readings: FilterReadings, trace: FilterTrace, dynamics: FilterDynamics, end: Array | None = None
+    readings: FilterReadings, trace: FilterTrace, end: Array, dynamics: FilterDynamics
 ) -> tuple[Array, Array]:
     """Smoothed means (L,O,C) or (L,K,C) of the states that
     the trace keeps, and adjoints (K,C) before the first one.
 
-    From the adjoint at the `end` (K,C); 0 at the end of a log.
+    From the adjoint at the `end` (K,C).
     """
     assert trace.p is not None
     x = np.empty((*trace.p.shape[:2], trace.p.shape[-1]))
-    end = np.zeros_like(trace.z[-1]) if end is None else np.ascontiguousarray(end)
-    return x, _propagate_adjoint_back(readings, trace, end[:, None], dynamics, smooth=x)[:, 0]
+    return x, _propagate_adjoint_back(
+        readings, trace, np.ascontiguousarray(end)[:, None], dynamics, smooth=x
+    )[:, 0]
+
+
+def adjoints_at_start(
+    readings: FilterReadings, trace: FilterTrace, dynamics: FilterDynamics
+) -> Array:
+    """Adjoints (K,C) before the first instant, by the
+    first block: what comes after it matters little.
+    """
+    assert trace.p is not None
+    length, o, _, c = trace.p.shape
+    x = np.empty((min(BLOCK_INSTANTS, length), o, c))
+    return _propagate_adjoint_back(
+        readings, trace, np.zeros((trace.z.shape[1], 1, c)), dynamics, smooth=x
+    )[:, 0]
 
 
 def smooth_with_covariances(
-    readings: FilterReadings, trace: FilterTrace, dynamics: FilterDynamics
+    readings: FilterReadings, trace: FilterTrace, ends: Array | None, dynamics: FilterDynamics
 ) -> tuple[Array, Array]:
     """All smoothed states (L,K,C) and the covariances
     (L,O,O,C) of the angles and of what the encoders read.
 
-    The latter, sums of angle and offset, only with offsets: O = M or 2 M. Covariances and gains of
-    a block of instants are computed again from the belief before it.
+    The latter, sums of angle and offset, only with offsets: O = M or 2 M. ends (K,C): adjoint at
+    each stretch's end, or None if nothing follows any stretch. Covariances and gains of a block of
+    instants are computed again from the belief before it.
     """
-    assert trace.marks is not None
     x = np.empty_like(trace.z)
     cov = np.empty_like(trace.cov)
     into = None
     adjoint = np.zeros_like(trace.z[0])
     information = np.zeros_like(trace.end_p)
-    for at, mark in zip(trace.blocks[::-1], trace.marks[::-1], strict=True):
-        part = readings.between(at.start, at.stop)
-        if into is not None and len(into.z) != at.stop - at.start:
-            into = None
-        into = filter_stretches(
-            part, dynamics, mark[:, -1], mark[:, :-1], TraceDetail.COVARIANCES, into
-        )
-        x[at], adjoint = smooth_states(part, into, dynamics, adjoint)
+    if ends is not None:
+        adjoint = ends
+        information = _information_after_stretches(_solve_stretch_starts(readings, trace, dynamics))
+    for at in trace.blocks[::-1]:
+        part, into = _cut_block(readings, trace, at, dynamics, into)
+        x[at], adjoint = smooth_states(part, into, adjoint, dynamics)
         information = _propagate_adjoint_back(part, into, information, dynamics, cov=cov[at])
     return x, cov
+
+
+def _solve_stretch_starts(
+    readings: FilterReadings, trace: FilterTrace, dynamics: FilterDynamics
+) -> Array:
+    """W and Ψ (K,2K,C) at each stretch's start: of the first
+    blocks alone, if what comes after them is rounding.
+
+    The information Λ of everything after a stretch becomes W + Ψ Λ Ψᵀ at its start, where Ψ maps
+    adjoints at the end back to it. The smoothed covariance is P − P Λ P.
+    """
+    k, c = trace.z.shape[1:]
+    end = np.concatenate([np.zeros((k, k, c)), np.repeat(np.eye(k)[..., None], c, axis=-1)], axis=1)
+    own = end[:, :k]
+    across = end[:, k:]
+    for at in trace.blocks:
+        part = _propagate_adjoint_back(*_cut_block(readings, trace, at, dynamics), end, dynamics)
+        own = own + np.einsum("aic,ijc,bjc->abc", across, part[:, :k], across, optimize=True)
+        across = np.einsum("aic,ijc->ajc", across, part[:, k:])
+        later = np.einsum("aic,ijc,ajc->ac", across, own, across, optimize=True)
+        if (later <= np.finfo(float).eps * np.einsum("aac->ac", own)).all():
+            break
+    return np.concatenate([own, across], axis=1)
+
+
+def _cut_block(
+    readings: FilterReadings,
+    trace: FilterTrace,
+    at: slice,
+    dynamics: FilterDynamics,
+    into: FilterTrace | None = None,
+) -> tuple[FilterReadings, FilterTrace]:
+    """The readings and the trace, with gains, of a block of instants."""
+    assert trace.marks is not None
+    part = readings.between(at.start, at.stop)
+    mark = trace.marks[at.start // BLOCK_INSTANTS]
+    into = into if into is not None and len(into.z) == at.stop - at.start else None
+    return part, filter_stretches(
+        part, dynamics, mark[:, -1], mark[:, :-1], TraceDetail.COVARIANCES, into
+    )
 
 
 def _propagate_adjoint_back(
@@ -78,10 +131,11 @@ def _propagate_adjoint_back(
     smooth: Array | None = None,
     cov: Array | None = None,
 ) -> Array:
-    """What the adjoint (K,1,C), or the information (K,K,C), at the `end` is at the start."""
+    """What the adjoint, or W and Ψ, (K,W,C) at the `end` of each stretch are at its start."""
     assert trace.information is not None and trace.p is not None
     (gains, weights), start = trace.back or (None, None), np.empty_like(end)
     (length, m, shared), c = readings.encoders.shape, end.shape[-1]
+    length = length if smooth is None else len(smooth)
     bind_kernel_call(
         "adjoint",
         _Adjoint,
@@ -115,6 +169,29 @@ def _propagate_adjoint_back(
     return start
 
 
+def _information_after_stretches(at_start: Array) -> Array:
+    """Information (K,K,C) of everything after each stretch,
+    from its W and Ψ (K,2K,C); zero after the last stretch.
+    """
+    k, _, c = at_start.shape
+    before = np.moveaxis(at_start, -1, 0)
+    ends = np.zeros((c, k, k))
+    for j in range(c - 1, 0, -1):
+        own = before[j, :, :k]
+        across = before[j, :, k:]
+        ends[j - 1] = own + across @ ends[j] @ across.T
+    return np.ascontiguousarray(np.moveaxis(ends, 0, -1))
+
+
+def adjoints_for_next_round(at_start: Array) -> Array:
+    """Ends (…,C) for the next round: each stretch ends
+    with its successor's start, the last one with zero.
+    """
+    ends = np.zeros_like(at_start)
+    ends[..., :-1] = at_start[..., 1:]
+    return ends
+
+
 @dataclass(frozen=True, eq=False)
 class Solution:
     """A filtered log: fold, its linearised readings, tangents, trace."""
@@ -141,8 +218,11 @@ def assemble_smooth(
     readings: FilterReadings,
     tangents: Tangents,
     trace: FilterTrace,
+    ends: Array | None,
     dynamics: FilterDynamics,
 ) -> Smooth:
-    """The smoothed log, with covariances, of a forward pass."""
-    x, cov = smooth_with_covariances(readings, trace, dynamics)
+    """The smoothed log, with covariances, of a forward pass
+    and the adjoints (K,C) at stretches' ends, or None.
+    """
+    x, cov = smooth_with_covariances(readings, trace, ends, dynamics)
     return Smooth(fold, readings, tangents, trace.without_gains(), x, cov)

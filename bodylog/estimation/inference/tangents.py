@@ -1,6 +1,6 @@
 """Linearisation points of frames; only frames whose point moved are predicted again.
 
-Where a log's path starts, and the first linearisation points of its frames.
+Initial starts of a folded log's stretches and initial linearisation points of its frames.
 """
 
 from copy import copy
@@ -228,18 +228,36 @@ def state_prior(start: Array, dynamics: FilterDynamics) -> tuple[Array, Array]:
 
 
 def stretch_priors(problem: FilterProblem, fold: Fold) -> tuple[Array, Array]:
-    """The prior (K,C), (K,K,C) for every path."""
+    """The prior (K,C), (K,K,C) for every stretch."""
     z, p = state_prior(problem.start, problem.dynamics)
     return np.repeat(z[:, None], fold.count, axis=1), np.repeat(p[:, :, None], fold.count, axis=2)
 
 
-def initial_tangents(problem: FilterProblem) -> Tangents:
-    """Tangents at the initial path, or at the encoders' readings."""
+def hand_over_starts(z: Array, p: Array, z_end: Array, p_end: Array) -> tuple[Array, Array]:
+    """Starts for the next sweep: each stretch starts from its predecessor's end."""
+    z = z.copy()
+    p = p.copy()
+    z[:, 1:], p[:, :, 1:] = z_end[:, :-1], p_end[:, :, :-1]
+    return z, p
+
+
+def initial_tangents(problem: FilterProblem, fold: Fold) -> tuple[Tangents, Array, Array]:
+    """Tangents at the initial path, or at the encoders'
+    readings; each stretch's start z (K,C), p (K,K,C).
+    """
+    (z, p), t = stretch_priors(problem, fold), problem.timeline.t
     encoders = problem.evidence.encoders
-    path = problem.path or (None if encoders is None else (encoders.t, encoders.values))
     sightings = problem.evidence.sightings
-    points = (_interpolate_path(path, problem.start, sighting.t) for sighting in sightings)
-    return Tangents(sightings, tuple(points))
+    path = problem.path or (None if encoders is None else (encoders.t, encoders.values))
+    z[: len(problem.start), 1:] = _interpolate_path(path, problem.start, t[fold.lasts()]).T
+    return (
+        Tangents(
+            sightings,
+            tuple(_interpolate_path(path, problem.start, sighting.t) for sighting in sightings),
+        ),
+        z,
+        p,
+    )
 
 
 def _interpolate_path(path: tuple[Array, Array] | None, start: Array, at: Array) -> Array:

@@ -12,7 +12,7 @@ from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, 
 from ..noise.posture_prior import build_stationary_motion
 from .convergence import CONVERGED_MOVE, ROUGHLY_CONVERGED_MOVE, DidNotConverge
 from .filter_records import FilterReadings
-from .folds import Fold, encoder_rows, fold_readings
+from .folds import Fold, choose_fold, encoder_rows, fold_readings
 from .gauss_newton import solve_by_gauss_newton
 from .problem import FilterProblem
 from .reacquisition import LONG_SILENCE_S
@@ -24,7 +24,8 @@ from .tangents import Tangents, stretch_priors
 
 @dataclass(frozen=True, eq=False)
 class SequentialPath:
-    """The filtered log: points (E,M) rad of linearisation.
+    """The filtered log: points (E,M) rad of linearisation,
+    starts z (K,C), p (K,K,C) of a fold's stretches.
 
     resets: times (R,) s of resets and their joints (R,M), or None · held (E,M) bool: joints silent
     for long · adrift: by instant where images hardly determined some joints, the lines of its
@@ -33,6 +34,8 @@ class SequentialPath:
     """
 
     points: Array
+    z: Array
+    p: Array
     resets: tuple[Array, Array] | None
     held: Array
     adrift: dict[int, State]
@@ -49,7 +52,7 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
     if confirmed and not _has_long_silence(problem, line[-1:]):
         return replace(problem, resets=resets)
     problem = _with_stationary(problem)
-    whole = _step_through_log(problem, False, ROUGHLY_CONVERGED_MOVE)
+    whole = _step_through_log(problem, False, ROUGHLY_CONVERGED_MOVE, _single_stretch(len(line)))
     stepwise = (
         not confirmed
         or _has_long_silence(problem, line[:0])
@@ -66,20 +69,15 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
 
 def loses_encoder(problem: FilterProblem, solution: Solution) -> bool:
     """Whether the belief rejects an encoder for longer than LONG_SILENCE_S."""
-    return bool(find_rejected_encoders(problem, solution).any())
-
-
-def find_rejected_encoders(problem: FilterProblem, solution: Solution) -> Array:
-    """Encoders (M,) bool that the belief rejects for longer than LONG_SILENCE_S."""
     if problem.evidence.encoders is None:
-        return np.zeros(len(problem.start), bool)
+        return False
     t = problem.evidence.encoders.t[:, None]
     read = np.isfinite(problem.evidence.encoders.values)
     # NaN where a smoother has removed a reading as an outlier
     d = np.abs(solution.fold.unfold(solution.trace.encoder_d)[problem.timeline.encoders])
     accepted = d <= solution.readings.gate
     confirmed = np.maximum.accumulate(np.where(accepted, t, t[0]), axis=0)
-    return np.asarray((read & ~accepted & (t - confirmed > LONG_SILENCE_S)).any(axis=0))
+    return bool((read & ~accepted & (t - confirmed > LONG_SILENCE_S)).any())
 
 
 def _encoders_confirm_start(problem: FilterProblem) -> tuple[bool, tuple[Array, Array] | None]:
@@ -123,10 +121,13 @@ def _with_stationary(problem: FilterProblem) -> FilterProblem:
 
 
 def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution:
-    """The filter's solution; with all that the smoother needs for the `whole` log."""
+    """The filter's solution; for the `whole` log in
+    one single stretch, and all that the smoother needs.
+    """
+    events = len(problem.timeline.t)
     keep = TraceDetail.MEANS if whole else TraceDetail.BELIEFS
-    fold = Fold.of(problem)
-    found = _step_through_log(problem, whole, CONVERGED_MOVE)
+    fold = _single_stretch(events) if whole else choose_fold(events)
+    found = _step_through_log(problem, whole, CONVERGED_MOVE, fold)
     tangents = Tangents(
         problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings)
     )
@@ -137,7 +138,7 @@ def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution
     tangents.draw(problem, fold, readings)
     for at, state in found.adrift.items():
         write_lines(np.array([at]), state.lines or {}, fold, readings)
-    trace = filter_stretches(readings, problem.dynamics, *stretch_priors(problem, fold), keep)
+    trace = filter_stretches(readings, problem.dynamics, found.z, found.p, keep)
     fold.put(
         trace.nats,
         np.array([*found.adrift], int),
@@ -167,6 +168,11 @@ def write_lines(at: Array, lines: Mapping[int, Line], fold: Fold, readings: Filt
             fold.put(folded[:, track, : len(row)], at, row[None])
 
 
+def _single_stretch(events: int) -> Fold:
+    """One single stretch."""
+    return Fold(events, events, 1)
+
+
 def _has_long_silence(problem: FilterProblem, end: Array) -> bool:
     """Whether an encoder is silent for long; `end` (0 or 1,) s: end of the log, if that counts."""
     encoders = problem.evidence.encoders
@@ -180,7 +186,9 @@ def _has_long_silence(problem: FilterProblem, end: Array) -> bool:
     return max(float(np.diff(times).max(initial=0.0)) for times in known) > LONG_SILENCE_S
 
 
-def _step_through_log(problem: FilterProblem, whole: bool, rest: float) -> SequentialPath:
+def _step_through_log(
+    problem: FilterProblem, whole: bool, rest: float, fold: Fold
+) -> SequentialPath:
     """Filter the log, each frame linearised until it moves less than `rest` standard deviations."""
     line = problem.timeline.t
     m = len(problem.start)
@@ -190,7 +198,10 @@ def _step_through_log(problem: FilterProblem, whole: bool, rest: float) -> Seque
     read = np.zeros(len(line), bool)
     lost = dict[float, Array]()
     adrift = dict[int, State]()
+    z, p = stretch_priors(problem, fold)
     for k, state in enumerate(_iterate_states(problem, whole, rest, len(line))):
+        if (k + 1) % fold.length == 0 and k + 1 < len(line):
+            z[:, (k + 1) // fold.length], p[..., (k + 1) // fold.length] = state.z, state.p
         means[k], var[k] = state.z[:size], state.p.diagonal()[:size]
         points[k] = means[k, :m] if state.point is None else state.point
         read[k] = state.t > line[0] + LONG_SILENCE_S and min(state.borne) == state.t
@@ -205,7 +216,7 @@ def _step_through_log(problem: FilterProblem, whole: bool, rest: float) -> Seque
     if read.any():
         squares = np.square(means[read] - np.pad(usual, (0, size - m)))
         moments = (squares.mean(axis=0) + var[read].min(axis=0)).reshape(-1, m)
-    return SequentialPath(points, _stack_resets(lost), held, adrift, moments)
+    return SequentialPath(points, z, p, _stack_resets(lost), held, adrift, moments)
 
 
 def _iterate_states(

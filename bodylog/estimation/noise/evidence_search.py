@@ -28,8 +28,8 @@ from ..inference.filter_records import FilterDynamics, FilterReadings
 from ..inference.problem import FilterProblem
 from ..inference.reacquisition import find_silent_joints, joints_left_open
 from ..inference.scan import FilterTrace, TraceDetail, filter_stretches
-from ..inference.solution import Solution, smooth_states
-from ..inference.tangents import stretch_priors
+from ..inference.solution import Solution, adjoints_for_next_round, smooth_states
+from ..inference.tangents import hand_over_starts, stretch_priors
 from ..inference.walk import filter_roughly
 from ..measurements.long_arrays import find_finite_rows, median_step
 from ..measurements.records import Encoders, Sighting
@@ -142,9 +142,26 @@ def _smooth_path(
     m = len(posed.start)
     var = solved.tangents.weighed(posed, fold, solved.readings, whole=True)
     readings = replace(solved.readings, var=var)
-    start = stretch_priors(posed, fold)
-    trace = filter_stretches(readings, dynamics, *start, TraceDetail.MEANS, into)
-    smooth, _ = smooth_states(readings, trace, dynamics)
+    prior = stretch_priors(posed, fold)
+    before = solved.trace
+    trace = filter_stretches(
+        readings,
+        dynamics,
+        *hand_over_starts(*prior, before.z[-1], before.end_p),
+        TraceDetail.MEANS,
+        into,
+    )
+    trace = filter_stretches(
+        readings,
+        dynamics,
+        *hand_over_starts(*prior, trace.z[-1], trace.end_p),
+        TraceDetail.MEANS,
+        trace,
+    )
+    _, start = smooth_states(readings, trace, np.zeros_like(trace.z[-1]), dynamics)
+    smooth, _ = smooth_states(
+        readings, trace, adjoints_for_next_round(start), dynamics
+    )
     return fold.unfold(smooth[:, :m]), trace
 
 
@@ -152,12 +169,21 @@ def stack_candidates(
     part: FilterProblem, solved: Solution, processes: Array, var: Array
 ) -> tuple[FilterReadings, FilterDynamics, Array, Array]:
     """What `filter_stretches` takes for candidates of process
-    variances (M,G) and variances of frames (L,T,D,1,G).
+    variances (M,G) and variances of frames (L,T,D,C,G).
+
+    Their stretches start where those of `solved` ended.
     """
-    start = stretch_priors(part, solved.fold)
-    z, p = (np.repeat(one, processes.shape[1], axis=-1) for one in start)
-    dynamics = replace(part.dynamics, process=processes)
-    return replace(solved.readings, var=var[..., 0, :]), dynamics, z, p
+    g = processes.shape[1]
+    fold = solved.fold
+    dynamics = replace(part.dynamics, process=np.tile(processes, fold.count))
+    starts = hand_over_starts(*stretch_priors(part, fold), solved.trace.z[-1], solved.trace.end_p)
+    z, p = (np.repeat(part, g, axis=-1) for part in starts)
+    return (
+        replace(solved.readings, var=var.reshape(*var.shape[:-2], var.shape[-2] * g)),
+        dynamics,
+        z,
+        p,
+    )
 
 
 Measured = TypeVar("Measured", Encoders, Sighting)
@@ -346,7 +372,7 @@ def compute_candidate_costs(
     """Free energy (G,) nats of the log for candidates (G,
     M + tracks): process variances, then pixel factors.
 
-    Also the first candidate's solution.
+    Stretches start where those of `solved` ended. Also the first candidate's solution.
     """
     readings = solved.readings
     fold = solved.fold
