@@ -1,5 +1,10 @@
 """Readings given to a live filter: angles by joint,
 positions by track; checked, counted and filtered.
+
+The live filter: one step per instant, with the same belief as the batch filter.
+
+The last instants of a live filter: late readings
+are inserted at their time and later ones re-applied.
 """
 
 from bisect import bisect_left

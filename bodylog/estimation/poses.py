@@ -4,6 +4,21 @@ from its own encoders and positions, all vectorised.
 The cost of a pose is ½ Σ ρ(d) over its readings, d in standard
 deviations: d² within GATE_SIGMA, 2 GATE² ln beyond, so that outliers
 lose influence with distance (the weight of a row is 1, then GATE²/d²).
+
+Encoder noise and constant encoder offsets, learned from still poses.
+
+Linearised at the angles found, the positions of a pose give its encoders' errors e = z
+− q the likelihood exp(eᵀl − ½ eᵀΛe). These errors have the encoders' variances about
+their offsets b. Variances and offsets maximise the evidence of all poses. An angle
+without a reading has its prior instead.
+
+Few numbers per pose hardly tell encoders apart, so the ratios of their variances in the body count
+as one reading: the logarithms have the variance 2. How large they all are is left to the poses. On
+drawn tables of 1 to 40 poses, a prior on that, too, makes errors up to 6 % smaller where the body
+is right; where its standard deviations are a fortieth of the true ones, up to 4 % larger, with an
+NEES of 2.3 in place of 1.9 at three poses.
+
+The estimate of a table of still poses, each a separate belief.
 """
 
 from collections.abc import Sequence

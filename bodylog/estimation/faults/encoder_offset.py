@@ -1,4 +1,18 @@
-"""Encoder offsets: whether the log needs one, which encoder has it, and since when it drifts."""
+"""Encoder offsets: whether the log needs one, which encoder has it, and since when it drifts.
+
+An encoder whose offset steps: from one reading on, all its readings are off by a constant.
+
+Time and size are those of greatest evidence of the whole filter. A size N(0, FAR²) with standard
+error σ, and a time at any of N readings after the start, cost ½ ln(1 + FAR²/σ²) + ln N nats of it.
+
+Score test for encoder offsets: the evidence an
+offset would win, to first order, without another pass.
+
+In a short span, innovations are those of one error e of the belief and of one offset b of the
+encoders: ν = e + b in an encoder, J e in an image. Least squares, e integrated out, give b: with W
+the sum of the encoders' S⁻¹, V of the images' JᵀS⁻¹J, and s = (W + V)⁻¹ W, its information is W − W
+s. A filter that lags behind the arm has an e, but no b.
+"""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace

@@ -2,6 +2,14 @@
 
 An encoder at rest repeats its reading, too, if it counts in steps or is read only after motion. So
 repeats alone are a fault only of encoders that are noisy all the time, at rest and in motion.
+
+Encoders that repeat one reading while images show that their joint moved.
+
+Residuals of the images against the encoders' predictions are explained
+by motion of one joint at a time. A repeating encoder is frozen if
+motion of its joint explains them and motion of no other joint does.
+
+Frozen cameras: images repeat while the encoders show motion.
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -1,4 +1,10 @@
-"""One pass of all fault detectors over the measurements."""
+"""One pass of all fault detectors over the measurements.
+
+Warnings for joints and stretches without encoder
+readings, where images alone may not determine the angles.
+
+Whether encoder readings lie in the range, and have the unit, that the body was learned with.
+"""
 
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,4 +1,15 @@
-"""Inputs of the filter kernel: dynamics and the readings of each stretch."""
+"""Inputs of the filter kernel: dynamics and the readings of each stretch.
+
+The gate of the filter: readings too far from the belief to be Gaussian.
+
+Motion of a joint whose encoder is silent for long: a
+stationary process, so that its variance stays bounded.
+
+The angle keeps to its usual mean, and angle, rate and acceleration to their usual variances v₀, v₁,
+v₂; noise enters with the density q of the motion. These determine the process: x‴ = −d (v₁/v₀) x −
+(v₂/v₁) x′ − d x″ + w with d = q / 2(v₂ − v₁²/v₀), or x″ = −(v₁/v₀) x − (q/2v₁) x′ + w. Over short
+times it is white jerk or acceleration.
+"""
 
 from dataclasses import dataclass, field, replace
 from typing import Any

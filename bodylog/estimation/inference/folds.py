@@ -1,5 +1,7 @@
 """A long log folded into stretches that are filtered
 in parallel: (E,…) in time order <-> (L,…,C).
+
+A log's readings, folded into stretches for the filter.
 """
 
 from dataclasses import dataclass, replace

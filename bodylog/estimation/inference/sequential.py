@@ -1,4 +1,9 @@
-"""The filter one instant after the other: one step, for a log and beside a robot."""
+"""The filter one instant after the other: one step, for a log and beside a robot.
+
+One instant of the filter, by the kernel that filters whole logs (scan.c).
+
+Tracks of one instant, linearised until the belief converges.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence

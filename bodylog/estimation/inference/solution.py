@@ -1,4 +1,11 @@
-"""A filtered log: the belief at every instant, and the linearisation."""
+"""A filtered log: the belief at every instant, and the linearisation.
+
+Backward pass of the smoother (adjoint.c): smoothed
+means x = z − P λ, where λ is the adjoint, and covariances.
+
+Back over a reading y = H x + n of noise R the adjoint is λ − Hᵀ R⁻¹ (y − H x). The information of
+covariances is carried back in Bryson–Frazier form, which needs the filter's gains but no inverse.
+"""
 
 import ctypes
 from dataclasses import dataclass

@@ -1,4 +1,7 @@
-"""Linearisation points of frames; only frames whose point moved are predicted again."""
+"""Linearisation points of frames; only frames whose point moved are predicted again.
+
+Initial starts of a folded log's stretches and initial linearisation points of its frames.
+"""
 
 from copy import copy
 

@@ -1,4 +1,7 @@
-"""Records of measurements, shared by gathering, screening and estimation."""
+"""Records of measurements, shared by gathering, screening and estimation.
+
+The interface of a sense: one function that reads all its measurements.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

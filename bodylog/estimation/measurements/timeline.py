@@ -1,4 +1,11 @@
-"""The time axis of a log: the measurements of each instant, and the output times."""
+"""The time axis of a log: the measurements of each instant, and the output times.
+
+Tracks in view over time.
+
+White acceleration fits no motion at all time scales, and the images
+determine the time scale: where fewer tracks than usual are in view,
+the process variance is the one that these tracks alone would give.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,5 +1,8 @@
 """The last check of every estimate: a number that is
 not finite is an error with joint, sense and time.
+
+Consistency of an estimate with its own log, without
+ground truth: readings far from their predictions.
 """
 
 from collections.abc import Iterator

@@ -1,5 +1,8 @@
 """Encoder noise and process noise of each joint, for white
 acceleration or jerk, by the evidence of its readings.
+
+Evidence of one joint's encoder readings alone, for
+many ratios of process to noise (encoder_evidence.c).
 """
 
 import ctypes

@@ -1,5 +1,18 @@
 """Noise models by evidence: the order of motion by encoders,
 and variances by the whole filter, images included.
+
+Process variances of a smoother with the least squared error, rather than the greatest evidence.
+
+The evidence covers motion up to the smoother's cut-off frequency. Arms move more
+smoothly than white noise in derivative n, so the evidence prefers a large q, which lets
+more noise pass than necessary. How far the path moves with q shows what motion adds to
+the error near the cut-off. Noise makes 1 − 1/2n of a steady variance V, and grows as
+q^(1/2n). For angles with spectrum ω^−p, motion adds an error that falls as q^(−(p −
+1)/2n). The sum is least where the latter is 1/(p − 1) of the former. p is 2n for white
+noise and 8 for minimum-jerk reaches (Flash & Hogan 1985); the rate at which moves fall
+with q shows it. Beyond 2n + 2 the error hardly falls, so q stays at its value there.
+The stated share of V is that of noise and motion where their sum is least, (1 − 1/2n)
+p/(p − 1).
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,7 @@
-"""Noise model of senses and motion: learned from this log, the body's, or the paper's."""
+"""Noise model of senses and motion: learned from this log, the body's, or the paper's.
+
+Variances set by the user: they replace learned ones and stay fixed.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,5 +1,8 @@
 """Quantised encoders: readings that repeat exactly
 predict each other, which is no evidence of low noise.
+
+How large one unit of joint readings is, so that
+rules about angles hold for counts and degrees as well.
 """
 
 from collections.abc import Mapping
