@@ -138,7 +138,7 @@ def explain_log(
 
 def solve_log(problem: FilterProblem, found: ExplainedLog, causal: bool) -> SolvedLog:
     """The beliefs at each instant by what came before (causal) or by the whole log."""
-    fine = replace(found.explanation.settle_columns(found.fine, causal), nearest=not causal)
+    fine = replace(found.explanation.settle_columns(found.fine), nearest=not causal)
     fine = _weighed(fine, found.noise, rough=False)
     solution = solve(fine, found.noise, causal=causal)
     instants = _at_instants(problem, fine, solution, causal)
