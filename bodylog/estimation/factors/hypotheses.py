@@ -125,7 +125,6 @@ def explain(
         each = [replace(one, groups=groups) for one in _lasting(white.noise)]
         bents = [_learn(loaded, one, step_s, lasting.path) for one in each]
         bent = _best(bents)
-        print("   load", lasting.nats, [b.nats for b in bents], lasting.noise.joints.error, lasting.noise.joints.seconds, "->", bent.noise.groups, bent.noise.joints.error, bent.noise.joints.seconds, bent.noise.joints.at_link)
         gain = lasting.nats - bent.nats
         # what lasts long and is gone beside a load stood for it: neither is simpler
         rival = _is_long(lasting.noise) and not _is_long(bent.noise)
