@@ -97,8 +97,8 @@ def _explain_estimate(
         return why
     assert problem.evidence.encoders is not None  # or bars are widened
     loads = load_columns(body, problem.evidence.encoders.values)
-    without = next(_drop_faults(problem, first), None)
-    if is_white and without is not None and not resembles_load(problem, without, loads):
+    simpler_ones = _drop_faults(problem, first)
+    if is_white and not any(resembles_load(problem, one, loads) for one in simpler_ones):
         return "white noise explains the log as well"
     found = explain_log(problem, halves, loads)
     if found is None:
