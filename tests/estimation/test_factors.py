@@ -205,10 +205,10 @@ def test_sizes_hold_what_follows_if_a_joint_does_not_bend():
     columns = tuple(Column("bend", 1.0, group=j) for j in range(2))
     groups = (0.01, 0.02)
     # images tell the sum of both sizes to 1 mrad: .02
-    told = 1e6 * np.outer([0.02, 1.0, 1.0], [0.02, 1.0, 1.0])
+    shown = 1e6 * np.outer([0.02, 1.0, 1.0], [0.02, 1.0, 1.0])
     assumed = replace(noise(3, np.random.default_rng(0)), groups=groups)
     found = mix_silent_groups(
-        Learned(assumed, None, 0.0, np.zeros(2), np.zeros((2, 2)), told), columns
+        Learned(assumed, None, 0.0, np.zeros(2), np.zeros((2, 2)), shown), columns
     )
     assert found.sizes.sum() == pytest.approx(0.02, abs=2e-3)
     parts, weights = [], []

@@ -138,7 +138,7 @@ def resembles_load(
     problem: FilterProblem, without: FilterProblem, loads: tuple[Column, ...]
 ) -> bool:
     """Whether white noise and a load explain a log about as well as white noise and encoder
-    offsets, compared without learning, which takes ten times as long. Of drawn logs, drifts won by
+    offsets, compared without learning, which takes ten times as long. In simulation, drifts won by
     130 nats and more, joints homed differently by 17 and 22, and payloads lost by 40 and 66.
 
     problem, without: with the encoder offsets that were found, and without.
