@@ -94,6 +94,15 @@ def pose_in_base(
     return place, rotation, spread
 
 
+def rise_in_base(base: Base, rig: Rig, theta: Array, q: Array) -> Array:
+    """How far the thing rises with each joint (N,M), m
+    per rad or per m, at q (N,M), for unknowns theta (P,).
+    """
+    poses = base.chain.at(rig.angles(theta, q))
+    place = poses.place + poses.rotation @ _place_thing_on_link(base, rig, theta)[:3, 3]
+    return np.asarray(base.chain.slopes(poses, place[:, None])[:, 0, 2])
+
+
 def _on_link(base: Base, rig: Rig, theta: Array) -> tuple[Array, Array]:
     """The thing's pose (4,4) on its link and its derivatives
     (6,P) by θ: place, m, and rotation in the link.

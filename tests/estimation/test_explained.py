@@ -1,13 +1,17 @@
 """Errors of the hardware: explained without truth, and angles and error bars that allow for them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
+from bodylog.estimation.faults.moved_camera import restore_displacements
 from bodylog.estimation.methods import explained
+from bodylog.estimation.methods.filtering import build_filter_problem
 from bodylog.findings import verdict
 from bodylog.settings import EstimationSettings
-from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR
+from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, FaultKind
 from tests.estimation import mechanisms
 from tests.estimation.mechanisms import LASTING, LOOSE, Fault, errors_and_nees, true_angles
 
@@ -58,6 +62,38 @@ def test_an_encoder_that_drifts_is_named_and_no_error_that_lasts_stands_for_it()
     (fault,) = found.faults
     assert (fault.name, fault.kind) == ("lift", "drifting")
     assert HARDWARE_ERRORS not in found.settings
+
+
+def test_a_payload_is_named_as_no_encoder_that_drifts():
+    seed = 23
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    fault = Fault(payload=1.75e-2)
+    features = mechanisms.replayed(seed, mechanisms.SOUND, fault, 8.0)
+    found = estimate_from_features(features, body, EstimationSettings(), "off")
+    assert not found.faults
+    load = found.settings[HARDWARE_ERRORS]["load"]
+    assert load["rad"]["lift"] == pytest.approx(1.75e-2, rel=0.3)
+    true = true_angles(seed, mechanisms.SOUND, 8.0)
+    sag = fault.payload * np.cos(true.values[:, 1:2]) * mechanisms._GRAVITY
+    error, nees = errors_and_nees(found, replace(true, values=true.values + sag))
+    assert np.sqrt(np.mean(error**2)) < 0.4 * np.sqrt(np.mean(sag**2))
+    assert nees < 4.0
+
+
+def test_cameras_that_moved_are_put_back():
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    features = mechanisms.replayed(4, mechanisms.SOUND, Fault(), 10.0)
+    track = features.tracks["effector"]
+    off = track.values + 5.0 * (track.t > 5.0)[:, None]
+    moved = replace(features, tracks={"effector": replace(track, values=off)})
+    problem = build_filter_problem(moved, body, EstimationSettings())
+    assert [fault.kind for fault in problem.evidence.faults] == [FaultKind.DISPLACED]
+    found = restore_displacements(problem.evidence)
+    assert not found.faults
+    assert not any(one.chosen for one in found.hypotheses if one.name == "camera moved")
+    (sighting,) = (one for one in found.sightings if one.name == "effector")
+    np.testing.assert_allclose(sighting.values, off, atol=1e-9)
+    assert sighting.displaced is None and sighting.model is body.senses["effector"]
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ from bodylog.estimation.factors import robust
 from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, Path
 from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
-from bodylog.estimation.factors.noise import _cost, _to_vector
+from bodylog.estimation.factors.hypotheses import SILENT_STD, mix_silent_groups
+from bodylog.estimation.factors.noise import Learned, _cost, _to_vector
 from bodylog.estimation.factors.problem import FactorProblem, Noise, linearise
 from bodylog.estimation.factors.solve import filtered, predicted
 from bodylog.estimation.measurements.arm_errors import follow_slack
@@ -181,6 +182,48 @@ def test_angles_of_a_linear_body_are_those_of_dense_matrices_to_the_ninth_digit(
         assert np.abs(solution.beliefs.cov[:, 0, 0] - cov[:, 0, 0]).max() < 1e-9
 
 
+def test_a_filter_that_knows_the_sizes_ends_where_the_whole_log_does():
+    rng = np.random.default_rng(3)
+    columns = (EncoderShift("step", 0.01, joint=1, since=0.2), Tilt("bent", 0.02))
+    problem, assumed = drawn(rng, columns), noise(3, rng)
+    whole = solve(problem, assumed, rounds=1).beliefs
+    about = tuple(replace(one, mean=size) for one, size in zip(columns, whole.sizes[0], strict=True))
+    settled = replace(problem, columns=about, settled=whole.sizes_cov[0])
+    rows = np.eye(whole.mean.shape[1])[None]
+    none = np.zeros((1, rows.shape[1], len(columns)))
+    last = np.array([len(problem.knots) - 1])
+    mean, cov = whole.of_rows(rows, last, none)
+    for causal in (False, True):
+        again = solve(settled, assumed, causal=causal, rounds=1).beliefs
+        assert np.allclose(again.sizes, whole.sizes, atol=1e-9)
+        other_mean, other_cov = again.of_rows(rows, last, none)
+        assert np.allclose(other_mean, mean, atol=1e-6)
+        assert np.abs(other_cov - cov).max() <= 1e-5 * np.abs(cov).max()
+
+
+def test_sizes_hold_what_follows_if_a_joint_does_not_bend():
+    columns = tuple(Column("bend", 1.0, group=j) for j in range(2))
+    groups = (0.01, 0.02)
+    # images tell the sum of both sizes to 1 mrad: .02
+    shown = 1e6 * np.outer([0.02, 1.0, 1.0], [0.02, 1.0, 1.0])
+    assumed = replace(noise(3, np.random.default_rng(0)), groups=groups)
+    found = mix_silent_groups(
+        Learned(assumed, None, 0.0, np.zeros(2), np.zeros((2, 2)), shown), columns
+    )
+    assert found.sizes.sum() == pytest.approx(0.02, abs=2e-3)
+    parts, weights = [], []
+    for stds in (groups, (SILENT_STD, 0.02), (0.01, SILENT_STD)):
+        prior = np.diag(np.square(stds))
+        spread = prior.sum() + 1e-6
+        parts.append(prior.sum(axis=1) / spread * 0.02)
+        weights.append(np.exp(-0.5 * 0.02**2 / spread) / np.sqrt(spread))
+    expected = np.average(parts, axis=0, weights=weights)
+    assert np.allclose(found.sizes, expected, atol=1e-6)
+    # either joint alone is within two standard deviations
+    assert np.abs(found.sizes - [0.0, 0.02])[0] < 2.0 * np.sqrt(found.sizes_cov[0, 0])
+    assert np.abs(found.sizes - [0.02, 0.0])[0] < 3.0 * np.sqrt(found.sizes_cov[0, 0])
+
+
 def test_what_is_predicted_is_what_was_known_before_the_knot():
     rng = np.random.default_rng(3)
     problem, assumed = drawn(rng), noise(3, rng)
@@ -196,7 +239,9 @@ def test_what_is_predicted_is_what_was_known_before_the_knot():
 def test_the_slope_of_the_evidence_is_that_of_differences(at_link):
     for seed in range(2):
         rng = np.random.default_rng(seed)
-        problem, assumed = drawn(rng, (Delay("late", 0.05, camera="camera"),)), noise(3, rng, True, at_link)
+        columns = (Delay("late", 0.05, camera="camera"), Tilt("bent", 2.0, group=0))
+        problem = drawn(rng, columns)
+        assumed = replace(noise(3, rng, True, at_link), groups=(0.01,))
         linear = linearise(problem, initial_path(problem), assumed)
         at = _to_vector(assumed)
         _, slope = _cost(linear, at)

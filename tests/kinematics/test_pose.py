@@ -6,7 +6,7 @@ import pytest
 from bodylog.evaluation import poses as figures
 from bodylog.evaluation.truth import load_poses
 from bodylog.kinematics import urdf
-from bodylog.kinematics.pose import find_base, pose_in_base
+from bodylog.kinematics.pose import find_base, pose_in_base, rise_in_base
 from bodylog.kinematics.rotations import (
     quaternions_from_rotations,
     rotation_from_vector,
@@ -51,6 +51,18 @@ def test_posed_equals_the_chain_with_sampled_covariance(thing):
     unknown = by_theta * rig.prior[1] * 0.01
     expected = by_joints @ cov @ by_joints.transpose(0, 2, 1) + unknown @ unknown.transpose(0, 2, 1)
     np.testing.assert_allclose(spread, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_marker_rises_as_its_place_in_the_base_does():
+    rig = robots.rig()
+    theta, q = robots.truth(rig, OFFSETS), robots.angles(5)
+    base, _ = _posed(rig, theta, q)
+    found = rise_in_base(base, rig, theta, q)
+    for k, step in enumerate(STEP * np.eye(q.shape[1])):
+        above, below = (_posed(rig, theta, q + way)[1][0][:, 2] for way in (step, -step))
+        np.testing.assert_allclose(found[:, k], (above - below) / (2 * STEP), atol=1e-7)
+    # the marker is beyond its link's last joint, which lifts it, too
+    assert (np.abs(found).max(axis=0) > 1e-3).sum() >= 2
 
 
 def test_posed_takes_a_moving_camera_as_the_effector():

@@ -11,7 +11,7 @@ import numpy as np
 from ...body_model import UNUSED_URDF, BodyModel
 from ...errors import ModelError
 from ...kinematics.instant import Instant, compile_predictor
-from ...kinematics.pose import Base
+from ...kinematics.pose import Base, rise_in_base
 from ...kinematics.rig import Rig, RigPrediction, Sight
 from ...types import Array
 from ..gp.model import GP, se_kernel
@@ -121,6 +121,16 @@ class KinematicGP(GP):
             above, below = (self._unknown(x + way, self._seen(x + way)) for way in (step, -step))
             result[..., m] += np.square((above - below) / (2.0 * _STEP)).sum(axis=2)
         return result
+
+    def hand_levers(self, x: Array) -> Array | None:
+        """How far the marker rises with each joint (N,M), m per rad, at x (N,M) rad: minus the torque
+        of a unit weight there. None where the robot's root does not carry it.
+
+        A URDF's root stands upright.
+        """
+        if self.base is None or self.base.camera:
+            return None
+        return rise_in_base(self.base, self.rig, self.theta, x)
 
     @property
     def offsets(self) -> tuple[Array, Array]:

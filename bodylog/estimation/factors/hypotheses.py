@@ -4,6 +4,7 @@ last, play, and columns beside them, each by its evidence.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -17,12 +18,15 @@ from .gauss_newton import path_of, solve
 from .load import FIRST_BEND
 from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import FactorProblem, Noise
+from .solve import column_nats
 
 FIRST_STD = 1e-3
 """rad: σ of a lasting error with which the search begins."""
 FIRST_S = 1.0
 DRIFTS_S = 5.0
 """s: errors that last longer can imitate an encoder that drifts, and a load."""
+SILENT_STD = 1e-5
+"""rad: width of a group of columns whose joint does not bend."""
 DELAY_STD = 0.05
 """s: of what is left of a camera's delay."""
 
@@ -66,16 +70,13 @@ class Explanation:
         """Whether errors that last win over none, beside the columns."""
         return self.lasting > EVIDENCE_THRESHOLD_NATS
 
-    def settle_columns(self, problem: FactorProblem, causal: bool) -> FactorProblem:
-        """The problem with these columns: for a filter of the sizes that the log gives, which it
-        knows from the first reading on as it knows the noise, with their covariance.
+    def settle_columns(self, problem: FactorProblem) -> FactorProblem:
+        """The problem with these columns, of the sizes that the log gives, with their covariance:
+        a filter, too, knows them from the first reading on as it knows the noise.
         """
         sizes = zip(self.columns, self.learned.sizes.tolist(), strict=True)
-        about = tuple(
-            replace(one, mean=size) if causal or isinstance(one, Play) else one
-            for one, size in sizes
-        )
-        return replace(problem, columns=about, settled=self.learned.sizes_cov if causal else None)
+        about = tuple(replace(one, mean=size) for one, size in sizes)
+        return replace(problem, columns=about, settled=self.learned.sizes_cov)
 
 
 def explain(
@@ -124,10 +125,10 @@ def explain(
         each = [replace(one, groups=groups) for one in _lasting(white.noise)]
         bents = [_learn(loaded, one, step_s, lasting.path) for one in each]
         bent = _best(bents)
-        print("   load", lasting.nats, [b.nats for b in bents], lasting.noise.joints.error, lasting.noise.joints.seconds, "->", bent.noise.groups, bent.noise.joints.error, bent.noise.joints.seconds, bent.noise.joints.at_link)
         gain = lasting.nats - bent.nats
-        # what lasts so long stands for a load: neither is simpler
-        if gain > (0.0 if _is_long(lasting.noise) else EVIDENCE_THRESHOLD_NATS):
+        # what lasts long and is gone beside a load stood for it: neither is simpler; play leaves none
+        rival = not gains and _is_long(lasting.noise) and not _is_long(bent.noise)
+        if gain > (0.0 if rival else EVIDENCE_THRESHOLD_NATS):
             gains["load"] = gain
             problem = loaded
             lasting = bent
@@ -136,7 +137,36 @@ def explain(
     plain = replace(white.noise, groups=lasting.noise.groups)
     without = _learn(problem, plain, step_s, lasting.path).nats if gains else white.nats
     delays = tuple(_delays_left(problem, found, step_s))
+    if "load" in gains:
+        found = mix_silent_groups(found, problem.columns)
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
+
+
+def mix_silent_groups(found: Learned, columns: Sequence[Column]) -> Learned:
+    """The columns' sizes as a mixture: each group of columns, or all but one or two of them,
+    each as probable before the log.
+
+    The most probable width of a group is never none. So a joint that does not bend would bend a
+    little, and where images hardly tell joints apart it would take that from another.
+    """
+    groups = found.noise.groups
+    means = np.array([column.mean for column in columns])
+    sets = [one for count in range(3) for one in combinations(range(len(groups)), count)]
+    nats = np.empty(len(sets))
+    sizes = np.empty((len(sets), len(columns)))
+    covs = np.empty((len(sets), len(columns), len(columns)))
+    for k, silent in enumerate(sets):
+        left = tuple(SILENT_STD if g in silent else std for g, std in enumerate(groups))
+        precision = replace(found.noise, groups=left).column_stds(columns) ** -2.0
+        nats[k] = column_nats(found.schur[None], precision)[0]
+        covs[k] = np.linalg.inv(found.schur[1:, 1:] + np.diag(precision))
+        sizes[k] = means + covs[k] @ found.schur[1:, 0]
+    weights = np.exp(nats.min() - nats)
+    weights /= weights.sum()
+    mean = weights @ sizes
+    away = sizes - mean
+    cov = np.einsum("k,kcd->cd", weights, covs + away[:, :, None] * away[:, None, :])
+    return replace(found, sizes=mean, sizes_cov=cov)
 
 
 def _delays_left(problem: FactorProblem, found: Learned, step_s: float) -> Iterator[Late]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ...body_model import BodyModel, ForwardModel
+from ...body_model import BodyModel
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from .columns import Column, Path
@@ -39,26 +39,19 @@ def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
     known = readings[np.isfinite(readings).all(axis=1)]
     if not len(known):
         return ()
-    levers = hand_levers(body.senses)
+    levers = find_hand_levers(body, known)
     return tuple(_bend_linearly(known) if levers is None else _bend_by_levers(levers, known))
 
 
-def hand_levers(senses: Mapping[str, ForwardModel]) -> Callable[[Array], Array] | None:
-    """How far the hand rises with each joint (N,M), m per rad, at angles
-    (N,M): minus the torque of a unit weight there. None without a URDF.
-
-    A URDF's root stands upright.
+def find_hand_levers(body: BodyModel, known: Array) -> Callable[[Array], Array] | None:
+    """How far the hand rises with each joint (N,M), m per rad, at
+    angles (N,M); None where no sense has a URDF that tells it at known (N,M).
     """
-    bases = [base for one in senses.values() if (base := getattr(one, "base", None)) is not None]
-    if not bases or bases[0].camera:
-        return None
-    chain = bases[0].chain
-
-    def levers(angles: Array) -> Array:
-        poses = chain.at(angles)
-        return np.asarray(chain.slopes(poses, poses.place[:, None])[:, 0, 2])
-
-    return levers
+    for sense in body.senses.values():
+        levers: Callable[[Array], Array] | None = getattr(sense, "hand_levers", None)
+        if levers is not None and levers(known[:1]) is not None:
+            return levers
+    return None
 
 
 def _bend_by_levers(levers: Callable[[Array], Array], known: Array) -> Iterator[Load]:

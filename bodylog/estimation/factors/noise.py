@@ -46,6 +46,8 @@ _SPAN = 1e4
 class Learned:
     """Noise by evidence, the path that it gives, −ln p of log
     and noise, and the columns' sizes (C,) with their cov.
+
+    schur (1+C,1+C): what the log says of them, as in `Eliminated`.
     """
 
     noise: Noise
@@ -53,6 +55,7 @@ class Learned:
     nats: float
     sizes: Array
     sizes_cov: Array
+    schur: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,13 +99,16 @@ def learn_noise(
         noise = _from_vector(found.x * unit, noise)
         linear = linear.with_noise(noise)
         system = build_system(linear)
-        beliefs = smoothed(system, eliminate(system))
+        eliminated = eliminate(system)
+        beliefs = smoothed(system, eliminated)
         path = path_of(problem, noise, beliefs)
         settled = abs(nats - found.fun) < FLAT_NATS
         nats = float(found.fun)
         if settled:
             break
-    return Learned(noise, path, nats, beliefs.sizes[0], beliefs.sizes_cov[0])
+    return Learned(
+        noise, path, nats, beliefs.sizes[0], beliefs.sizes_cov[0], eliminated.schur
+    )
 
 
 def _errors(joints: JointNoise) -> Array:

@@ -29,7 +29,7 @@ class System:
     pair_right (K-1,2S,R), pair_square (K-1,R,R), pair_logs (K-1,) · means, precision (C,): of the
     columns' sizes before the log. The first right-hand side is about the means · joints: the
     factors that pairs are made of · settled (C,C): covariance of sizes that are known
-    about their means, and that a filter does not learn again.
+    about their means, and that are not learned again.
     """
 
     info: Array
@@ -96,7 +96,7 @@ class Eliminated:
     @property
     def nats(self) -> float:
         """−ln p of all measurements, with the columns' sizes integrated out."""
-        return self.logs + float(_column_nats(self.schur[None], self.precision)[0])
+        return self.logs + float(column_nats(self.schur[None], self.precision)[0])
 
 
 def eliminate(system: System) -> Eliminated:
@@ -118,7 +118,7 @@ def eliminate(system: System) -> Eliminated:
     return Eliminated(band, factors, solved.reshape(count, s, r), schur, logs, system.precision)
 
 
-def _column_nats(schur: Array, precision: Array) -> Array:
+def column_nats(schur: Array, precision: Array) -> Array:
     """−ln p (K,) of what is left of c (K,R,R), with g integrated out."""
     square = 0.5 * schur[:, 0, 0]
     if not len(precision):
@@ -176,9 +176,12 @@ def smoothed(system: System, eliminated: Eliminated) -> Smoothed:
     paths = paths.reshape(count, s, r)
     diagonal, upper, _ = system.blocks()
     cov, between = selected_inverse(diagonal, upper)
-    posterior = eliminated.schur[1:, 1:] + np.diag(system.precision)
-    sizes_cov = np.linalg.inv(posterior)
-    sizes = sizes_cov @ eliminated.schur[1:, 0]
+    if system.settled is None:
+        sizes_cov = np.linalg.inv(eliminated.schur[1:, 1:] + np.diag(system.precision))
+        sizes = sizes_cov @ eliminated.schur[1:, 0]
+    else:
+        sizes_cov = system.settled
+        sizes = np.zeros(r - 1)
     mean = paths[..., 0] - paths[..., 1:] @ sizes
     return Smoothed(
         mean,
@@ -232,7 +235,7 @@ def _forward(
     gone[1:] = np.cumsum(system.logs[:-1] + system.pair_logs + pivots[:-1])
     nats = gone + logs + 0.5 * log_det
     if system.settled is None:
-        nats = nats + _column_nats(schur, system.precision)
+        nats = nats + column_nats(schur, system.precision)
         sizes_cov = np.linalg.inv(schur[:, 1:, 1:] + np.diag(system.precision))
         sizes = (sizes_cov @ schur[:, 1:, :1])[..., 0]
     else:

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from ...types import Array
-from ..faults.threshold import PRIOR_STD_RAD
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 from ..inference.problem import FilterProblem
 from ..measurements.records import Encoders, Sighting, unmix_rows
 from ..noise.quantisation import quantisation_variance
@@ -45,6 +45,8 @@ TURN = np.array([2.0 * np.pi])
 """rad: within what an outlier of an encoder may be."""
 USUAL_STD = 4e-3
 """rad: of errors that last where readings are weighed before these are known."""
+WIDE_BEND = 0.02
+"""rad of what a joint bends by before any load is known, 1.1°."""
 FIRST_PROCESS = 10.0
 """rad²/s⁵ with which the search begins where the encoders give none."""
 
@@ -115,16 +117,12 @@ def explain_log(
     problem: with the encoder offsets that were found · halves (M,)
     rad: half of each joint's play in the exploration · loads: columns of a load.
     """
-    encoders = problem.evidence.encoders
-    sightings = tuple(
-        one for one in problem.evidence.sightings if np.isfinite(one.values).all(axis=1).any()
-    )
-    if encoders is None or not sightings or not np.isfinite(encoders.values).any():
+    posed = _pose_log(problem)
+    if posed is None:
         return None
-    fine = _posed(problem, encoders, sightings, _thinned(problem.timeline.t, CLOSEST_S))
-    noise = _first_noise(problem, len(sightings))
-    fine = _weighed(fine, with_lasting(noise, USUAL_STD), rough=True)
-    coarse = _middle(fine)
+    fine, coarse, noise = posed
+    encoders = problem.evidence.encoders
+    assert encoders is not None  # of what is posed
     found = explain(
         coarse,
         noise,
@@ -136,9 +134,46 @@ def explain_log(
     return ExplainedLog(fine, found, found.learned.nats + _outliers(coarse))
 
 
+def resembles_load(
+    problem: FilterProblem, without: FilterProblem, loads: tuple[Column, ...]
+) -> bool:
+    """Whether white noise and a load explain a log about as well as white noise and encoder
+    offsets, compared without learning, which takes ten times as long. In simulation, drifts won by
+    130 nats and more, joints homed differently by 17 and 22, and payloads lost by 40 and 66.
+
+    problem, without: with the encoder offsets that were found, and without.
+    """
+    costs = list[float]()
+    for one, columns in ((problem, ()), (without, loads)):
+        posed = _pose_log(one)
+        if posed is None:
+            return False
+        _, coarse, noise = posed
+        wide = replace(noise, groups=(WIDE_BEND,) * len(one.start))
+        solved = solve(replace(coarse, columns=(*coarse.columns, *columns)), wide, rounds=WEIGHING)
+        costs.append(solved.nats + _outliers(coarse))
+    return costs[1] - costs[0] < EVIDENCE_THRESHOLD_NATS
+
+
+def _pose_log(problem: FilterProblem) -> tuple[FactorProblem, FactorProblem, Noise] | None:
+    """The log on fine and on coarse knots, its readings and images
+    weighed, and its first noise; None without readings or images.
+    """
+    encoders = problem.evidence.encoders
+    sightings = tuple(
+        one for one in problem.evidence.sightings if np.isfinite(one.values).all(axis=1).any()
+    )
+    if encoders is None or not sightings or not np.isfinite(encoders.values).any():
+        return None
+    fine = _posed(problem, encoders, sightings, _thinned(problem.timeline.t, CLOSEST_S))
+    noise = _first_noise(problem, len(sightings))
+    fine = _weighed(fine, with_lasting(noise, USUAL_STD), rough=True)
+    return fine, _middle(fine), noise
+
+
 def solve_log(problem: FilterProblem, found: ExplainedLog, causal: bool) -> SolvedLog:
     """The beliefs at each instant by what came before (causal) or by the whole log."""
-    fine = replace(found.explanation.settle_columns(found.fine, causal), nearest=not causal)
+    fine = replace(found.explanation.settle_columns(found.fine), nearest=not causal)
     fine = _weighed(fine, found.noise, rough=False)
     solution = solve(fine, found.noise, causal=causal)
     instants = _at_instants(problem, fine, solution, causal)

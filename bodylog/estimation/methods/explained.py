@@ -13,8 +13,15 @@ from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
 from ..factors.columns import Column, Play
 from ..factors.hypotheses import DRIFTS_S, Explanation
-from ..factors.load import FIRST_BEND, Load, hand_levers, load_columns, load_sentence
-from ..factors.whole_log import ExplainedLog, Instants, SolvedLog, explain_log, solve_log
+from ..factors.load import FIRST_BEND, Load, load_columns, load_sentence
+from ..factors.whole_log import (
+    ExplainedLog,
+    Instants,
+    SolvedLog,
+    explain_log,
+    resembles_load,
+    solve_log,
+)
 from ..faults.moved_camera import restore_displacements
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.problem import FilterProblem
@@ -53,12 +60,14 @@ def explained_estimate(
     lasting = find_evident_error(kept, problem, beliefs.z, settings)
     if lasting is None and halves.any() and settings.precision == "auto":
         lasting = LastingError(float(np.sqrt(np.mean(np.square(halves)))), 0.0, 0.0)
-    doubtful = beliefs.faults and hand_levers(body.senses) is not None
-    if lasting is None and not doubtful and _count_from_start(problem, beliefs.faults) < 2:
+    # a load looks like an encoder that drifts
+    if lasting is None and not beliefs.faults:
         return kept
     std = FIRST_BEND if lasting is None else lasting.std
     try:
-        made = _explain_estimate(method, body, problem, first, beliefs, settings, std, halves)
+        made = _explain_estimate(
+            method, body, problem, first, beliefs, settings, std, halves, lasting is None
+        )
     except np.linalg.LinAlgError as singular:
         made = f"their explanation has no solution ({singular})"
     if isinstance(made, Estimate):
@@ -76,16 +85,21 @@ def _explain_estimate(
     settings: EstimationSettings,
     std: float,
     halves: Array,
+    is_white: bool,
 ) -> Estimate | str:
     """The estimate that allows for errors of about std rad, or why it is not to be trusted.
 
-    halves (M,) rad: half of each joint's play in the exploration.
+    halves (M,) rad: half of each joint's play in the exploration ·
+    is_white: encoders that are off are all that the log shows.
     """
     why = reason_to_widen(problem, body.joints, std, settings)
     if why is not None:
         return why
     assert problem.evidence.encoders is not None  # or bars are widened
     loads = load_columns(body, problem.evidence.encoders.values)
+    simpler_ones = _drop_faults(problem, first)
+    if is_white and not any(resembles_load(problem, one, loads) for one in simpler_ones):
+        return "white noise explains the log as well"
     found = explain_log(problem, halves, loads)
     if found is None:
         return "no images show the joints"
@@ -141,7 +155,6 @@ def _explain_without_faults(
         assert simpler is not None  # as the log with faults has one
         cameras = len(first.evidence.faults) - len(without.evidence.faults)
         allowance = _allowance_for_faults(simpler, problem, faults, cameras)
-        print("   COMPARE none - faults nats:", simpler.nats - found.nats, "allowed", allowance, [c.name for c in simpler.explanation.columns], simpler.explanation.gains, simpler.noise.joints.error, simpler.noise.joints.seconds, simpler.noise.groups, "| with faults", found.explanation.gains, found.noise.joints.error, found.noise.joints.seconds, [(x.name,x.kind) for x in faults], [(x.name,x.kind,round(x.since,2)) for x in problem.evidence.faults],[(x.name,x.kind,round(x.since,2)) for x in first.evidence.faults])
         if simpler.nats - found.nats <= allowance and (
             best is None or simpler.nats < best[1].nats
         ):
@@ -178,7 +191,7 @@ def _allowance_for_faults(
     gains = found.explanation.gains
     if (off := _count_from_start(problem, faults)) > 1:
         return moves + (off - 1) * EVIDENCE_THRESHOLD_NATS
-    if "load" in gains:
+    if "load" in gains and passing:
         return moves
     return EVIDENCE_THRESHOLD_NATS if passing and "play" in gains and not cameras else -np.inf
 
