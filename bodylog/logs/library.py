@@ -7,7 +7,6 @@ from contextlib import AbstractContextManager, ExitStack, contextmanager, nullco
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from tempfile import gettempdir
 from types import TracebackType
 from typing import Any, NamedTuple, Self
 
@@ -26,7 +25,6 @@ from .limits import LIMITS
 from .mcap.records import MAGIC
 from .protocol import Log
 from .records import Batch, Finding, LazyImage, Topic
-from .storage import remote_map
 
 _OBJECTS = ("json", "protobuf")
 _HEADS = ("header", "encoding", "format", "name", "names", "position")
@@ -221,6 +219,10 @@ def local_path(path: str | Path, wait_s: float = LIMITS.max_wait_s) -> Iterator[
     if not remote.is_url(str(path)):
         yield Path(path)
         return
+    from tempfile import gettempdir
+
+    from .storage import remote_map
+
     url = str(path)
     size = remote.remote_size_bytes(url, wait_s)
     first, in_parts = remote.read_first_bytes(url, min(size, 64), wait_s) if size else (b"", False)
