@@ -19,12 +19,8 @@ from .gauss_newton import path_of
 from .problem import FactorProblem, Linearised, Noise, build_system, linearise
 from .solve import Smoothed, eliminate, smoothed
 
-LOG_SECONDS = (0.0, 1.5)
-"""Mean and standard deviation of ln τ (s) before the log: 0.05 to 20 s within two of them."""
-LOG_ERROR = (float(np.log(5e-4)), 2.0)
-"""The same of ln σ (rad): 0.01 to 30 mrad."""
 LOG_SCALE = (0.0, 1.0)
-"""The same of the factor on the variance of images."""
+"""Mean and standard deviation of the logarithm of the factor on the variance of images."""
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
 LONGEST_S = 60.0
@@ -135,7 +131,7 @@ def _from_vector(p: Array, like: Noise) -> Noise:
         seconds[joints.learned] = np.exp(rest[count])
         made = replace(made, error=error, seconds=seconds)
         rest = rest[count + 1 :]
-    return Noise(made, tuple(np.exp(rest).tolist()))
+    return replace(like, joints=made, scales=tuple(np.exp(rest).tolist()))
 
 
 def _units(problem: FactorProblem, noise: Noise) -> Array:
@@ -181,8 +177,8 @@ def _prior(p: Array, noise: Noise) -> tuple[float, Array]:
     std = np.full(len(p), np.inf)
     rest = 2 * len(noise.joints.white)
     if count := len(_errors(noise.joints)):
-        mean[rest : rest + count], std[rest : rest + count] = LOG_ERROR
-        mean[rest + count], std[rest + count] = LOG_SECONDS
+        mean[rest : rest + count], std[rest : rest + count] = noise.prior.error
+        mean[rest + count], std[rest + count] = noise.prior.seconds
         rest += count + 1
     mean[rest:], std[rest:] = LOG_SCALE
     away = (p - mean) / std

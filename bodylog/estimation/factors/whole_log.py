@@ -18,7 +18,7 @@ from .encoder_error import LEAST_STD, JointNoise
 from .gauss_newton import Solution, path_of, solve
 from .hypotheses import FIRST_S, Explanation, explain, with_lasting
 from .images import ImageRows, Images
-from .problem import FactorProblem, Noise
+from .problem import FactorProblem, LastingPrior, Noise
 from .robust import believed, left_out, outlier_nats
 from .solve import Marginals, filtered, predicted
 
@@ -107,13 +107,18 @@ class SolvedLog:
 
 
 def explain_log(
-    problem: FilterProblem, halves: Array, loads: tuple[Column, ...], doubtful: bool
+    problem: FilterProblem,
+    halves: Array,
+    lasting: LastingPrior,
+    loads: tuple[Column, ...],
+    doubtful: bool,
 ) -> ExplainedLog | None:
     """Explain a log by white noise alone, or by errors of
     its hardware; None where it has no readings or no images.
 
     problem: with the encoder offsets that were found · halves (M,)
-    rad: half of each joint's play in the exploration · loads: columns of a load · doubtful:
+    rad: half of each joint's play in the exploration · lasting: errors of encoders before the log ·
+    loads: columns of a load · doubtful:
     encoders were found to be off, which may be a load instead.
     """
     encoders = problem.evidence.encoders
@@ -123,7 +128,7 @@ def explain_log(
     if encoders is None or not sightings or not np.isfinite(encoders.values).any():
         return None
     fine = _posed(problem, encoders, sightings, _thinned(problem.timeline.t, CLOSEST_S))
-    noise = _first_noise(problem, len(sightings))
+    noise = replace(_first_noise(problem, len(sightings)), prior=lasting)
     fine = _weighed(fine, with_lasting(noise, USUAL_STD), rough=True)
     coarse = _middle(fine)
     found = explain(

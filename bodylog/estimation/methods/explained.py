@@ -14,6 +14,7 @@ from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, Finding
 from ..factors.columns import Play
 from ..factors.hypotheses import DRIFTS_S, Explanation
 from ..factors.load import LOAD_STD, Load, hand_levers, load_columns, load_sentence
+from ..factors.problem import ANY_ERRORS, LastingPrior
 from ..factors.whole_log import ExplainedLog, Instants, SolvedLog, explain_log, solve_log
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.problem import FilterProblem
@@ -22,13 +23,15 @@ from ..noise.lasting_error import LastingError
 from ..timing.gp_likelihood import PLAY_SIGMAS
 from . import results
 from .results import Beliefs, find_evident_error, predict_frames, with_lasting_error
-from .trust import reason_of_disagreement, reason_of_misfit, reason_to_widen
+from .trust import measure_rough_motion, reason_of_disagreement, reason_of_misfit, reason_to_widen
 
 Place = tuple[Array, Array, Array]
 """Of a sighting's frames: mean (F,D), covariance (F,D,D)
 without their own noise, and the model's variance (F,D).
 """
 
+CHANGE = 0.5
+"""Standard deviation of ln σ and ln τ of a run's encoder errors about those of the exploration."""
 FROM_START_S = 1.0
 """s: an encoder that is off within so long after the first reading was off before the log."""
 
@@ -49,15 +52,23 @@ def explained_estimate(
     """
     kept = results.build_estimate(method, body, problem.evidence, problem.timeline, beliefs)
     halves = _known_halves(body)
+    prior = _known_lasting(body)
     lasting = find_evident_error(kept, problem, beliefs.z, settings)
-    if lasting is None and halves.any() and settings.precision == "auto":
-        lasting = LastingError(float(np.sqrt(np.mean(np.square(halves)))), 0.0, 0.0)
+    if lasting is None and (halves.any() or prior.known) and settings.precision == "auto":
+        square = float(np.mean(np.square(halves)))
+        square += np.exp(2.0 * prior.error[0]) if prior.known else 0.0
+        lasting = LastingError(square**0.5, 0.0, 0.0)
     doubtful = beliefs.faults and hand_levers(body.senses) is not None
     if lasting is None and not doubtful and _count_from_start(problem, beliefs.faults) < 2:
-        return kept
+        if settings.precision != "auto":
+            return kept
+        rough = measure_rough_motion(problem, settings.method != "smoother")
+        return results.with_rough_motion(kept, rough)
     std = LOAD_STD if lasting is None else lasting.std
     try:
-        made = _explain_estimate(method, body, problem, first, beliefs, settings, std, halves)
+        made = _explain_estimate(
+            method, body, problem, first, beliefs, settings, std, (halves, prior)
+        )
     except np.linalg.LinAlgError as singular:
         made = f"their explanation has no solution ({singular})"
     if isinstance(made, Estimate):
@@ -74,11 +85,11 @@ def _explain_estimate(
     beliefs: Beliefs,
     settings: EstimationSettings,
     std: float,
-    halves: Array,
+    known: tuple[Array, LastingPrior],
 ) -> Estimate | str:
     """The estimate that allows for errors of about std rad, or why it is not to be trusted.
 
-    halves (M,) rad: half of each joint's play in the exploration.
+    known: half of each joint's play (M,) rad in the exploration, and its encoders' errors.
     """
     why = reason_to_widen(problem, body.joints, std, settings)
     if why is not None:
@@ -86,14 +97,14 @@ def _explain_estimate(
     assert problem.evidence.encoders is not None  # or bars are widened
     loads = load_columns(body, problem.evidence.encoders.values)
     off = has_offsets(problem, first)
-    found = explain_log(problem, halves, loads, off)
+    found = explain_log(problem, *known, loads, off)
     if found is None:
         return "no images show the joints"
     causal = settings.method != "smoother"
     simpler = None
     if off:
         without = _without_offsets(problem, first)
-        simpler = explain_log(without, halves, loads, off)
+        simpler = explain_log(without, *known, loads, off)
     if simpler is not None and simpler.nats - found.nats <= _allowance_for_offsets(
         simpler, problem, beliefs.faults
     ):
@@ -128,6 +139,19 @@ def _known_halves(body: BodyModel) -> Array:
     """Half of the play (M,) rad that each joint had in the exploration."""
     play = learned_arm_errors(body).play
     return np.array([0.5 * play[name][0] if name in play else 0.0 for name in body.joints])
+
+
+def _known_lasting(body: BodyModel) -> LastingPrior:
+    """What is known of errors of encoders before a log: those of the
+    exploration, if it had any, to about half of their size.
+    """
+    found = learned_arm_errors(body).lasting
+    if not found:
+        return ANY_ERRORS
+    each = [found[name] for name in body.joints if name in found]
+    std = float(np.sqrt(np.mean([one**2 for one, _ in each])))
+    seconds = max(one for _, one in each)
+    return LastingPrior((float(np.log(std)), CHANGE), (float(np.log(seconds)), CHANGE), True)
 
 
 def _allowance_for_offsets(
