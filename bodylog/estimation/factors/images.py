@@ -5,9 +5,9 @@ learned model, which is the same for the same posture. Linearised at l₀:
 
     z − h(l₀) + J l₀ = J l + s u + n,    l = stands · state + Σ C g,    u_k = κ_k u_{k−1} + √(1 − κ²) ν,
 
-with s² the model's variance and κ = exp(−|Δq / reach| / √(π/2)) by the step of the posture. The
-model's error correlates by exp(−½ |Δq / reach|²), but a chain multiplies what its steps keep: small
-ones would keep all of it for ever. An exponential with the same integral forgets as much on the way.
+with s² the model's variance and κ = exp(−½ |Δq / reach|) by the step of the posture. The model's
+error correlates by exp(−½ |Δq / reach|²), but a chain multiplies what its steps keep: small ones
+would keep all of it for ever. κ keeps as much over one reach, in however many steps.
 """
 
 from collections.abc import Sequence
@@ -20,8 +20,6 @@ from ..measurements.records import Sighting, mix_rows
 from ..noise.correlated_noise import correlation_length
 from .encoder_error import JointNoise
 
-WAY = float(np.sqrt(0.5 * np.pi))
-"""Reaches over which a model's error is forgotten: the integral of exp(−½ x²)."""
 MOST_ALIKE = 1.0 - 1e-6
 """Most correlation of a model's errors from knot to
 knot: at rest it would be 1, which has no inverse.
@@ -113,7 +111,7 @@ def correlate_model_errors(sightings: Sequence[Sighting], links: Array) -> Array
     step = np.diff(links, axis=0)
     found = [
         np.repeat(
-            np.exp(-np.linalg.norm(step / correlation_length(one.model), axis=-1) / WAY)[:, None],
+            np.exp(-0.5 * np.linalg.norm(step / correlation_length(one.model), axis=-1))[:, None],
             one.values.shape[1],
             axis=1,
         )

@@ -130,7 +130,7 @@ def _score_error(tracks: Sequence[TrackResiduals], scale: float, seconds: float)
         weighed = inverse @ shape
         score += 0.5 * float(alpha @ shape @ alpha - np.trace(weighed))
         information += 0.5 * float(np.vdot(weighed, weighed.T))
-    return score / max(information, 1e-300) ** 0.5
+    return float(score / np.sqrt(max(information, 1e-300)))
 
 
 def _solve_rows(cov: Array, residual: Array) -> tuple[Array, Array, float]:
