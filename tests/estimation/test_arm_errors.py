@@ -30,7 +30,7 @@ from tests.estimation.mechanisms import Fault, Mechanism
 
 PLAY = 8e-3
 LOOSE = Mechanism(5e-4, Hardware(play=PLAY))
-CORRELATED = Mechanism(5e-4, Hardware(correlated=2e-3, correlation_s=1.0))
+CORRELATED = Mechanism(5e-4, Hardware(correlated=2e-3, correlation_s=0.5))
 ROW_S = 1e-4
 """s a px: 24 ms from the first of 240 rows to the last."""
 
@@ -91,7 +91,7 @@ def test_fit_finds_neither_play_nor_row_times_in_a_sound_exploration():
 
 
 def test_fit_learns_errors_that_last_and_takes_them_from_the_noise_of_images():
-    found = fitted(explored(CORRELATED, duration=40.0))
+    found = fitted(explored(CORRELATED))
     errors = learned_arm_errors(found.model)
     assert not errors.play and set(errors.lasting) == set(found.model.joints)
     stds, seconds = np.transpose(list(errors.lasting.values()))
@@ -106,14 +106,14 @@ def test_fit_learns_errors_that_last_and_takes_them_from_the_noise_of_images():
 
 
 def test_a_run_starts_from_the_errors_of_the_exploration(sound_body):
-    lasting = {name: (2e-3, 2.0) for name in sound_body.joints}
+    lasting = {name: (2e-3, 0.5) for name in sound_body.joints}
     errors = ArmErrors(lasting=lasting)
     body = replace(sound_body, provenance={**sound_body.provenance, **errors.as_provenance()})
-    features = mechanisms.replayed(4, CORRELATED, Fault())
+    features = mechanisms.replayed(4, CORRELATED, Fault(), duration=8.0)
     found = estimate_from_features(features, body, EstimationSettings())
     own = found.settings[HARDWARE_ERRORS]["lasting"]
     assert own["std"] == pytest.approx(2e-3, rel=0.5)
-    assert own["seconds"] == pytest.approx(2.0, rel=0.8)
+    assert own["seconds"] == pytest.approx(0.5, rel=0.8)
 
 
 def test_bars_hold_what_encoders_and_images_see_beside_the_motion(sound_body):
