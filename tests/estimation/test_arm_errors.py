@@ -24,11 +24,13 @@ from bodylog.kinematics import chain, urdf
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.sim.arms import ARMS
 from bodylog.sim.hardware import Hardware, add_play
+from bodylog.types import HARDWARE_ERRORS
 from tests.estimation import mechanisms
 from tests.estimation.mechanisms import Fault, Mechanism
 
 PLAY = 8e-3
 LOOSE = Mechanism(5e-4, Hardware(play=PLAY))
+CORRELATED = Mechanism(5e-4, Hardware(correlated=2e-3, correlation_s=0.5))
 ROW_S = 1e-4
 """s a px: 24 ms from the first of 240 rows to the last."""
 
@@ -88,6 +90,47 @@ def test_fit_finds_neither_play_nor_row_times_in_a_sound_exploration():
     assert ARM_ERRORS not in found.model.provenance and "delay" not in found.model.provenance
 
 
+def test_fit_learns_errors_that_last_and_takes_them_from_the_noise_of_images():
+    found = fitted(explored(CORRELATED))
+    errors = learned_arm_errors(found.model)
+    assert not errors.play and set(errors.lasting) == set(found.model.joints)
+    stds, seconds = np.transpose(list(errors.lasting.values()))
+    std = CORRELATED.hardware.correlated
+    assert np.sqrt(np.mean(stds**2)) == pytest.approx(std, rel=0.4)
+    assert seconds[0] == pytest.approx(CORRELATED.hardware.correlation_s, rel=0.6)
+    noise = np.sqrt(found.model.noise.senses["effector"])
+    assert noise == pytest.approx(mechanisms.PIXEL_STD, rel=0.25)
+    (nis,) = [one.value for one in found.scores if one.name == "nis/held_out/effector"]
+    assert 0.6 < nis < 1.5
+    assert any("errors last" in one.text for one in found.findings)
+
+
+def test_a_run_starts_from_the_errors_of_the_exploration(sound_body):
+    lasting = {name: (2e-3, 0.5) for name in sound_body.joints}
+    errors = ArmErrors(lasting=lasting)
+    body = replace(sound_body, provenance={**sound_body.provenance, **errors.as_provenance()})
+    features = mechanisms.replayed(4, CORRELATED, Fault(), duration=8.0)
+    found = estimate_from_features(features, body, EstimationSettings())
+    own = found.settings[HARDWARE_ERRORS]["lasting"]
+    assert own["std"] == pytest.approx(2e-3, rel=0.5)
+    assert own["seconds"] == pytest.approx(0.5, rel=0.8)
+
+
+def test_bars_hold_what_encoders_and_images_see_beside_the_motion(sound_body):
+    stuck = Mechanism(hardware=Hardware(stick=8.7e-3))
+    found = estimate_from_features(
+        mechanisms.replayed(5, stuck, Fault()), sound_body, EstimationSettings()
+    )
+    (warning,) = [one.text for one in found.findings if one.severity == "warning"]
+    assert "stick and slip" in warning
+    error = found.joints.values - links_of(5, stuck, Fault()).values
+    assert 0.3 < float((error**2 / np.einsum("nii->ni", found.cov)).mean()) < MOST_NEES
+    sound = estimate_from_features(
+        mechanisms.replayed(5, mechanisms.SOUND, Fault()), sound_body, EstimationSettings()
+    )
+    assert not [one for one in sound.findings if one.severity == "warning"]
+
+
 def test_images_keep_their_stamps_where_rows_are_exposed_in_turn(sound_body):
     rows = RowExposure(ROW_S, 1e-6, 120.0, 200.0)
     errors = ArmErrors(rows={"camera": rows})
@@ -101,10 +144,18 @@ def test_images_keep_their_stamps_where_rows_are_exposed_in_turn(sound_body):
 
 
 def test_errors_of_an_arm_survive_a_body_file_and_others_are_refused(sound_body):
-    errors = ArmErrors({"lift": (4e-3, 2e-4)}, {"camera": RowExposure(1e-5, 1e-6, 100.0, 90.0)})
+    rows = {"camera": RowExposure(1e-5, 1e-6, 100.0, 90.0)}
+    errors = ArmErrors({"lift": (4e-3, 2e-4)}, rows, {"lift": (2e-3, 1.5)})
     known = replace(sound_body, provenance=errors.as_provenance())
     assert learned_arm_errors(known) == errors
-    for wrong in ("late", {"play": {"lift": [1.0]}}, {"rows": {"camera": {"seconds": "x"}}}):
+    known.provenance[ARM_ERRORS].pop("lasting")  # a body of an earlier version
+    assert learned_arm_errors(known) == replace(errors, lasting={})
+    for wrong in (
+        "late",
+        {"play": {"lift": [1.0]}},
+        {"rows": {"camera": {"seconds": "x"}}},
+        {"lasting": {"lift": [2e-3, 0.0]}},
+    ):
         with pytest.raises(ModelError, match=ARM_ERRORS):
             learned_arm_errors(replace(sound_body, provenance={ARM_ERRORS: wrong}))
 

@@ -1,6 +1,7 @@
 """The factor problem against dense Gaussian algebra, and against the filter and smoother without lasting errors."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, Path
 from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
 from bodylog.estimation.factors.hypotheses import SILENT_STD, mix_silent_groups
+from bodylog.estimation.factors.images import correlate_model_errors
 from bodylog.estimation.factors.noise import Learned, _cost, _to_vector
 from bodylog.estimation.factors.problem import FactorProblem, Noise, linearise
 from bodylog.estimation.factors.solve import filtered, predicted
@@ -319,3 +321,14 @@ def test_a_smoothed_arm_without_lasting_errors_is_that_of_the_textbook_iteration
     far = Path(knots, angles[::5] + 0.05, solution.linear.path.rates, angles[::5] + 0.05, solution.linear.path.slack)
     other = solve(problem, assumed, far)
     assert np.abs((other.beliefs.mean - solution.beliefs.mean) / unit).max() < 5e-3
+
+
+def test_a_models_error_is_forgotten_by_the_way_and_not_by_the_number_of_steps():
+    model = SimpleNamespace(reach=np.array([0.3, 0.2, 0.5]))
+    t = np.zeros(0)
+    sighting = Sighting("effector", model, t, np.zeros((0, 2)), np.zeros((0, 2)), t)
+    ends = np.array([[0.0, 0.0, 0.0], [0.3, -0.2, 0.1]])
+    few, many = (np.linspace(*ends, count) for count in (2, 50))
+    kept = [correlate_model_errors((sighting,), path).prod(axis=0) for path in (few, many)]
+    np.testing.assert_allclose(kept[0], kept[1], rtol=1e-9)
+    np.testing.assert_allclose(kept[0], np.exp(-0.5 * np.sqrt(1.0 + 1.0 + 0.04)), rtol=1e-9)

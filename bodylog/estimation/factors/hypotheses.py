@@ -63,7 +63,7 @@ class Explanation:
     @property
     def is_sound(self) -> bool:
         """Whether white noise alone explains the log as well."""
-        return self.nats <= EVIDENCE_THRESHOLD_NATS
+        return self.nats <= _least_gain(self.white.noise)
 
     @property
     def lasts(self) -> bool:
@@ -97,7 +97,7 @@ def explain(
     sides = [_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)]
     lasting = _best(sides)
     if (
-        white.nats - lasting.nats <= EVIDENCE_THRESHOLD_NATS
+        white.nats - lasting.nats <= _least_gain(noise)
         or is_of_counts(lasting.noise)
         or _is_short(lasting.noise, step_s)
     ):
@@ -199,6 +199,13 @@ def _is_long(noise: Noise) -> bool:
     return bool((joints.seconds[joints.learned] >= DRIFTS_S).any())
 
 
+def _least_gain(noise: Noise) -> float:
+    """Nats that errors which last must win over white noise: those of the exploration are there
+    unless the log says otherwise.
+    """
+    return -EVIDENCE_THRESHOLD_NATS if noise.prior.known else EVIDENCE_THRESHOLD_NATS
+
+
 def _best(found: Sequence[Learned]) -> Learned:
     """The one with most evidence."""
     return min(found, key=lambda one: one.nats)
@@ -212,13 +219,13 @@ def with_lasting(noise: Noise, std: float) -> Noise:
     given = np.zeros(len(joints.white)) if joints.error is None else joints.error
     learned = given <= LEAST_STD
     error = np.where(learned, std, given)
-    seconds = np.where(learned, FIRST_S, joints.seconds)
+    seconds = np.where(learned, np.exp(noise.prior.seconds[0]), joints.seconds)
     return replace(noise, joints=replace(joints, error=error, seconds=seconds, learned=learned))
 
 
 def _lasting(noise: Noise) -> tuple[Noise, Noise]:
     """The noise with errors that last, at the encoders and at the links."""
-    own = with_lasting(noise, FIRST_STD)
+    own = with_lasting(noise, np.exp(noise.prior.error[0]) if noise.prior.known else FIRST_STD)
     at_link = replace(own.joints, at_link=own.joints.learned)
     return own, replace(own, joints=at_link)
 

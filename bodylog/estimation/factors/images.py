@@ -5,7 +5,9 @@ learned model, which is the same for the same posture. Linearised at l₀:
 
     z − h(l₀) + J l₀ = J l + s u + n,    l = stands · state + Σ C g,    u_k = κ_k u_{k−1} + √(1 − κ²) ν,
 
-with s² the model's variance and κ = exp(−½ |Δq / reach|²) by the step of the posture.
+with s² the model's variance and κ = exp(−½ |Δq / reach|) by the step of the posture. The model's
+error correlates by exp(−½ |Δq / reach|²), but a chain multiplies what its steps keep: small ones
+would keep all of it for ever. κ keeps as much over one reach, in however many steps.
 """
 
 from collections.abc import Sequence
@@ -109,7 +111,7 @@ def correlate_model_errors(sightings: Sequence[Sighting], links: Array) -> Array
     step = np.diff(links, axis=0)
     found = [
         np.repeat(
-            np.exp(-0.5 * np.square(step / correlation_length(one.model)).sum(axis=-1))[:, None],
+            np.exp(-0.5 * np.linalg.norm(step / correlation_length(one.model), axis=-1))[:, None],
             one.values.shape[1],
             axis=1,
         )

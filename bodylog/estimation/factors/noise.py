@@ -19,12 +19,8 @@ from .gauss_newton import path_of
 from .problem import FactorProblem, Linearised, Noise, build_system, linearise
 from .solve import Smoothed, eliminate, smoothed
 
-LOG_SECONDS = (0.0, 1.5)
-"""Mean and standard deviation of ln τ (s) before the log: 0.05 to 20 s within two of them."""
-LOG_ERROR = (float(np.log(5e-4)), 2.0)
-"""The same of ln σ (rad): 0.01 to 30 mrad."""
 LOG_SCALE = (0.0, 1.0)
-"""The same of the factor on the variance of images."""
+"""Mean and standard deviation of the logarithm of the factor on the variance of images."""
 LOG_GROUP = (float(np.log(5e-3)), 1.5)
 """The same of ln σ of what links bend by (rad): 0.25 to 100 mrad."""
 FEWEST_READINGS = 5.0
@@ -151,7 +147,9 @@ def _from_vector(p: Array, like: Noise) -> Noise:
         rest = rest[count + 1 :]
     factors = np.exp(rest).tolist()
     first = len(like.scales)
-    return Noise(made, tuple(factors[:first]), tuple(factors[first:]))
+    return replace(
+        like, joints=made, scales=tuple(factors[:first]), groups=tuple(factors[first:])
+    )
 
 
 def _units(problem: FactorProblem, noise: Noise) -> Array:
@@ -200,8 +198,8 @@ def _prior(p: Array, noise: Noise) -> tuple[float, Array]:
     std = np.full(len(p), np.inf)
     rest = 2 * len(noise.joints.white)
     if count := len(_errors(noise.joints)):
-        mean[rest : rest + count], std[rest : rest + count] = LOG_ERROR
-        mean[rest + count], std[rest + count] = LOG_SECONDS
+        mean[rest : rest + count], std[rest : rest + count] = noise.prior.error
+        mean[rest + count], std[rest + count] = noise.prior.seconds
         rest += count + 1
     mean[rest:], std[rest:] = LOG_SCALE
     groups = len(p) - len(noise.groups)

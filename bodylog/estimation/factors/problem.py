@@ -17,6 +17,23 @@ from .images import ImageRows, Images, correlate_model_errors, image_rows, place
 from .solve import System
 
 
+@dataclass(frozen=True)
+class LastingPrior:
+    """Mean and standard deviation of ln σ (rad) and of ln τ (s) of encoder errors before the log.
+
+    known: whether the body has them from its exploration; then without evidence they are there,
+    too.
+    """
+
+    error: tuple[float, float] = (float(np.log(5e-4)), 2.0)
+    seconds: tuple[float, float] = (0.0, 1.5)
+    known: bool = False
+
+
+ANY_ERRORS = LastingPrior()
+"""σ of 0.01 to 30 mrad and τ of 0.05 to 20 s, within two standard deviations."""
+
+
 @dataclass(frozen=True, eq=False)
 class Noise:
     """What is assumed of joints and encoders, and factors
@@ -28,6 +45,7 @@ class Noise:
     joints: JointNoise
     scales: tuple[float, ...]
     groups: tuple[float, ...] = ()
+    prior: LastingPrior = ANY_ERRORS
 
     def column_stds(self, columns: Sequence[Column]) -> Array:
         """Standard deviation (C,) of each column's size before the log."""

@@ -18,7 +18,7 @@ from .encoder_error import LEAST_STD, JointNoise
 from .gauss_newton import Solution, path_of, solve
 from .hypotheses import FIRST_S, Explanation, explain, with_lasting
 from .images import ImageRows, Images
-from .problem import FactorProblem, Noise
+from .problem import FactorProblem, LastingPrior, Noise
 from .robust import believed, left_out, outlier_nats
 from .solve import Marginals, filtered, predicted
 
@@ -109,13 +109,14 @@ class SolvedLog:
 
 
 def explain_log(
-    problem: FilterProblem, halves: Array, loads: tuple[Column, ...]
+    problem: FilterProblem, halves: Array, lasting: LastingPrior, loads: tuple[Column, ...]
 ) -> ExplainedLog | None:
     """Explain a log by white noise alone, or by errors of
     its hardware; None where it has no readings or no images.
 
     problem: with the encoder offsets that were found · halves (M,)
-    rad: half of each joint's play in the exploration · loads: columns of a load.
+    rad: half of each joint's play in the exploration · lasting: errors of
+    encoders before the log · loads: columns of a load.
     """
     posed = _pose_log(problem)
     if posed is None:
@@ -125,7 +126,7 @@ def explain_log(
     assert encoders is not None  # of what is posed
     found = explain(
         coarse,
-        noise,
+        replace(noise, prior=lasting),
         float(np.median(np.diff(encoders.t))),
         partial(_is_of_counts, encoders=encoders),
         halves,

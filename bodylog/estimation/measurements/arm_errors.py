@@ -90,8 +90,7 @@ def learned_arm_errors(body: BodyModel | None) -> ArmErrors:
         numbers = [np.nan]
     if not all(map(isfinite, numbers)):
         raise ModelError(
-            f"provenance.{ARM_ERRORS}: found {given!r}, possible: play, rows and lasting in "
-            "numbers"
+            f"provenance.{ARM_ERRORS}: found {given!r}, possible: play, rows and lasting in numbers"
         )
     return ArmErrors(play, rows, lasting)
 

@@ -14,6 +14,7 @@ from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
 from ..factors.columns import Column, Play
 from ..factors.hypotheses import DRIFTS_S, Explanation
 from ..factors.load import FIRST_BEND, Load, load_columns, load_sentence
+from ..factors.problem import ANY_ERRORS, LastingPrior
 from ..factors.whole_log import (
     ExplainedLog,
     Instants,
@@ -30,13 +31,15 @@ from ..noise.lasting_error import LastingError
 from ..timing.gp_likelihood import PLAY_SIGMAS
 from . import results
 from .results import Beliefs, find_evident_error, predict_frames, with_lasting_error
-from .trust import reason_of_disagreement, reason_of_misfit, reason_to_widen
+from .trust import measure_rough_motion, reason_of_disagreement, reason_of_misfit, reason_to_widen
 
 Place = tuple[Array, Array, Array]
 """Of a sighting's frames: mean (F,D), covariance (F,D,D)
 without their own noise, and the model's variance (F,D).
 """
 
+CHANGE = 0.5
+"""Standard deviation of ln σ and ln τ of a run's encoder errors about those of the exploration."""
 FROM_START_S = 1.0
 """s: an encoder that is off within so long after the first reading was off before the log."""
 
@@ -57,16 +60,22 @@ def explained_estimate(
     """
     kept = results.build_estimate(method, body, problem.evidence, problem.timeline, beliefs)
     halves = _known_halves(body)
+    prior = _known_lasting(body)
     lasting = find_evident_error(kept, problem, beliefs.z, settings)
-    if lasting is None and halves.any() and settings.precision == "auto":
-        lasting = LastingError(float(np.sqrt(np.mean(np.square(halves)))), 0.0, 0.0)
+    if lasting is None and (halves.any() or prior.known) and settings.precision == "auto":
+        square = float(np.mean(np.square(halves)))
+        square += np.exp(2.0 * prior.error[0]) if prior.known else 0.0
+        lasting = LastingError(square**0.5, 0.0, 0.0)
     # a load looks like an encoder that drifts
     if lasting is None and not beliefs.faults:
-        return kept
+        if settings.precision != "auto":
+            return kept
+        rough = measure_rough_motion(problem, settings.method != "smoother")
+        return results.with_rough_motion(kept, rough)
     std = FIRST_BEND if lasting is None else lasting.std
     try:
         made = _explain_estimate(
-            method, body, problem, first, beliefs, settings, std, halves, lasting is None
+            method, body, problem, first, beliefs, settings, std, (halves, prior), lasting is None
         )
     except np.linalg.LinAlgError as singular:
         made = f"their explanation has no solution ({singular})"
@@ -84,12 +93,12 @@ def _explain_estimate(
     beliefs: Beliefs,
     settings: EstimationSettings,
     std: float,
-    halves: Array,
+    known: tuple[Array, LastingPrior],
     is_white: bool,
 ) -> Estimate | str:
     """The estimate that allows for errors of about std rad, or why it is not to be trusted.
 
-    halves (M,) rad: half of each joint's play in the exploration ·
+    known: half of each joint's play (M,) rad in the exploration, and its encoders' errors ·
     is_white: encoders that are off are all that the log shows.
     """
     why = reason_to_widen(problem, body.joints, std, settings)
@@ -100,11 +109,11 @@ def _explain_estimate(
     simpler_ones = _drop_faults(problem, first)
     if is_white and not any(resembles_load(problem, one, loads) for one in simpler_ones):
         return "white noise explains the log as well"
-    found = explain_log(problem, halves, loads)
+    found = explain_log(problem, *known, loads)
     if found is None:
         return "no images show the joints"
     causal = settings.method != "smoother"
-    simpler = _explain_without_faults(problem, first, found, beliefs.faults, halves, loads)
+    simpler = _explain_without_faults(problem, first, found, beliefs.faults, known, loads)
     if simpler is not None:
         problem, found = simpler
         beliefs = replace(beliefs, faults=())
@@ -138,12 +147,25 @@ def _known_halves(body: BodyModel) -> Array:
     return np.array([0.5 * play[name][0] if name in play else 0.0 for name in body.joints])
 
 
+def _known_lasting(body: BodyModel) -> LastingPrior:
+    """What is known of errors of encoders before a log: those of the
+    exploration, if it had any, to about half of their size.
+    """
+    found = learned_arm_errors(body).lasting
+    if not found:
+        return ANY_ERRORS
+    each = [found[name] for name in body.joints if name in found]
+    std = float(np.sqrt(np.mean([one**2 for one, _ in each])))
+    seconds = max(one for _, one in each)
+    return LastingPrior((float(np.log(std)), CHANGE), (float(np.log(seconds)), CHANGE), True)
+
+
 def _explain_without_faults(
     problem: FilterProblem,
     first: FilterProblem,
     found: ExplainedLog,
     faults: tuple[Fault, ...],
-    halves: Array,
+    known: tuple[Array, LastingPrior],
     loads: tuple[Column, ...],
 ) -> tuple[FilterProblem, ExplainedLog] | None:
     """The most probable explanation without encoder offsets, or with no
@@ -151,7 +173,7 @@ def _explain_without_faults(
     """
     best = None
     for without in _drop_faults(problem, first):
-        simpler = explain_log(without, halves, loads)
+        simpler = explain_log(without, *known, loads)
         assert simpler is not None  # as the log with faults has one
         cameras = len(first.evidence.faults) - len(without.evidence.faults)
         allowance = _allowance_for_faults(simpler, problem, faults, cameras)

@@ -138,7 +138,7 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
         f"errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "
         f"({lasting.nats:.0f} nats, by images): play, load, a bent link or electronics"
         if lasting.nats
-        else f"joints have play, {1e3 * lasting.std:.2g} mrad to either side in the exploration"
+        else f"joints have play or errors that last, {1e3 * lasting.std:.2g} mrad in the exploration"
     )
     text = (
         f"encoders: {seen}; error bars of white noise are too small (NEES about {nees:.2g}) and are widened by it; see "
@@ -149,6 +149,22 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
         cov=found.cov + lasting.std**2 * np.eye(found.cov.shape[1]),
         settings={**found.settings, **own},
         findings=(*found.findings, Finding("warning", text)),
+    )
+
+
+def with_rough_motion(found: Estimate, rough: Array | None) -> Estimate:
+    """The estimate with error bars that hold the variance (M,) rad² of a rough motion, if any."""
+    if rough is None:
+        return found
+    sizes = zip(found.joints.names, 1e3 * np.sqrt(rough), strict=True)
+    each = ", ".join(f"{name} {size:.2g}" for name, size in sizes)
+    text = (
+        "joints: encoders and the images after them err alike, so joints stick and slip, or shake, "
+        f"by at least (mrad) {each}; error bars are widened by that, and may still be too small; see "
+        '"What real arms do" in docs/validation.md'
+    )
+    return replace(
+        found, cov=found.cov + np.diag(rough), findings=(*found.findings, Finding("warning", text))
     )
 
 

@@ -6,12 +6,17 @@ other no longer have the same error.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from ...settings import EstimationSettings
+from ...types import Array
 from ..factors.whole_log import ExplainedLog, SolvedLog, solve_log
+from ..inference.leave_one_out import project_covariance
 from ..inference.problem import FilterProblem
+from ..inference.walk import filter_roughly
+from ..noise.evidence_search import tune_by_evidence
 from .results import Beliefs, standardise_sighting
 
 LEAST_TURN = 10.0
@@ -26,6 +31,8 @@ MOST_MISFIT = 2.0
 """Variance of the mean of successive errors over the stated one: true for white ones that have
 their stated size, 1; error bars beyond it are wrong.
 """
+ROUGH_SIGMAS = 2.5
+"""Standard deviations from which errors of encoders and images are alike: by chance in 1 log of 160."""
 FEWEST_IMAGES = 24
 FAR_SIGMAS = 3.0
 """Standard deviations to which errors are cut: images of something else say nothing here."""
@@ -75,6 +82,51 @@ def reason_of_misfit(
         if not misfit <= MOST_MISFIT:
             return f"errors of successive images of {name} still correlate (misfit {misfit:.2g})"
     return None
+
+
+def measure_rough_motion(problem: FilterProblem, causal: bool) -> Array | None:
+    """Variance (M,) rad² of what joints do beside the motion
+    that is assumed; None where a log shows no such thing.
+
+    The errors of an image and of the reading before it are independent. Where both lie on the same
+    side of what a filter expects of earlier ones, the joint itself was there: it sticks and slips.
+    causal: whether the problem's noise is that of a filter.
+    """
+    encoders = problem.evidence.encoders
+    if encoders is None or problem.stepwise:
+        return None
+    if not causal:  # a smoother's process is smaller
+        problem = replace(problem, precision=tune_by_evidence(problem, whole=False)[0])
+    solution = filter_roughly(problem)
+    unfold = solution.fold.unfold
+    x, cov, read = map(
+        unfold, (solution.trace.prior, solution.trace.prior_cov, solution.trace.encoder_d)
+    )
+    line = problem.timeline
+    noise = problem.precision.encoder
+    products = []
+    weights = []
+    for sighting, at in zip(problem.evidence.sightings, line.sightings, strict=True):
+        if sighting.name == "touch" or sighting.cov is not None:
+            continue
+        before = np.searchsorted(line.encoders, at) - 1
+        usable = (before >= 0) & np.isfinite(sighting.values).all(axis=1)
+        rows = at[usable]
+        earlier = line.encoders[before[usable]]
+        mean, jac, var = sighting.model.predict(x[rows])
+        scale = problem.precision.scale.get(sighting.name, 1.0)
+        spread = project_covariance(jac, cov[rows])
+        size = np.einsum("fdd->fd", spread) + var + scale * sighting.var[usable]
+        off = np.clip((sighting.values[usable] - mean) / np.sqrt(size), -FAR_SIGMAS, FAR_SIGMAS)
+        own = np.sqrt(noise + np.einsum("fmm->fm", cov[earlier]))
+        pull = np.einsum("fdm,fd->fm", jac, off / np.sqrt(size))
+        products.append(pull * own * np.clip(read[earlier], -FAR_SIGMAS, FAR_SIGMAS))
+        weights.append(np.einsum("fdm,fd->fm", np.square(jac), 1.0 / size))
+    both = np.concatenate(products) if products else np.zeros((0, len(problem.start)))
+    both = both[np.isfinite(both).all(axis=1)]
+    if len(both) < FEWEST_IMAGES or both.sum() < ROUGH_SIGMAS * np.sqrt(np.square(both).sum()):
+        return None
+    return np.asarray(np.maximum(both.sum(axis=0), 0.0) / np.concatenate(weights).sum(axis=0))
 
 
 def _measure_misfits(

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
-from ..factors.noise import LOG_ERROR, LOG_SCALE, LOG_SECONDS, LONGEST_S
+from ..factors.noise import LOG_SCALE, LONGEST_S
+from ..factors.problem import ANY_ERRORS
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 
 TIMES_S = (0.2, 1.0, 4.0)
@@ -96,8 +97,7 @@ def _cost(p: Array, tracks: Sequence[TrackResiduals]) -> tuple[float, Array]:
     slope = np.zeros(len(p))
     slope[0] = p[0] / LOG_SCALE[1] ** 2
     if len(p) > 1:
-        mean = np.array([*[LOG_ERROR[0]] * (len(p) - 2), LOG_SECONDS[0]])
-        width = np.array([*[LOG_ERROR[1]] * (len(p) - 2), LOG_SECONDS[1]])
+        mean, width = np.transpose([*[ANY_ERRORS.error] * (len(p) - 2), ANY_ERRORS.seconds])
         away = (p[1:] - mean) / width
         total += 0.5 * float(away @ away)
         slope[1:] = away / width
@@ -130,7 +130,7 @@ def _score_error(tracks: Sequence[TrackResiduals], scale: float, seconds: float)
         weighed = inverse @ shape
         score += 0.5 * float(alpha @ shape @ alpha - np.trace(weighed))
         information += 0.5 * float(np.vdot(weighed, weighed.T))
-    return score / max(information, 1e-300) ** 0.5
+    return float(score / np.sqrt(max(information, 1e-300)))
 
 
 def _solve_rows(cov: Array, residual: Array) -> tuple[Array, Array, float]:
