@@ -162,7 +162,8 @@ def test_awkward_data_still_give_a_finite_model(case: str) -> None:
 def test_errors_decorrelate_over_reach(seed: int) -> None:
     draw = np.random.default_rng(seed)
     x = draw.uniform(-1, 1, (80, 3))
-    gp = train_gp(samples_without_noise(x, np.stack([np.sin(x.sum(axis=1)), np.cos(2 * x[:, 0])], axis=1)), ("u", "v"), "px", seed)
+    y = np.stack([np.sin(x.sum(axis=1)), np.cos(2 * x[:, 0]), np.sin(x[:, 1])], axis=1)
+    gp = train_gp(samples_without_noise(x, y), ("x", "y", "z"), "mm", seed)
     # angles of each joint from other samples
     at_others = np.column_stack([x[:, 0], np.roll(x[:, 1], 26), np.roll(x[:, 2], 52)])
     for joint, reach in enumerate(gp.reach):

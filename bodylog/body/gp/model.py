@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ...types import Array
+from ...types import TRACK_AXES, Array
 
 _BLOCK_BYTES = 1 << 19
 _SOME = 64
@@ -136,13 +136,15 @@ class GP:
         errors: they correlate by exp(−½ Σ (δ/reach)²).
 
         From the curvature at zero: the variance of the error's slope, less what its deviation
-        grows, over that of the error, at angles of the samples, those of each joint from other
-        samples. An exploration is a path: on it errors are small and grow within a step across it,
-        and logs go elsewhere.
+        grows, over that of the error, at the samples. Points in space are known so well on the
+        path of an exploration that errors beside it are many times as large, and logs go there:
+        for them at angles of the samples, those of each joint from other samples.
         """
-        turns = np.arange(self.samples.shape[1]) * (len(self.samples) // self.samples.shape[1])
-        apart = [np.roll(own, turn) for own, turn in zip(self.samples.T, turns, strict=True)]
-        x = np.column_stack(apart)[:: max(1, len(self.samples) // _SOME)]
+        x = self.samples
+        if len(self.mean) == len(TRACK_AXES[3][0]):
+            turns = np.arange(x.shape[1]) * (len(x) // x.shape[1])
+            x = np.column_stack([np.roll(own, n) for own, n in zip(x.T, turns, strict=True)])
+        x = x[:: max(1, len(x) // _SOME)]
         # a variance below this share of the amplitude is rounding
         error = max(self.predict(x)[2].mean(), np.finfo(float).eps * self.amplitude.max())
         grown = [
