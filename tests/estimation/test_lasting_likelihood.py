@@ -4,7 +4,11 @@ import numpy as np
 import pytest
 
 from bodylog.estimation.timing import lasting_likelihood
-from bodylog.estimation.timing.lasting_likelihood import TrackResiduals, lasting_covariance, measure_lasting_errors
+from bodylog.estimation.timing.lasting_likelihood import (
+    TrackResiduals,
+    lasting_covariance,
+    measure_lasting_errors,
+)
 
 STD = np.array([2e-3, 1e-3, 1.5e-3])
 SECONDS = 1.0
