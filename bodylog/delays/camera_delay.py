@@ -284,11 +284,11 @@ def _add_measured_errors(own: ArmErrors, rest: ArmErrors) -> ArmErrors:
             rows[name] = more
         elif abs(more.seconds) > more.std:
             rows[name] = replace(before, seconds=before.seconds + more.seconds, std=more.std)
-    alike = _last_alike(own.lasting, rest.lasting)
-    return ArmErrors(play, rows, dict(own.lasting if alike else rest.lasting))
+    same = _compare_lasting(own.lasting, rest.lasting)
+    return ArmErrors(play, rows, dict(own.lasting if same else rest.lasting))
 
 
-def _last_alike(
+def _compare_lasting(
     one: Mapping[str, tuple[float, float]], other: Mapping[str, tuple[float, float]]
 ) -> bool:
     """Whether errors {joint: (σ rad, τ s)} differ by less than an exploration tells."""

@@ -56,8 +56,8 @@ def learn_track(whole: Pairs, chosen: Sequence[SmoothedJoint], fit: FitSettings)
             part.x, part.y, part.floor, part.variance, correlate_angle_errors(part, chosen)
         )
         # outputs share a kernel where their noise is alike, which what lasts is not
-        alike = not any(joint.lasting for joint in chosen)
-        kernels = fit_kernels(data, ROTATION, alike, fit.seed)
+        shared = not any(joint.lasting for joint in chosen)
+        kernels = fit_kernels(data, ROTATION, shared, fit.seed)
         sound = _believable_rows(data, kernels)
         if sound.all():
             break
