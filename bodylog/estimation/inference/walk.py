@@ -69,20 +69,15 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
 
 def loses_encoder(problem: FilterProblem, solution: Solution) -> bool:
     """Whether the belief rejects an encoder for longer than LONG_SILENCE_S."""
-    return bool(find_rejected_encoders(problem, solution).any())
-
-
-def find_rejected_encoders(problem: FilterProblem, solution: Solution) -> Array:
-    """Encoders (M,) bool that the belief rejects for longer than LONG_SILENCE_S."""
     if problem.evidence.encoders is None:
-        return np.zeros(len(problem.start), bool)
+        return False
     t = problem.evidence.encoders.t[:, None]
     read = np.isfinite(problem.evidence.encoders.values)
     # NaN where a smoother has removed a reading as an outlier
     d = np.abs(solution.fold.unfold(solution.trace.encoder_d)[problem.timeline.encoders])
     accepted = d <= solution.readings.gate
     confirmed = np.maximum.accumulate(np.where(accepted, t, t[0]), axis=0)
-    return np.asarray((read & ~accepted & (t - confirmed > LONG_SILENCE_S)).any(axis=0))
+    return bool((read & ~accepted & (t - confirmed > LONG_SILENCE_S)).any())
 
 
 def _encoders_confirm_start(problem: FilterProblem) -> tuple[bool, tuple[Array, Array] | None]:

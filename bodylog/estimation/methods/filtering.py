@@ -223,10 +223,15 @@ def warn_of_lost_belief(
     )
 
 
+def offset_variance(problem: FilterProblem, solved: Solution) -> Array:
+    """Variances (E,M) rad² of the encoder offsets in the filter's state."""
+    m = len(problem.start)
+    return np.asarray(solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, m:, m:])))
+
+
 def with_repairs(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
     """Covariances (E,M,M) rad² of angles and the variance that repaired jumps add."""
-    has_offsets = problem.precision.drift is not None
-    offset_var = encoder_offset.read_offsets(problem, solved)[1] if has_offsets else None
+    offset_var = None if problem.precision.drift is None else offset_variance(problem, solved)
     added = encoder_offset.repaired_variance(problem, offset_var)
     return np.asarray(cov + added[:, :, None] * np.eye(added.shape[1]))
 
@@ -235,6 +240,7 @@ def find_offset_faults(problem: FilterProblem, solved: Solution) -> tuple[Fault,
     """Encoder offsets as faults, from the filtered offsets, without encoders known to be faulty."""
     if problem.precision.drift is None:
         return ()
-    return encoder_offset.list_drifting_encoders(
-        problem, *encoder_offset.read_offsets(problem, solved)
-    )
+    unfold = solved.fold.unfold
+    var = offset_variance(problem, solved)
+    offsets = unfold(solved.trace.z[:, problem.dynamics.offset :])
+    return encoder_offset.list_drifting_encoders(problem, offsets, var)
