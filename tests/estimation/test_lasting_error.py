@@ -18,9 +18,10 @@ SOUND = ("sound", "quantised", "quiet")
 
 
 def without_widening(monkeypatch):
-    from bodylog.estimation.methods import results
+    from bodylog.estimation.methods import explained, results
 
     monkeypatch.setattr(results, "find_lasting_error", lambda *_: None)
+    monkeypatch.setattr(explained, "measure_rough_motion", lambda *_: None)
 
 
 @pytest.mark.parametrize("method", METHODS)
