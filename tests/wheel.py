@@ -30,6 +30,9 @@ def main() -> None:
 
 
 def _build(work: Path) -> Path:
+    # setuptools keeps what it copied before: modules that were deleted since would be in the wheel
+    for left in (ROOT / "build").glob("lib*"):
+        shutil.rmtree(left)
     _run(Path(sys.executable), "-m", "build", "--wheel", "--outdir", str(work), str(ROOT))
     return next(work.glob("*.whl"))
 
