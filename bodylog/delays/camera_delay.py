@@ -23,7 +23,7 @@ from ..estimation.timing.gp_likelihood import ExploredLog, Prior
 from ..perception.tracking import joint_motion
 from ..settings import Settings
 from ..types import TRACK_AXES, Array, Features, Finding
-from .tracker_delay import measure_tracker_delays
+from .tracker_delay import measure_tracker_delays, measure_turning_delays
 
 MAX_TURNS = 5
 """Most bodies learned, each from images corrected by the delays of the last one."""
@@ -126,10 +126,14 @@ def learn_with_delays(
 def _measure_trackers(
     features: Sequence[Features], settings: Settings, robot: Robotics | None, fixed: Delays
 ) -> list[dict[str, Delay]]:
-    """Delays of trackers in each log, by kinematics; none without a URDF."""
-    free = sorted(_list_trackers(features) - set(fixed))
-    if robot is None or not free:
+    """Delays of trackers in each log, by kinematics or by what joints that turn can do."""
+    tracks = [one for found in features for one in found.tracks.items()]
+    trackers = {camera_of_track(name) for name, one in tracks if one.unit == TRACK_AXES[3][1]}
+    free = sorted(trackers - set(fixed))
+    if not free:
         return [{} for _ in features]
+    if robot is None:
+        return measure_turning_delays(features, settings, free)
     return measure_tracker_delays(features, settings, robot, free)
 
 
@@ -247,7 +251,7 @@ def _alternate_until_converged(explored: _Exploration) -> _Turn:
         moved = errors.play or errors.rows
         grown = set(surest) - started or bool(moved) > bool(turn.errors.play or turn.errors.rows)
         cameras = correction.list_track_cameras(after.found.model.senses)
-        judged = set(surest if errors == turn.errors else cameras) - _list_trackers(features)
+        judged = surest if errors == turn.errors else cameras
         least = MAX_ERROR_RATIO if grown else 1.0
         if errors.lasting != turn.errors.lasting:
             # what lasts moves no measurement, and makes error bars true
@@ -258,14 +262,6 @@ def _alternate_until_converged(explored: _Exploration) -> _Turn:
         turn = after
         started = started | set(surest)
     return replace(turn, started=frozenset(started))
-
-
-def _list_trackers(features: Sequence[Features]) -> set[str]:
-    """The names of what measures points in space. Their held-out errors are those of the process
-    beyond its paths, which a delay hardly changes: evidence alone decides.
-    """
-    tracks = [one for found in features for one in found.tracks.items()]
-    return {camera_of_track(name) for name, track in tracks if track.unit == TRACK_AXES[3][1]}
 
 
 def _add_measured_errors(own: ArmErrors, rest: ArmErrors) -> ArmErrors:
@@ -390,21 +386,12 @@ def _explored_log(
 
 
 def _process_prior(model: ForwardModel) -> Prior:
-    """The prior of a learned Gaussian process; for points in space that of joints that turn.
-
-    A point that M joints turn is a sum of products of 1, sin q and cos q of each, and so are the
-    draws of ∏ ½ (1 + cos δ). The learned kernel takes what it does not explain for slopes, and so
-    for a delay: of 40 ms it found 19 ± 3.
-    """
+    """The prior of a learned Gaussian process."""
     assert isinstance(model, GP)
 
     def prior(x: Array) -> tuple[Array, Array]:
-        if model.unit == TRACK_AXES[3][1]:
-            turned = np.prod(0.5 * (1.0 + np.cos(x[:, None] - x)), axis=2)
-            kernels = [amplitude * turned for amplitude in model.amplitude]
-        else:
-            groups = zip(model.scales, model.amplitude, strict=True)
-            kernels = [se_kernel(x / scales, x / scales, amplitude) for scales, amplitude in groups]
+        groups = zip(model.scales, model.amplitude, strict=True)
+        kernels = [se_kernel(x / scales, x / scales, amplitude) for scales, amplitude in groups]
         outputs = range(len(model.mean))
         return model.mean, np.stack(
             [model.share[d] * kernels[d if len(kernels) > 1 else 0] for d in outputs]

@@ -8,7 +8,7 @@ import pytest
 from bodylog import Estimator, body, pipeline
 from bodylog.body.kinematic.placements import calibration_of_body
 from bodylog.delays.camera_delay import learn_with_delays
-from bodylog.delays.tracker_delay import measure_tracker_delays
+from bodylog.delays.tracker_delay import measure_tracker_delays, measure_turning_delays
 from bodylog.errors import UsageError
 from bodylog.kinematics.rotations import make_transform, rotation_from_vector
 from bodylog.settings import Settings
@@ -59,6 +59,24 @@ def test_each_log_has_its_own_delay():
     assert found[2] == {}
     hidden = points_series(late.tracks["tracker/ball"].t, np.full((len(late.tracks["tracker/ball"].t), 3), np.nan))
     assert measure_tracker_delays([replace(late, tracks={"tracker/ball": hidden})], Settings(), given(), ["tracker"]) == [{}]
+
+
+@pytest.mark.parametrize("seed", [11, 14])
+def test_without_a_urdf_a_delay_is_found_within_its_error_bar(seed, monkeypatch):
+    """A process of the points' slopes found 12 ± 2 ms with the first seed."""
+    for late in (LATE_S, 0.0):
+        monkeypatch.setattr(f"{__name__}.LATE_S", late)
+        found = measure_turning_delays([moving_arm(seed)], Settings(), ["tracker"])[0]["tracker"]
+        assert abs(found.seconds - late) < 3.0 * found.std_error < 0.03
+
+
+def test_without_motion_or_points_a_delay_is_not_told():
+    log = moving_arm(11)
+    assert log.joints is not None
+    still = replace(log, joints=replace(log.joints, values=0.0 * log.joints.values))
+    tracks = {name: points_series(one.t[:20], one.values[:20] / 1e3) for name, one in log.tracks.items()}
+    few = replace(log, tracks=tracks)
+    assert measure_turning_delays([still, few], Settings(), ["tracker"]) == [{}, {}]
 
 
 @pytest.mark.parametrize("seed", [2, 3])
