@@ -166,10 +166,9 @@ def test_open_refuses_databases_with_computed_rows(tmp_path, what):
 
 def test_rows_end_a_query_on_a_signal(tmp_path, monkeypatch):
     """A refusal by the progress handler is an interrupt, not damage to read past."""
-    from bodylog.logs.rosbag2 import rows
     from bodylog.logs.rosbag2 import sqlite3 as sqlite
 
-    monkeypatch.setattr(rows, "_AGAIN", 0.0)
+    monkeypatch.setattr(sqlite, "_AGAIN", 0.0)
     by_hand.db3(tmp_path / "x.db3", [("/a", T0 + k, b"\0\1\0\0" + bytes(8)) for k in range(5000)], KIND, None)
     monkeypatch.setattr(sqlite, "_STEPS", 100)
     with sqlite.Db3Log(tmp_path / "x.db3") as log:

@@ -123,10 +123,14 @@ def measure_rough_motion(problem: FilterProblem, causal: bool) -> Array | None:
         products.append(pull * own * np.clip(read[earlier], -FAR_SIGMAS, FAR_SIGMAS))
         weights.append(np.einsum("fdm,fd->fm", np.square(jac), 1.0 / size))
     both = np.concatenate(products) if products else np.zeros((0, len(problem.start)))
-    both = both[np.isfinite(both).all(axis=1)]
+    known = np.isfinite(both).all(axis=1)
+    both = both[known]
     if len(both) < FEWEST_IMAGES or both.sum() < ROUGH_SIGMAS * np.sqrt(np.square(both).sum()):
         return None
-    return np.asarray(np.maximum(both.sum(axis=0), 0.0) / np.concatenate(weights).sum(axis=0))
+    weight = np.concatenate(weights)[known].sum(axis=0)
+    shown = np.isfinite(weight) & (weight > 0.0)
+    shared = np.maximum(both.sum(axis=0), 0.0)
+    return np.asarray(np.divide(shared, weight, out=np.zeros(len(weight)), where=shown))
 
 
 def _measure_misfits(

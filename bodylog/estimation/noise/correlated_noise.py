@@ -118,7 +118,8 @@ def correlate_postures(model: ForwardModel, x: Array) -> Array:
         return np.ones((len(x), len(x)))
     shared = covariance(x).mean(axis=0)
     std = np.sqrt(np.maximum(np.diag(shared), np.finfo(float).tiny))
-    return np.asarray(np.clip(shared / np.outer(std, std), -1.0, 1.0))
+    most = np.outer(std, std)
+    return np.asarray(np.clip(shared, -most, most) / most)
 
 
 def inflate_variances(
