@@ -70,7 +70,7 @@ def test_without_a_urdf_a_delay_is_found_within_its_error_bar(seed, monkeypatch)
         assert abs(found.seconds - late) < 3.0 * found.std_error < 0.03
 
 
-def test_without_motion_or_points_a_delay_is_not_told():
+def test_without_motion_or_points_no_delay_is_measured():
     log = moving_arm(11)
     assert log.joints is not None
     still = replace(log, joints=replace(log.joints, values=0.0 * log.joints.values))
