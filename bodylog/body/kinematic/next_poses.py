@@ -59,18 +59,18 @@ class _Predicted:
     there: Array
     known: Array
 
-    def variances(self) -> Array:
+    def list_removed_variances(self) -> Array:
         """Summed variance (K,) that seeing each posture takes away; none where it shows nothing."""
         found = np.full(len(self.noise), -np.inf)
         for k in np.flatnonzero(self.there).tolist():
-            rows, inner = self._sighting(k)
+            rows, inner = self._predict_sighting(k)
             across = self.covariance[self.known, rows]
             found[k] = np.trace(np.linalg.solve(inner, across.T @ across))
         return found
 
-    def after(self, posture: int) -> "_Predicted":
+    def condition_on(self, posture: int) -> "_Predicted":
         """The same once a posture is seen (R&W 2.24)."""
-        rows, inner = self._sighting(posture)
+        rows, inner = self._predict_sighting(posture)
         lean = np.linalg.solve(inner, self.covariance[rows])
         return replace(self, covariance=self.covariance - self.covariance[:, rows] @ lean)
 
@@ -79,7 +79,7 @@ class _Predicted:
         """Root mean square std of the known coordinates."""
         return float(np.sqrt(max(float(np.diag(self.covariance)[self.known].mean()), 0.0)))
 
-    def _sighting(self, posture: int) -> tuple[slice, Array]:
+    def _predict_sighting(self, posture: int) -> tuple[slice, Array]:
         """A posture's rows, and the covariance (R,R) of what will be measured there."""
         width = self.noise.shape[1]
         rows = slice(posture * width, (posture + 1) * width)
@@ -107,10 +107,10 @@ def propose_postures(body: BodyModel, count: int, candidates: Array) -> Proposal
     left = [predicted.rms_std]
     chosen = list[int]()
     for _ in range(count):
-        gains = predicted.variances()
+        gains = predicted.list_removed_variances()
         gains[chosen] = -np.inf
         chosen.append(int(np.argmax(gains)))
-        predicted = predicted.after(chosen[-1])
+        predicted = predicted.condition_on(chosen[-1])
         left.append(predicted.rms_std)
     rig = next(iter(senses.values())).rig
     sliding = tuple(rig.slides(m) for m in range(len(body.joints)))
