@@ -75,6 +75,13 @@ def _workers(process):
     return [int(number) for number in found.stdout.split()]
 
 
+def _wait_for_workers(process, folder):
+    """The two workers of a command, once something in `folder` is half-written."""
+    while process.poll() is None and not (list(folder.rglob(".*.part")) and len(_workers(process)) == 2):
+        time.sleep(0.005)
+    return _workers(process)
+
+
 def _gone(number):
     try:
         return Path(f"/proc/{number}/stat").read_text().split(") ")[1][0] == "Z"
@@ -89,9 +96,7 @@ def test_workers_end_with_who_started_them_and_is_killed(tmp_path, robot, name):
     batch = ("batch", robot / "explore.mcap", robot / "reach.mcap", "--body", robot / "body.npz")
     typed = {"batch": batch, "reproduce": ("reproduce", "E2", "--seeds", 2)}[name]
     with _started(_command(*typed, "--jobs", 2, "-o", tmp_path / "out")) as process:
-        while process.poll() is None and not (list(tmp_path.rglob(".*.part")) and len(_workers(process)) == 2):
-            time.sleep(0.005)
-        workers, started = _workers(process), time.monotonic()
+        workers, started = _wait_for_workers(process, tmp_path), time.monotonic()
         process.kill()
         process.wait(timeout=60)
         while not all(map(_gone, workers)) and time.monotonic() - started < 10:
@@ -200,11 +205,10 @@ def test_workers_that_are_killed_leave_nothing(tmp_path):
     made = _command("reproduce", "E2", "--seeds", 2, "--jobs", 2, "-o", tmp_path / "out")
     typed = ["env", f"TMPDIR={temporary}", *made]
     with _started(typed) as process:
-        while process.poll() is None and not list(tmp_path.rglob("work/trials/.*.part")):
-            time.sleep(0.001)
-        for child in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split():
-            if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
-                os.kill(int(child), signal.SIGKILL)
+        workers = _wait_for_workers(process, temporary)
+        assert len(workers) == 2 and list(temporary.glob("bodylog-*/.*.part"))
+        for worker in workers:
+            os.kill(worker, signal.SIGKILL)
         process.communicate(timeout=60)
     assert process.returncode == 3 and not list(tmp_path.rglob("*.part")) and not list(temporary.glob("bodylog-*"))
 
