@@ -64,6 +64,7 @@ FIGURES: Mapping[str, str] = {
     "stamp_jitter": "s",
     "idle": "1",
     "duration": "s",
+    "stuck": "s",
     "longest_repeat": "s",
     "clipped": "1",
     "jumps": "1",

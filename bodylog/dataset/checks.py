@@ -144,6 +144,13 @@ CHECKS: tuple[Check, ...] = (
         "it does not learn where the joint really is",
     ),
     Check(
+        "stuck",
+        "s",
+        joint_checks.measure_stuck_joints,
+        0.1,
+        "it believes a joint that does not do what it was asked",
+    ),
+    Check(
         "longest_repeat",
         "s",
         joint_checks.measure_longest_repeats,

@@ -173,7 +173,8 @@ def episode_evidence(
     figures {name: [value, standard error or null, the part of it that siblings share, the joint
     reading that it is about or null]} · joints: names, unit, low and high, t and curves of few
     points · action: the same · cameras {name: thumbnails and the view at rest (JPEG, base64), size,
-    stored_hz, arm: whose joints move its picture, of several} ·
+    stored_hz, arm: whose joints move its picture, of several, delay_profile: log likelihood (nats)
+    of the delays by flow} ·
     robot: its type, "" if it is not known ·
     statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
     `examine_episode` adds by_surface, the figures that are by the robot's surface, faults
@@ -185,7 +186,13 @@ def episode_evidence(
         "joints": None if reading.joints is None else _sample_curves(reading.joints),
         "action": None if reading.action is None else _sample_curves(reading.action),
         "cameras": {
-            name: _camera_evidence(film.seen) | {"arm": film.arm}
+            name: _camera_evidence(film.seen)
+            | {
+                "arm": film.arm,
+                "delay_profile": []
+                if film.delay is None
+                else [round(nats, 1) for nats in film.delay.profile],
+            }
             for name, film in reading.films.items()
         },
         "statistics": {

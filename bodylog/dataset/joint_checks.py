@@ -98,9 +98,28 @@ def measure_longest_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
             yield Measurement(name, 0.0)
             continue
         first, last = max(runs, key=lambda run: run[1] - run[0])
-        lasting_s = float(joints.t[last] - joints.t[first])
-        text = _repeat_text(reading, number, first, last)
-        yield Measurement(name, lasting_s, None, text, at=float(y[first]))
+        yield Measurement(name, float(joints.t[last] - joints.t[first]), at=float(y[first]))
+
+
+def measure_stuck_joints(reading: EpisodeReading) -> Iterator[Measurement]:
+    """Longest time (s) for which a joint's action moves while the joint repeats one reading."""
+    joints = reading.joints
+    action = reading.action
+    if joints is None or action is None or joints.step_s <= 0.0 or len(action.t) != len(joints.t):
+        return
+    ranges = value_ranges(joints.values)
+    width = max(1, round(IDLE_WINDOW_S / joints.step_s))
+    for number, name in enumerate(joints.names):
+        if ranges[number] == 0.0 or name not in action.names:
+            continue
+        wanted = action.values[:, action.names.index(name)]
+        least = IDLE_SPEED_HZ * width * joints.step_s * value_ranges(wanted[:, None])[0]
+        moving = np.nan_to_num(np.abs(wanted[width:] - wanted[:-width])) > least
+        y = joints.values[:, number]
+        stuck = [(float(moving[first:last].sum()), first, last) for first, last in equal_runs(y)]
+        rows, first, last = max(stuck, default=(0.0, 0, 0))
+        text = _stuck_text(joints, number, first, last, wanted)
+        yield Measurement(name, rows * joints.step_s, None, text, at=float(y[first]))
 
 
 def _moving_rows(joints: StoredNumbers) -> Array:
@@ -112,18 +131,14 @@ def _moving_rows(joints: StoredNumbers) -> Array:
     return np.append(moving, moving[-1:])
 
 
-def _repeat_text(reading: EpisodeReading, number: int, first: int, last: int) -> str:
-    """What an action that moves says of a joint that repeats its reading in rows first to last."""
-    joints = reading.joints
-    action = reading.action
-    if joints is None or action is None or joints.names[number] not in action.names:
-        return ""
-    if len(action.t) != len(joints.t) or joints.t[last] - joints.t[first] < SHORTEST_STUCK_S:
+def _stuck_text(joints: StoredNumbers, number: int, first: int, last: int, wanted: Array) -> str:
+    """What an action wanted (N,) that moves says of a joint that repeats its reading in rows first
+    to last."""
+    if joints.t[last] - joints.t[first] < SHORTEST_STUCK_S:
         return ""
     y = joints.values[:, number]
     low, high = float(np.nanmin(y)), float(np.nanmax(y))
     inside = min(y[first] - low, high - y[first]) > EDGE_SHARE * (high - low)
-    wanted = action.values[:, action.names.index(joints.names[number])]
     crossed = float(np.ptp(wanted[first : last + 1]))
     if not inside or crossed < ACTION_SHARE * float(np.ptp(wanted)):
         return ""

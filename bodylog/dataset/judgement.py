@@ -8,11 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from ..delays.flow_delay import METHOD_STD_S
+from ..delays.flow_delay import METHOD_STD_S, list_tried_delays
 from ..types import Array, Score
 from ..wording import list_in_words, quantity_text
 from .checks import BY_NAME, Check
-from .siblings import LEAST_EPISODES, Outlier, PooledFigure, find_outliers, own_std, pool_values
+from .siblings import (
+    LEAST_EPISODES,
+    Outlier,
+    PooledFigure,
+    find_other_delays,
+    find_outliers,
+    own_std,
+    pool_values,
+)
 from .views import Views, compare_views, find_moved, moved_sentences
 
 Row = dict[str, Any]
@@ -229,9 +237,24 @@ def _find_standouts(
                 found[one.number, figure] = one
     for camera, outliers in moved.items():
         found |= {(one.number, f"moved/{camera}"): one for one in outliers}
+    for camera in sorted({camera for name in names for camera in evidence[name]["cameras"]}):
+        figure = f"delay/{camera}"
+        for one in find_other_delays(_flow_profiles(camera, names, evidence), list_tried_delays()):
+            found.setdefault((one.number, figure), one)
     for number in sorted({number for number, _ in found}):
         own = {figure: one for (k, figure), one in found.items() if k == number}
         yield from _explain_outliers(names[number], own, table)
+
+
+def _flow_profiles(camera: str, names: Sequence[str], evidence: Mapping[str, Evidence]) -> Array:
+    """The log likelihood (N,K) of a camera's delays by flow in each episode; NaN where it has none,
+    and where the robot's surface tells the delay."""
+    profiles = np.full((len(names), len(list_tried_delays())), np.nan)
+    for row, name in zip(profiles, names, strict=True):
+        profile = evidence[name]["cameras"].get(camera, {}).get("delay_profile")
+        if profile and f"delay/{camera}" not in evidence[name].get("by_surface", ()):
+            row[:] = profile
+    return profiles
 
 
 def _is_at_stop(
@@ -306,8 +329,8 @@ def _joint_travels(names: Sequence[str], evidence: Mapping[str, Evidence]) -> di
 _AGAINST_JOINTS = ("delay", "delay/action", "error/action")
 """Figures that tell nothing where the joints' readings are wrong: they are measured against
 these."""
-_JOINT_CAUSES = ("clipped", "longest_repeat", "jumps", "still")
-_JOINT_FIGURES = ("start", "mean", "size", "longest_repeat", "clipped", "still", "error")
+_JOINT_CAUSES = ("clipped", "stuck", "longest_repeat", "jumps", "still")
+_JOINT_FIGURES = ("start", "mean", "size", "stuck", "longest_repeat", "clipped", "still", "error")
 
 
 def _explain_outliers(

@@ -71,7 +71,8 @@ class FlowDelay:
     delays of upper and of lower cells, where these suffice. `joints`: indices of the joints that
     explain the flow best, `joints_nats` by how much better than any other group (infinite without
     one). `certain`: whether the evidence suffices; if not, the value must not be
-    used. `edge`: whether it lies at the end of the searched range.
+    used. `edge`: whether it lies at the end of the searched range. `profile` (K,): evidence (nats)
+    of the delays `list_tried_delays` (s), less that of the best of them.
     """
 
     delay: Delay
@@ -82,6 +83,7 @@ class FlowDelay:
     mean_row: float = 0.0
     row_time: Delay | None = None
     joints_nats: float = float("inf")
+    profile: tuple[float, ...] = ()
 
     @property
     def certain(self) -> bool:
@@ -123,7 +125,10 @@ def estimate_flow_delay(
     total = Delay(delay.seconds, std_s)
     rolling = _measure_row_time(joints, times, flow, scan, delay.seconds)
     better = min(others, default=float("inf"))
-    return FlowDelay(total, scan.nats, scan.group, scan.edge, row_std_s, row, rolling, better)
+    profile = tuple((scan.profile - scan.evidence).tolist())
+    return FlowDelay(
+        total, scan.nats, scan.group, scan.edge, row_std_s, row, rolling, better, profile
+    )
 
 
 def _measure_row_time(
@@ -214,8 +219,8 @@ def _mean_row(flow: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _GroupScan:
-    """The best of the delays that are tried first (s), by one group of joints, its evidence, and
-    the nats over far ones."""
+    """The best of the delays that are tried first (s), by one group of joints, its evidence, the
+    nats over far ones, and the evidence (K,) of all."""
 
     motion: "_JointMotion"
     group: tuple[int, ...]
@@ -223,6 +228,12 @@ class _GroupScan:
     evidence: float
     nats: float
     edge: bool
+    profile: Array
+
+
+def list_tried_delays() -> Array:
+    """The delays (K,) s that are tried first."""
+    return np.arange(EARLIEST_S, LATEST_S + 0.5 * GRID_STEP_S, GRID_STEP_S)
 
 
 def _scan_group(
@@ -232,13 +243,14 @@ def _scan_group(
     motion = _JointMotion.of(joints, group)
     if motion is None:
         return None
-    tried = np.arange(EARLIEST_S, LATEST_S + 0.5 * GRID_STEP_S, GRID_STEP_S)
+    tried = list_tried_delays()
     evidence = np.sum([_scan_evidence(part, motion, tried) for part in parts], axis=0)
     best = int(np.argmax(evidence))
     far = np.abs(tried - tried[best]) > FAR_S - 0.5 * GRID_STEP_S
     nats = float(evidence[best] - evidence[far].max())
     edge = best in (0, len(tried) - 1)
-    return _GroupScan(motion, group, float(tried[best]), float(evidence[best]), nats, edge)
+    seconds = float(tried[best])
+    return _GroupScan(motion, group, seconds, float(evidence[best]), nats, edge, evidence)
 
 
 def _refined_delay(parts: Sequence[_FlowPart], scan: _GroupScan) -> Delay:

@@ -262,7 +262,7 @@ def draw_fault(world: World, kind: str, count: int) -> Fault:
         first = int(rng.integers(20, len(state) - 80))
         lasting = int(rng.uniform(1.5, 3.0) * FPS)
         state[first : first + lasting, joint] = state[first, joint]
-        return Fault(kind, number, {number: replace(one, state=state)}, f"longest_repeat/{name}")
+        return Fault(kind, number, {number: replace(one, state=state)}, f"/{name}")
     if kind == "clipped joint":
         limit = np.quantile(state[:, joint], rng.uniform(0.6, 0.8))
         state[:, joint] = np.minimum(state[:, joint], limit)
