@@ -5,7 +5,7 @@ anti-aliasing, so the tracked end effector and hand are drawn here from their ex
 arm still hides them by its depth.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -25,6 +25,9 @@ _CARD = (96, 98, 102)
 class PinholeCamera:
     """A pinhole: size (px), focal length (px), position (3,)
     m, rotation (3,3) base -> optical (right, down, ahead).
+
+    first_row: of a picture of which it shows some rows alone,
+    whose height is whole_height px; None where it shows all.
     """
 
     width: int
@@ -32,11 +35,18 @@ class PinholeCamera:
     focal: float
     position: Array
     rotation: Array
+    first_row: int = 0
+    whole_height: int | None = None
 
     @property
     def centre(self) -> tuple[float, float]:
         """The principal point (px)."""
-        return (self.width - 1) / 2, (self.height - 1) / 2
+        height = self.height if self.whole_height is None else self.whole_height
+        return (self.width - 1) / 2, (height - 1) / 2 - self.first_row
+
+    def take_rows(self, first: int, end: int) -> "PinholeCamera":
+        """The camera of the rows from `first` to before `end` of this one's pictures."""
+        return replace(self, height=end - first, first_row=first, whole_height=self.height)
 
 
 def look_at(position: Array, target: Array, size: tuple[int, int]) -> PinholeCamera:

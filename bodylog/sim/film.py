@@ -27,6 +27,12 @@ _WHOLE = 0.99
 _SLIDE = 0.25
 _ROUNDS = 2
 """The feature moves less than a row in the time that the second round adds."""
+_BAND = 16
+"""Rows that are drawn as of one instant: a shutter of 0.1 s at 640×480
+reads them in 3 ms, and they are off by half of that at most.
+"""
+_MARGIN = 2
+"""Rows drawn beside a band and cut off, as the picture is drawn at half its size and enlarged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,17 +111,25 @@ def _film_camera(stage: Stage, view: _View, card: _Card | None) -> Iterator[Item
     wall = cameras.draw_background(view.camera, rng, textured)
     noise = cameras.sensor_noise(view.camera, rng)
     shot: _Shot | None = None
+    by_rows = stage.wish.options.scene == "bare" and stage.wish.hardware.rolling > 0.0
     for stamps in stamps_of(stage.wish.duration, _CAMERA_HZ, view.offset_ns):
-        t = stamps / 1e9 + _exposure_delays(stage, view, stamps / 1e9)
+        t = stamps / 1e9
+        if not by_rows:
+            t = t + _exposure_delays(stage, view, t)
         q = stage.wish.plan.motion.position(t)
         hands = seen_hand(stage, t)
         for row, log in enumerate(log_times(stamps, 8.0, 14.0, rng)):
             if stage.moves and view.frame == FRAME:
                 view = replace(view, camera=stage.seen_from(t[row]))
                 shot = None
-            if shot is None or not np.array_equal(shot.q, q[row]):
+            # the poses at its stamp stand for it where rows are drawn
+            if shot is None or not (by_rows or np.array_equal(shot.q, q[row])):
                 shot = _shoot_arm(stage, view.camera, q[row], wall)
-            picture, seen = _compose_image(stage, view, shot, hands[row], card, t[row])
+            if by_rows:
+                picture, shown = _compose_rows(stage, view, wall, card, t[row])
+            else:
+                picture, shown = _compose_image(stage, view, shot, hands[row], card, t[row])
+            seen = {topic: pixel for topic, (share, pixel) in shown.items() if share > _WHOLE}
             picture = cameras.expose_image(picture, noise, rng)
             stated = _at_stamp(stage, view, shot, float(stamps[row]) / 1e9)
             yield from _items_of_image(
@@ -170,17 +184,50 @@ def _shoot_arm(stage: Stage, camera: cameras.PinholeCamera, q: Array, wall: Arra
 
 def _compose_image(
     stage: Stage, view: _View, shot: _Shot, place: Array, card: _Card | None, t: float
-) -> tuple[Array, dict[str, Array]]:
-    """The image at t, and the pixel of each wholly visible thing."""
+) -> tuple[Array, dict[str, tuple[float, Array]]]:
+    """The image at t; of each thing the share of it that is visible, and its pixel (2,)."""
     picture = shot.picture.copy()
     depth = shot.depth.copy()
     if card is not None:
-        _cover_with_card(picture, depth, card, t)
-    seen = {}
+        _cover_with_card(picture, depth, card, view.camera, t)
+    shown = {}
     for topic, thing in _things_to_draw(stage, view, shot, place):
-        if thing.draw(picture, depth, view.camera) > _WHOLE and topic:
-            seen[topic] = thing.pixel(view.camera)
-    return picture, seen
+        share = thing.draw(picture, depth, view.camera)
+        if topic:
+            shown[topic] = share, thing.pixel(view.camera)
+    return picture, shown
+
+
+def _compose_rows(
+    stage: Stage, view: _View, wall: Array, card: _Card | None, t: float
+) -> tuple[Array, dict[str, tuple[float, Array]]]:
+    """The image whose first row is exposed at t s, each band of rows as of its own instant, and
+    what it shows as `_compose_image` returns it, at the instant of the row that shows it.
+    """
+    bands = list[Array]()
+    shown = dict[str, tuple[float, Array]]()
+    height = view.camera.height
+    for first in range(0, height, _BAND):
+        end = min(first + _BAND, height)
+        middle = 0.5 * (first + end - 1)
+        exposed = t + stage.wish.hardware.rolling * middle / (height - 1)
+        camera = stage.seen_from(exposed) if view.frame == FRAME else view.camera
+        q = stage.wish.plan.motion.position(np.array([exposed]))[0]
+        begin = max(first - _MARGIN, 0)
+        drawn = slice(begin, min(end + _MARGIN, height))
+        shot = _shoot_arm(stage, camera.take_rows(drawn.start, drawn.stop), q, wall[drawn])
+        inner = slice(first - begin, end - begin)
+        shot = replace(shot, picture=shot.picture[inner], depth=shot.depth[inner])
+        band = replace(view, camera=camera.take_rows(first, end))
+        hand = seen_hand(stage, np.array([exposed]))[0]
+        picture, parts = _compose_image(stage, band, shot, hand, card, exposed)
+        bands.append(picture)
+        for topic, (share, pixel) in parts.items():
+            in_whole = pixel + np.array([0.0, first])
+            before, known = shown.get(topic, (0.0, in_whole))
+            here = first - 0.5 <= in_whole[1] < end - 0.5
+            shown[topic] = before + share, in_whole if here else known
+    return np.concatenate(bands), shown
 
 
 def _things_to_draw(
@@ -294,15 +341,15 @@ def _card_over_effector(stage: Stage) -> _Card | None:
     return _Card((left, top, right, bottom), float(ahead.min()) - 2.4 * EFFECTOR_RADIUS, start, end)
 
 
-def _cover_with_card(picture: Array, depth: Array, card: _Card, t: float) -> None:
-    """Draw the card at t, if it is in the image."""
+def _cover_with_card(
+    picture: Array, depth: Array, card: _Card, camera: cameras.PinholeCamera, t: float
+) -> None:
+    """Draw the card at t, if it is in the image of the camera."""
     left, top, right, bottom = card.box
     out = max(card.start - t, t - card.end, 0.0) / _SLIDE
-    down = round(out * (picture.shape[0] - top))
+    down = round(out * ((camera.whole_height or camera.height) - top))
     if out < 1.0:
-        cameras.draw_card(
-            picture,
-            depth,
-            (left, top + down, right, min(bottom + down, picture.shape[0])),
-            card.depth,
+        upper, lower = (
+            min(max(row + down - camera.first_row, 0), camera.height) for row in (top, bottom)
         )
+        cameras.draw_card(picture, depth, (left, upper, right, lower), card.depth)

@@ -150,8 +150,14 @@ def _halve_if_fine(camera: PinholeCamera) -> PinholeCamera:
     """
     if camera.width < _FINE or camera.width % 2 or camera.height % 2:
         return camera
+    whole = None if camera.whole_height is None else camera.whole_height // 2
     return replace(
-        camera, width=camera.width // 2, height=camera.height // 2, focal=camera.focal / 2
+        camera,
+        width=camera.width // 2,
+        height=camera.height // 2,
+        focal=camera.focal / 2,
+        first_row=camera.first_row // 2,
+        whole_height=whole,
     )
 
 
@@ -168,10 +174,12 @@ def _projection_matrix(camera: PinholeCamera) -> list[float]:
 
     The renderer samples the lower right corner of each
     pixel: a shift of half a pixel moves that to its centre.
+    Of rows alone the centre lies `below` their middle.
     """
     matrix = np.zeros((4, 4))
     matrix[0, 0], matrix[1, 1] = 2 * camera.focal / camera.width, 2 * camera.focal / camera.height
-    matrix[0, 2], matrix[1, 2] = 1 / camera.width, 1 / camera.height
+    below = camera.centre[1] - (camera.height - 1) / 2
+    matrix[0, 2], matrix[1, 2] = 1 / camera.width, (1 + 2 * below) / camera.height
     matrix[2, 2], matrix[2, 3] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
     matrix[3, 2] = -1.0
     return [float(value) for value in matrix.T.ravel()]

@@ -177,6 +177,26 @@ def test_a_rolling_shutter_shows_a_later_arm_under_the_same_stamps(recorded):
     assert np.abs(shown[:, 0] - later)[inside].max() < 0.1 < np.abs(shown - before)[inside, 0].max()
 
 
+def test_rows_of_a_bare_arm_are_exposed_at_their_own_instants(tmp_path):
+    """Of 48 rows that take 0.1 s, the middle ones show what the next image of 20 Hz shows there."""
+    pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
+    from bodylog.sim import record_scenario
+
+    films = []
+    for hardware in ("", "rolling=0.1"):
+        log = tmp_path / f"film{hardware[:4]}.mcap"
+        options = {"scene": "bare", "image": "raw", "size": (64, 48), "hardware": hardware}
+        record_scenario("babble", log, seed=3, duration=2.0, **options)
+        images = [row.message.data for row in reading.read(log)["/camera/image"]]
+        films.append(np.array([np.frombuffer(bytes(one), np.uint8).reshape(48, 64, 3) for one in images], float))
+    plain, rolling = films
+    rows = slice(16, 32)
+    later = np.abs(rolling[:-1, rows] - plain[1:, rows]).mean()
+    moved = np.abs(plain[1:, rows] - plain[:-1, rows]).mean()
+    noise = np.abs(plain[1:, :4] - plain[:-1, :4]).mean()
+    assert later == pytest.approx(noise, rel=0.03) and moved > 1.2 * noise
+
+
 def test_jittered_stamps_are_off_by_what_was_typed(recorded):
     topics = recorded("jitter=0.002")
     stamps = np.array([row.t for row in topics["/joint_states"]])

@@ -88,6 +88,23 @@ def test_pinhole_is_the_renderers(size):
     np.testing.assert_allclose(np.mean(errors, axis=0), 0.0, atol=0.12)
 
 
+@pytest.mark.parametrize("size", [(640, 480), (64, 48)])
+def test_rows_alone_are_those_of_the_whole_picture(size):
+    arm = ARMS["ur5"]
+    with open_world(arm) as world:
+        places, _ = world.pose(np.array(arm.home))
+        target = places[world.links.index("effector")]
+        camera = look_at(target + arm.camera, target, size)
+        wall = np.zeros((size[1], size[0], 3), np.uint8)
+        whole, depth = world.picture(camera, wall)
+        first, end = size[1] // 2 - 4, size[1] // 2 + 12
+        rows = slice(first - 2, end + 2)
+        part, near = world.picture(camera.take_rows(rows.start, rows.stop), wall[rows])
+    assert (depth[first:end] < FAR).any()
+    np.testing.assert_array_equal(part[2:-2], whole[first:end])
+    np.testing.assert_allclose(near[2:-2], depth[first:end], atol=1e-4)
+
+
 def test_wide_pictures_show_the_same_arm():
     arm = ARMS["ur5"]
     with open_world(arm) as world:
