@@ -43,14 +43,8 @@ def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
         if place.is_dir():
             return _open_folder(path, strict, limits)
         require_regular(place)
-        with place.open("rb") as stream:
-            first = stream.read(32)
-        if (
-            place != path
-            or first.startswith(_HDF5)
-            or first[4:8] == _MP4
-            or place.suffix.lower() in VIDEOS
-        ):
+        first = _read_first_bytes(place)
+        if is_episode_file(path):
             return _open_episode_file(path, first, strict, limits)
         if is_packed(first):
             return unpack_file(
@@ -64,10 +58,23 @@ def open_log(path: Path, strict: bool = False, limits: Input = LIMITS) -> Log:
         raise LogError(f"{path}: it cannot be read: {problem.strerror or problem}") from None
 
 
+def is_episode_file(path: Path) -> bool:
+    """Whether this names a file that is opened as an episode of a dataset, or as a video."""
+    place = episodes.dataset_path(path)
+    if not place.is_file():
+        return False
+    first = _read_first_bytes(place)
+    is_video = first[4:8] == _MP4 or place.suffix.lower() in VIDEOS
+    return place != path or first.startswith(_HDF5) or is_video
+
+
+def _read_first_bytes(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(32)
+
+
 def _open_local_log(path: Path, strict: bool, source: Path, limits: Input) -> Log:
-    with source.open("rb") as stream:
-        first = stream.read(32)
-    return _choose_opener(path, first)(path, strict, source, limits)
+    return _choose_opener(path, _read_first_bytes(source))(path, strict, source, limits)
 
 
 def _choose_opener(path: Path, first: bytes) -> "Opener":

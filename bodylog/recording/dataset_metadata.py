@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from ..logs.formats import open_log
+from ..logs.formats import is_episode_file, open_log
 from ..logs.joint_units import SOURCE_UNIT, UNIT
 from ..logs.topics import INDEPENDENT, escape_topic_name
 from ..settings import Settings
@@ -24,6 +24,8 @@ def settings_of_episode(path: Path, settings: Settings) -> tuple[Settings, list[
     """
     from ..logs.datasets.episode_log import EpisodeLog
 
+    if path.is_file() and not is_episode_file(path):
+        return settings, []
     with open_log(path, settings.input.strict, settings.input) as log:
         if not isinstance(log, EpisodeLog):
             return settings, []

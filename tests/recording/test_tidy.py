@@ -10,6 +10,8 @@ from rosbags.highlevel import AnyReader
 
 from bodylog.errors import LogError, UsageError
 from bodylog.logs.limits import Input
+from bodylog.logs.tables import pose_log
+from bodylog.logs.tables.pose_log import PoseLog
 from bodylog.recording.recording import read_recording
 from bodylog.recording.tidy import cut_to_window, signals_by_role, write_tidy_log
 from bodylog.settings import Settings, TimeSettings, TopicSettings
@@ -211,3 +213,18 @@ def test_ingest_tells_of_a_datasets_images_that_cannot_be_read(tmp_path):
     findings = write_tidy_log(path, tmp_path / "out.mcap", Settings())
     (lost,) = (one.text for one in findings if one.severity == "lost")
     assert "2 of 20 images cannot be read; they stand in it without bytes" in lost
+
+
+def test_ingest_reads_a_table_once(tmp_path, monkeypatch):
+    opened = []
+
+    class CountedLog(PoseLog):
+        def __init__(self, path, *others):
+            opened.append(path)
+            super().__init__(path, *others)
+
+    monkeypatch.setattr(pose_log, "PoseLog", CountedLog)
+    path = tmp_path / "poses.csv"
+    path.write_text("elbow\n" + "0.1\n" * 10)
+    write_tidy_log(path, tmp_path / "out.mcap", Settings())
+    assert opened == [path]
