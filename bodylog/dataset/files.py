@@ -1,6 +1,6 @@
 """A dataset's own files against its episodes: counts in info.json, and stored statistics."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +64,8 @@ def _check_statistics(
         yield f"{EPISODE_STATISTICS} does not match the data: {list_in_words(wrong)}"
     if not isinstance(whole, dict) or not found:
         return
-    features = sorted(set.intersection(*(set(own) for own in found.values())))
+    common = set.intersection(*(set(own) for own in found.values()))
+    features = sorted(name for name in common if _has_one_width(name, found.values()))
     joined = combine_statistics([{name: own[name] for name in features} for own in found.values()])
     complete = len(found) == len(known.rows)
     stale = [
@@ -79,6 +80,12 @@ def _check_statistics(
     ]
     if stale:
         yield f"{STATISTICS} does not match the data: {list_in_words(stale)}"
+
+
+def _has_one_width(feature: str, found: Iterable[Mapping[str, Any]]) -> bool:
+    """Whether a feature has as many numbers in every episode; their readers name those that
+    differ."""
+    return len({len(own[feature]["mean"]) for own in found}) == 1
 
 
 def _statistics_disagree(

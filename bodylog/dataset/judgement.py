@@ -41,6 +41,10 @@ STOP_SHARE = 0.02
 """Distance from an end of what a joint reads in all episodes, over its range, within which it is at
 a stop."""
 _UNMEASURED = (float("nan"), None, 0.0, None)
+MOST_DECLARATIONS = 10
+"""Most sentences of the verdict on what a dataset's lists say otherwise than its files."""
+_OF_LISTS = ("info.json", "meta/", "the dataset lists", "the video")
+"""What their texts name."""
 REPORTED_SHARE = 0.05
 """Share of a camera's images from which the verdict names what is wrong with them."""
 
@@ -124,7 +128,7 @@ def judge_episodes(
         )
         for row in rows
     ]
-    doubles = tuple(_duplicate_sentences(names, evidence))
+    doubles = (*_duplicate_sentences(names, evidence), *_same_film_sentences(names, evidence))
     pooled = _pool_delays(names, evidence, outliers)
     scores = tuple(_dataset_scores(rows, evidence, outliers, pooled, views))
     whole = (*findings, *_robot_sentences(kinds), *doubles, *lasting)
@@ -439,6 +443,18 @@ def _duplicate_sentences(names: Sequence[str], evidence: Mapping[str, Evidence])
             yield f"{' and '.join(same)} are the same episode: equal in every number"
 
 
+def _same_film_sentences(names: Sequence[str], evidence: Mapping[str, Evidence]) -> Iterator[str]:
+    """Episodes that have the film of another: equal in every picture that changes."""
+    films: dict[tuple[str, ...], list[str]] = {}
+    for name in names:
+        for camera, about in evidence[name]["cameras"].items():
+            if len(set(about["thumbnails"])) > 1:
+                films.setdefault((camera, *about["thumbnails"]), []).append(name)
+    for (camera, *_), same in films.items():
+        if len(same) > 1:
+            yield f"{camera}: {' and '.join(same)} have the same film: one is of another episode"
+
+
 def _pool_delays(
     names: Sequence[str], evidence: Mapping[str, Evidence], outliers: Sequence[StandsOut]
 ) -> dict[str, PooledDelay]:
@@ -584,6 +600,7 @@ def _dataset_verdict(
     text += f"; {len(unusable)} cannot be used: {list_in_words(unusable)}" if unusable else ""
     yield text
     yield from _loss_sentences(rows)
+    yield from _declaration_sentences(rows)
     others = [f"{one.episode} ({min(one.figures, key=_check_rank)})" for one in differing]
     if others:
         yield f"differ from the others, perhaps for good reasons: {list_in_words(others)}"
@@ -613,6 +630,17 @@ def _loss_sentences(rows: Sequence[Row]) -> Iterator[str]:
     if names:
         whose = f"{len(names)} of {len(rows)} episodes lost a part: {list_in_words(names)}"
         yield f"{whose}; {lost[names[0]]}"
+
+
+def _declaration_sentences(rows: Sequence[Row]) -> Iterator[str]:
+    """What a dataset's lists say otherwise than the files of episodes, each once."""
+    found: dict[str, list[str]] = {}
+    for row in rows:
+        for severity, text in row["findings"]:
+            if severity == "warning" and any(word in text for word in _OF_LISTS):
+                found.setdefault(text.removeprefix(f"{row['log']}: "), []).append(row["name"])
+    for text, names in list(found.items())[:MOST_DECLARATIONS]:
+        yield f"{text}, in {len(names)} of {len(rows)} episodes: {list_in_words(names)}"
 
 
 def _camera_sentences(evidence: Mapping[str, Evidence]) -> Iterator[str]:

@@ -164,6 +164,91 @@ def test_any_file_that_is_damaged_is_named(
         assert code != 0 or damage == "gone" or "stats" in file.name, file
 
 
+def change_info(**changes: Any) -> Callable[[Path], object]:
+    """Change info.json, or of it the features that are named."""
+
+    def change(folder: Path) -> None:
+        path = folder / "meta/info.json"
+        known = json.loads(path.read_text())
+        for name, value in changes.items():
+            known["features"].get({"state": "observation.state", "top": drawn.CAMERA}.get(name), known).update(value)
+        path.write_text(json.dumps(known))
+
+    return change
+
+
+def change_table(name: str, change: Callable[[Any], list[Any] | None]) -> Callable[[Path], object]:
+    """Change a column of the last episode's table; none: drop it."""
+
+    def rewrite(folder: Path) -> None:
+        path = sorted(folder.glob("data/**/*.parquet"))[-1]
+        table = drawn.parquet.read_table(path)
+        values = change(table.column(name).to_pylist())
+        place = table.schema.get_field_index(name)
+        left = table.remove_column(place)
+        new = left if values is None else left.append_column(name, drawn.arrow.array(values))
+        drawn.parquet.write_table(new, path)
+
+    return rewrite
+
+
+def write_video(size: tuple[int, int] = drawn.SIZE, fps: int = drawn.FPS) -> Callable[[Path], object]:
+    """Write the last video anew, with images of another size or another rate."""
+
+    def rewrite(folder: Path) -> None:
+        path = sorted(folder.glob("videos/**/*.mp4"))[-1]
+        pictures = np.array([np.resize(one, (size[1], size[0], 3)) for one in drawn.decoded(path)])
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(drawn, "FPS", fps)
+            drawn.film(path, pictures)
+
+    return rewrite
+
+
+CONTRADICTIONS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "rate": (change_info(info={"fps": 10}), "rows are 0.05 s apart (20 Hz), info.json says fps 10"),
+    "size": (change_info(top={"shape": [480, 640, 3]}), "info.json declares images of 640 x 480, the video has 64 x 64"),
+    "type": (change_info(state={"dtype": "int64"}), "observation.state: info.json says dtype int64, the table holds float"),
+    "no type": (change_info(state={"dtype": "flat32"}), "info.json says dtype 'flat32', which is not read; possible: float16"),
+    "text": (change_info(state={"dtype": "string"}), "info.json says dtype 'string', and no numbers are read; possible: float16"),
+    "images": (change_info(top={"dtype": "image"}), "has no such column; possible: video"),
+    "width": (change_info(state={"shape": [7]}), "observation.state: info.json declares 7 numbers, the table holds 3"),
+    "names": (change_info(state={"names": ["a", "b"]}), "info.json lists 2 names of 3 numbers"),
+    "place": (change_info(info={"data_path": "data/x.parquet"}), "by data_path in info.json the first is "),
+    "video's size": (write_video(size=(96, 48)), "info.json declares images of 64 x 64, the video has 96 x 48"),
+    "video's rate": (write_video(fps=10), "the video has 10 frames a second, info.json says fps 20"),
+    "stamps": (change_table("timestamp", lambda t: [2.0 * one for one in t]), "(10 Hz), info.json says fps 20"),
+    "narrow": (change_table("observation.state", lambda q: [one[:2] for one in q]), "declares 3 numbers, the table holds 2"),
+    "texts": (change_table("observation.state", lambda q: list(map(str, q))), "the table holds no such numbers"),
+    "no stamps": (change_table("timestamp", lambda _: None), "timestamp: info.json declares it, the table has no such column"),
+    "task": (change_table("task_index", lambda k: [9] * len(k)), "task_index is 9 in some rows"),
+}
+"""What files hold otherwise than the dataset's lists say, and what names it."""
+
+
+@pytest.mark.parametrize("name", CONTRADICTIONS)
+def test_what_a_dataset_lists_otherwise_than_its_files_hold_is_named_in_the_verdict(
+    complete_dataset: Path, tmp_path: Path, run_cli: Any, capsys: Any, name: str
+) -> None:
+    contradict, says = CONTRADICTIONS[name]
+    copy = shutil.copytree(complete_dataset, tmp_path / "copy")
+    contradict(copy)
+    code = run_cli("doctor", copy, "--delay", "off", "--json")
+    whole = json.loads(capsys.readouterr().out)["results"]
+    verdict = [*whole[-1]["verdict"], *(one["error"] or "" for one in whole)]
+    assert any(says in text for text in verdict), verdict
+    assert code in (0, 3, 65)
+
+
+def test_a_film_of_another_episode_is_named(tmp_path: Path, run_cli: Any, capsys: Any) -> None:
+    folder = drawn.v21(tmp_path / "set", [12, 12, 12])
+    videos = sorted(folder.glob("videos/**/*.mp4"))
+    shutil.copy(videos[2], videos[0])
+    assert run_cli("doctor", folder, "--delay", "off", "--json") == 0
+    verdict = json.loads(capsys.readouterr().out)["results"][-1]["verdict"]
+    assert any("top: set_0 and set_2 have the same film" in text for text in verdict), verdict
+
+
 def test_a_broken_bound_ends_with_4_and_is_a_failure(dataset: Path, tmp_path: Path, run_cli: Any) -> None:
     bounds = ("--fail-if", "repeated/top>0.5", "--fail-if", "episodes<4")
     assert run_cli("doctor", dataset, "-o", tmp_path / "out", "--delay", "off", *bounds) == 4

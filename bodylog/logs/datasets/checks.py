@@ -16,7 +16,14 @@ from ..joint_units import joint_unit
 from ..limits import LIMITS, Input
 from ..records import Array, Batch
 from .episode_log import JOINTS, EpisodeCamera, EpisodeLog, EpisodeSignal
-from .lerobot_layout import TASK_TABLE, TASKS, DatasetLayout, read_task_texts
+from .lerobot_layout import (
+    EPISODE_TABLES,
+    EPISODES,
+    TASK_TABLE,
+    TASKS,
+    DatasetLayout,
+    read_task_texts,
+)
 
 BLACK_GREY = 20
 """Grey levels: black in video is 16 (BT.601), and a covered sensor's noise a few levels more."""
@@ -31,6 +38,8 @@ _MANY = 5
 """Shortest time, and fewest images, for a camera to count as frozen or black."""
 _MOVED = 0.02
 """Share of its range that a joint must cross while a camera's image stays the same."""
+_MOST_LISTED = 100_000
+"""Numbers of episodes among which those that are not listed are named."""
 _GAP = 5.0
 """Median time steps beyond which there is a gap."""
 
@@ -223,12 +232,19 @@ def of_dataset(known: DatasetLayout) -> Iterator[str]:
     old = known.one_file_each
     listed = len(known.rows)
     if isinstance(total := info.get("total_episodes"), int) and total != listed:
-        yield f"info.json says total_episodes {total}, {listed} are listed"
+        unlisted = sorted(set(range(min(total, _MOST_LISTED))).difference(known.rows))
+        some = f"; not listed: {list_in_words([*map(str, unlisted)])}" if unlisted else ""
+        yield f"info.json says total_episodes {total}, {listed} are listed{some}"
     if missing := sorted(set(known.rows).difference(there)):
         yield (
             f"{listed} episodes are listed, the tables of {len(there)} are there; without a table: "
             f"{list_in_words([*map(str, missing)])}"
         )
+    listing = EPISODES if old else EPISODE_TABLES
+    for number, row in known.rows.items():
+        if not isinstance(row.get("length"), int):
+            found = f"{row.get('length')!r:.40}"
+            yield f"{listing}: length of episode {number} is {found}; a number of rows is expected"
     lengths = [row.get("length") for row in known.rows.values()]
     whole = sum(length for length in lengths if isinstance(length, int))
     if isinstance(total := info.get("total_frames"), int) and total != whole:

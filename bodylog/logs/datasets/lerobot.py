@@ -17,6 +17,7 @@ from ..limits import LIMITS, Input
 from ..records import Array, Finding
 from ..topics import escape_topic_name
 from . import parquet, video
+from .declared import BOOKKEEPING, NUMBERS, compare_columns, compare_row_rate, compare_video
 from .episode_log import (
     ACTION,
     DTYPE,
@@ -33,7 +34,16 @@ from .episode_log import (
     Texts,
     is_named_depth,
 )
-from .lerobot_layout import DatasetLayout, EpisodePart, read_dataset_layout, read_task_texts
+from .lerobot_layout import (
+    EPISODE_TABLES,
+    EPISODES,
+    TASK_TABLE,
+    TASKS,
+    DatasetLayout,
+    EpisodePart,
+    read_dataset_layout,
+    read_task_texts,
+)
 from .units import guess_joint_unit
 
 _STATE = ("observation.state", "observation.qpos", "observation.joint_positions", "state")
@@ -42,20 +52,6 @@ _STAMP = ".stamp_ns"
 """Suffix of features that hold the times of another
 feature (int64, ns), as `convert` writes them.
 """
-_BOOKKEEPING = frozenset(("timestamp", "frame_index", "episode_index", "index", "task_index"))
-_NUMBERS = (
-    "float16",
-    "float32",
-    "float64",
-    "int8",
-    "int16",
-    "int32",
-    "int64",
-    "uint8",
-    "uint16",
-    "uint32",
-    "bool",
-)
 _MOST_WIDE = 100_000
 _SPARSE = 1.5
 """Intervals between a video's frames from which rows are further apart than these."""
@@ -71,9 +67,7 @@ def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> Ep
     if number is None:
         there = known.present()
         if not there:
-            raise LogError(
-                f"{folder}: none of the {len(known.rows)} episodes it lists has an existing table"
-            )
+            raise LogError(_describe_missing_tables(known))
         number = there[0]
         if len(there) > 1:
             some = (
@@ -87,6 +81,18 @@ def open_lerobot(path: Path, strict: bool = False, limits: Input = LIMITS) -> Ep
             f"{_format_number_ranges(known.present()) or 'none'}"
         )
     return EpisodeLog(path, _read_lerobot_episode(known, number, findings, limits), strict)
+
+
+def _describe_missing_tables(known: DatasetLayout) -> str:
+    """Why a dataset has no episode with an existing table."""
+    if not known.rows:
+        listing = known.folder / (EPISODES if known.one_file_each else EPISODE_TABLES)
+        return f"{listing}: it lists no episodes; is the dataset downloaded completely?"
+    expected = known.table(min(known.rows))
+    return (
+        f"{known.folder}: none of the {len(known.rows)} episodes it lists has an existing table; "
+        f"by data_path in info.json the first is {expected}"
+    )
 
 
 def lerobot_episode_files(folder: Path, number: int | None) -> tuple[Path, ...]:
@@ -116,23 +122,31 @@ def _read_lerobot_episode(
     where = parquet.find_row_runs(table, "episode_index", number, limits)
     if not where:
         raise LogError(f"{table}: no rows of episode {number}")
-    numbers = [name for name, about in known.features.items() if about.get("dtype") in _NUMBERS]
-    wanted = [name for name in numbers if name not in _BOOKKEEPING and not name.endswith(_STAMP)]
+    columns = parquet.list_column_types(table)
+    needed = (*_STATE, *_ACTIONS)
+    findings += compare_columns(known.features, columns, needed)
+    numbers = [name for name, about in known.features.items() if about.get("dtype") in NUMBERS]
+    wanted = [name for name in numbers if name not in BOOKKEEPING and not name.endswith(_STAMP)]
     found = parquet.read_number_columns(
-        table, list(dict.fromkeys([*wanted, *_BOOKKEEPING])), where, limits
+        table, list(dict.fromkeys([*wanted, *BOOKKEEPING])), where, limits
     )
     count = sum(end - first for first, end in where)
     named = [f"{name}{_STAMP}" for name in known.features if f"{name}{_STAMP}" in known.features]
     stamps = {name: parquet.read_integer_column(table, name, where, limits) for name in named}
     ns = _find_row_times(stamps, found.get("timestamp"), count, known.fps, findings)
+    if not named:
+        findings += compare_row_rate(ns / 1e9, known.fps)
     streams: list[EpisodeSignal | Texts | EpisodeCamera] = []
     for name in wanted:
         streams += _build_feature_signal(
             name, known, found.get(name), _feature_times(stamps, name, ns), findings
         )
-    streams += _task_changes(known, found, ns)
+    streams += _task_changes(known, found, ns, findings)
     for name, about in known.features.items():
-        if about.get("dtype") in ("video", "image"):
+        if about.get("dtype") == "image" and name not in columns:
+            text = f"{name}: info.json says dtype image, {table} has no such column"
+            findings.append(Finding("lost", f"{text}; possible: video"))
+        elif about.get("dtype") in ("video", "image"):
             own = _feature_times(stamps, name, ns)
             shown = _video_times(found.get("timestamp"), ns)
             begin_s = _begin(found.get("timestamp"))
@@ -209,7 +223,11 @@ def _build_feature_signal(
     if width != values.shape[1]:
         text = f"{name}: info.json declares {width} numbers, the table holds {values.shape[1]}"
         findings.append(Finding("warning", text))
-    names = _declared_names(about.get("names"), values.shape[1])
+    listed = _flatten_names(about.get("names"))
+    names = _declared_names(listed, values.shape[1])
+    if len(listed) > 1 and len(listed) != values.shape[1]:
+        text = f"{name}: info.json lists {len(listed)} names of {values.shape[1]} numbers"
+        findings.append(Finding("warning", f"{text}; they are called by their numbers"))
     metadata = {FEATURE: name, DTYPE: str(about["dtype"]), **_robot_metadata(known, name)}
     state = next((one for one in _STATE if known.features.get(one)), None)
     topic = f"/{escape_topic_name(name.replace('.', '/'))}"
@@ -244,9 +262,8 @@ def _robot_metadata(known: DatasetLayout, name: str) -> dict[str, str]:
     )
 
 
-def _declared_names(declared: Any, count: int) -> tuple[str, ...]:
-    """The names of `count` numbers: a list, or the values
-    of a mapping ({"motors": [...]}); else their indices.
+def _flatten_names(declared: Any) -> list[Any]:
+    """Names as a list: of a list, or of the values of a mapping ({"motors": [...]}).
 
     Some datasets nest the list in another, [[...]].
     """
@@ -261,21 +278,22 @@ def _declared_names(declared: Any, count: int) -> tuple[str, ...]:
             for part in declared.values()
             for text in (part if isinstance(part, list) else [part])
         ]
-    if (
-        isinstance(declared, list)
-        and len(declared) == count
-        and all(isinstance(text, str) for text in declared)
-    ):
-        names = tuple(text.encode(errors="replace").decode().replace("\0", "") for text in declared)
+    return declared if isinstance(declared, list) else []
+
+
+def _declared_names(listed: Sequence[Any], count: int) -> tuple[str, ...]:
+    """The names of `count` numbers where so many are listed; else their indices."""
+    if len(listed) == count and all(isinstance(text, str) for text in listed):
+        names = tuple(text.encode(errors="replace").decode().replace("\0", "") for text in listed)
         if len(set(names)) == count and all(names):
             return names
     return tuple(map(str, range(count)))
 
 
 def _task_changes(
-    known: DatasetLayout, found: Mapping[str, Array | None], ns: Array
+    known: DatasetLayout, found: Mapping[str, Array | None], ns: Array, findings: list[Finding]
 ) -> Iterator[Texts]:
-    """The task at its beginning and at each change."""
+    """The task at its beginning and at each change; a finding for rows of a task without text."""
     index = found.get("task_index")
     texts = read_task_texts(known)
     if not texts or not len(ns):
@@ -284,6 +302,13 @@ def _task_changes(
         index = np.zeros((len(ns), 1))
     begins = np.flatnonzero(np.concatenate([[True], np.diff(index[:, 0]) != 0]))
     rows = [row for row in begins.tolist() if index[row, 0] in texts]
+    unknown = sorted({float(index[row, 0]) for row in begins.tolist()}.difference(texts))
+    if unknown:
+        listing = TASKS if known.one_file_each else TASK_TABLE
+        shown = ", ".join(f"{one:g}" for one in unknown[:5])
+        listed = _format_number_ranges(sorted(texts))
+        text = f"task_index is {shown} in some rows, {listing} lists {listed}"
+        findings.append(Finding("warning", text))
     yield Texts(
         "/task", tuple(texts[int(index[row, 0])] for row in rows), ns[rows], {FEATURE: "task"}
     )
@@ -324,6 +349,7 @@ def _read_lerobot_camera(
     except InputError as problem:
         findings.append(Finding("lost", f"{name}: {problem}"))
         return
+    findings += compare_video(name, about, film, known.fps)
     frames = _frames_of_rows(film, part, begin_s, shown, known.fps)
     t = film.t[frames] - (film.t[frames[0]] if len(frames) else 0.0)
     times, more = _match_frame_times(name, t, ns, shown, known.fps)

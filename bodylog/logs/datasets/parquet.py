@@ -43,6 +43,15 @@ def open_parquet(path: Path) -> Iterator[Any]:
         ) from None
 
 
+def list_column_types(path: Path) -> dict[str, str]:
+    """The columns of a file, each with the Arrow type of its values: of lists that of their items.
+
+    LogError or FormatError as of `open_parquet`.
+    """
+    with open_parquet(path) as file:
+        return {field.name: str(_innermost_type(field.type)) for field in file.schema_arrow}
+
+
 def find_row_runs(
     path: Path, column: str, value: int, limits: Input = LIMITS
 ) -> list[tuple[int, int]]:
@@ -263,12 +272,18 @@ def _holds_numbers(kind: Any) -> bool:
     import pyarrow as arrow
 
     types = arrow.types
+    kind = _innermost_type(kind)
+    return bool(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))
+
+
+def _innermost_type(kind: Any) -> Any:
+    """The Arrow type of a list's items, through lists in one another; a list beyond _DEEPEST."""
     for _ in range(_DEEPEST):
         kind = getattr(kind, "storage_type", kind)
         if not _is_list(kind):
-            return bool(types.is_floating(kind) or types.is_integer(kind) or types.is_boolean(kind))
+            return kind
         kind = kind.value_type
-    return False
+    return kind
 
 
 def _is_list(kind: Any) -> bool:
