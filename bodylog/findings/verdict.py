@@ -153,6 +153,9 @@ def _hardware_error_sentences(found: Estimate) -> Iterator[str]:
     if lasting := errors["lasting"]:
         size = f"{lasting['seconds']:.2g} s, {1e3 * lasting['std']:.2g} mrad"
         yield f"encoders: errors last {size}; angles and error bars allow for it"
+    if slips := errors.get("slips"):
+        sizes = ", ".join(f"{name} {np.rad2deg(size):.2g}°" for name, size in slips.items())
+        yield f"joints stick and slip, by about {sizes} at once; angles follow the readings"
     if load := errors["load"]:
         yield f"{load_sentence(load)}; angles and error bars allow for it"
 

@@ -1,6 +1,6 @@
 """Arms with the errors of real mechanisms, explored and then replayed with a fault, drawn from a seed."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -88,6 +88,16 @@ def true_angles(seed: int, mechanism: Mechanism, duration: float = 16.0) -> Seri
     motors = replayed(seed, Mechanism(0.0, Hardware()), Fault(), duration).joints
     values = add_play(motors.values, mechanism.hardware.play)
     return Series(motors.t, values, motors.names, "rad", motors.source_ns)
+
+
+def links_of(seed: int, mechanism: Mechanism, fault: Fault, reaches: bool = False) -> Series:
+    """The links' angles of a drawn log, without the sag that the exploration had."""
+    bare = replace(mechanism.hardware, play=0.0, sag=0.0, correlated=0.0, tails=0.0, outliers=0.0)
+    quiet = Mechanism(0.0, replace(bare, counts=0.0, jitter=0.0))
+    motors = replayed(seed, quiet, Fault(), reaches=reaches).joints
+    links = add_play(motors.values, mechanism.hardware.play)
+    links = links + fault.payload * np.cos(motors.values[:, 1:2]) * _GRAVITY
+    return replace(motors, values=links)
 
 
 def errors_and_nees(found: Estimate, true: Series) -> tuple[Array, float]:

@@ -123,7 +123,7 @@ def test_bars_hold_what_encoders_and_images_see_beside_the_motion(sound_body):
     )
     (warning,) = [one.text for one in found.findings if one.severity == "warning"]
     assert "stick and slip" in warning
-    error = found.joints.values - links_of(5, slipping, Fault()).values
+    error = found.joints.values - mechanisms.links_of(5, slipping, Fault()).values
     assert 0.3 < float((error**2 / np.einsum("nii->ni", found.cov)).mean()) < MOST_NEES
     sound = estimate_from_features(
         mechanisms.replayed(5, mechanisms.SOUND, Fault()), sound_body, EstimationSettings()
@@ -209,21 +209,11 @@ def judge_log(kind, seed):
     fault = Fault(payload=PAYLOADS.get(kind, 0.0))
     features = mechanisms.replayed(seed, mechanism, fault)
     found = estimate_from_features(features, body, EstimationSettings())
-    true = links_of(seed, mechanism, fault)
+    true = mechanisms.links_of(seed, mechanism, fault)
     error = found.joints.values - truth_at_times(true, list(found.joints.names), found.joints.t)
     nees = float((error**2 / np.einsum("nii->ni", found.cov)).mean())
     warned = any(one.severity == "warning" for one in found.findings) or bool(found.faults)
     return nees, warned, found.faults
-
-
-def links_of(seed, mechanism, fault):
-    """The links' angles of a drawn log, without the sag that the exploration had."""
-    bare = replace(mechanism.hardware, play=0.0, sag=0.0, correlated=0.0, tails=0.0, outliers=0.0)
-    quiet = Mechanism(0.0, replace(bare, counts=0.0, jitter=0.0))
-    motors = mechanisms.replayed(seed, quiet, Fault()).joints
-    links = mechanisms.add_play(motors.values, mechanism.hardware.play)
-    links = links + fault.payload * np.cos(motors.values[:, 1:2]) * mechanisms._GRAVITY
-    return replace(motors, values=links)
 
 
 def count_warnings(seeds):

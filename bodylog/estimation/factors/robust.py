@@ -32,6 +32,20 @@ def believed(residual: Array, cov: Array, span: Array) -> Array:
     return np.asarray(np.maximum(share, LEAST))
 
 
+def image_span(values: Array, var: Array) -> Array:
+    """Within what (D,) images may lie, of seen values (F,D) with variances (F,D)."""
+    return np.asarray(np.ptp(values, axis=0) + 10.0 * np.sqrt(np.median(var, axis=0)))
+
+
+def mixture_nats(residual: Array, cov: Array, span: Array) -> Array:
+    """−ln p (F,) of residuals (F,D) with covariances (F,D,D), or of outliers within span (D,)."""
+    square = np.einsum("fd,fd->f", residual, np.linalg.solve(cov, residual[..., None])[..., 0])
+    rows = residual.shape[1]
+    inlier = -0.5 * (square + np.linalg.slogdet(cov)[1] + rows * np.log(2.0 * np.pi))
+    outlier = np.log(OUTLIERS) - np.log(span).sum()
+    return np.asarray(-np.logaddexp(inlier + np.log1p(-OUTLIERS), outlier))
+
+
 def outlier_nats(share: Array, span: Array) -> float:
     """−ln p of measurements as far as they are
     outliers: shares (F,) that are believed, span (D,).

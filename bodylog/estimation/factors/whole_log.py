@@ -19,7 +19,7 @@ from .gauss_newton import Solution, path_of, solve
 from .hypotheses import FIRST_S, Explanation, explain, with_lasting
 from .images import ImageRows, Images
 from .problem import FactorProblem, LastingPrior, Noise
-from .robust import believed, left_out, outlier_nats
+from .robust import believed, image_span, left_out, outlier_nats
 from .solve import Marginals, filtered, predicted
 
 CLOSEST_S = 4e-3
@@ -192,13 +192,8 @@ def _outliers(problem: FactorProblem) -> float:
     total = outlier_nats(problem.believed[known], TURN)
     for one, share in zip(problem.sightings, problem.images_believed, strict=True):
         seen = np.isfinite(one.values).all(axis=1)
-        total += outlier_nats(share[seen], _span(one.values[seen], one.var[seen]))
+        total += outlier_nats(share[seen], image_span(one.values[seen], one.var[seen]))
     return total
-
-
-def _span(values: Array, var: Array) -> Array:
-    """Within what (D,) images may lie."""
-    return np.asarray(np.ptp(values, axis=0) + 10.0 * np.sqrt(np.median(var, axis=0)))
 
 
 def _is_of_counts(noise: Noise, encoders: Encoders) -> bool:
@@ -383,7 +378,7 @@ def _image_shares(
         square = np.einsum("fd,fd->f", rest, np.linalg.solve(spread, rest[..., None])[..., 0])
         usual = MEDIAN_SQUARE[min(mean.shape[1], len(MEDIAN_SQUARE)) - 1]
         spread = spread * max(1.0, float(np.median(square)) / usual)
-    span = _span(images.values, rows.var)
+    span = image_span(images.values, rows.var)
     share = np.ones(len(images.sighting.t))
     share[images.frames] = believed(rest, spread, span)
     return share

@@ -31,6 +31,7 @@ from ..noise.lasting_error import LastingError
 from ..timing.gp_likelihood import PLAY_SIGMAS
 from . import results
 from .results import Beliefs, find_evident_error, predict_frames, with_lasting_error
+from .stick_slip import estimate_stick_slip
 from .trust import measure_rough_motion, reason_of_disagreement, reason_of_misfit, reason_to_widen
 
 Place = tuple[Array, Array, Array]
@@ -71,7 +72,10 @@ def explained_estimate(
         if settings.precision != "auto":
             return kept
         rough = measure_rough_motion(problem, settings.method != "smoother")
-        return results.with_rough_motion(kept, rough)
+        if rough is None:
+            return kept
+        stuck = estimate_stick_slip(method, body, problem, beliefs, settings, rough)
+        return results.with_rough_motion(kept, rough.variance) if stuck is None else stuck
     std = FIRST_BEND if lasting is None else lasting.std
     try:
         made = _explain_estimate(
@@ -177,9 +181,7 @@ def _explain_without_faults(
         assert simpler is not None  # as the log with faults has one
         cameras = len(first.evidence.faults) - len(without.evidence.faults)
         allowance = _allowance_for_faults(simpler, problem, faults, cameras)
-        if simpler.nats - found.nats <= allowance and (
-            best is None or simpler.nats < best[1].nats
-        ):
+        if simpler.nats - found.nats <= allowance and (best is None or simpler.nats < best[1].nats):
             best = (without, simpler)
     return best
 

@@ -152,10 +152,8 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
     )
 
 
-def with_rough_motion(found: Estimate, rough: Array | None) -> Estimate:
-    """The estimate with error bars that hold the variance (M,) rad² of a rough motion, if any."""
-    if rough is None:
-        return found
+def with_rough_motion(found: Estimate, rough: Array) -> Estimate:
+    """The estimate with error bars that hold the variance (M,) rad² of a rough motion."""
     sizes = zip(found.joints.names, 1e3 * np.sqrt(rough), strict=True)
     each = ", ".join(f"{name} {size:.2g}" for name, size in sizes)
     text = (

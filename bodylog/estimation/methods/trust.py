@@ -6,12 +6,13 @@ other no longer have the same error.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...settings import EstimationSettings
 from ...types import Array
+from ..factors.robust import image_span, mixture_nats
 from ..factors.whole_log import ExplainedLog, SolvedLog, solve_log
 from ..inference.leave_one_out import project_covariance
 from ..inference.problem import FilterProblem
@@ -84,9 +85,21 @@ def reason_of_misfit(
     return None
 
 
-def measure_rough_motion(problem: FilterProblem, causal: bool) -> Array | None:
-    """Variance (M,) rad² of what joints do beside the motion
-    that is assumed; None where a log shows no such thing.
+@dataclass(frozen=True, eq=False)
+class RoughMotion:
+    """What joints do beside the motion that is assumed: its
+    variance (M,) rad² · nats of each image by the readings
+    and images before it, at the instants at.
+    """
+
+    variance: Array
+    nats: Array
+    at: Array
+
+
+def measure_rough_motion(problem: FilterProblem, causal: bool) -> RoughMotion | None:
+    """What joints do beside the motion that is assumed;
+    None where a log shows no such thing.
 
     The errors of an image and of the reading before it are independent. Where both lie on the same
     side of what a filter expects of earlier ones, the joint itself was there: it sticks and slips.
@@ -106,6 +119,8 @@ def measure_rough_motion(problem: FilterProblem, causal: bool) -> Array | None:
     noise = problem.precision.encoder
     products = []
     weights = []
+    nats = []
+    instants = []
     for sighting, at in zip(problem.evidence.sightings, line.sightings, strict=True):
         if sighting.name == "touch" or sighting.cov is not None:
             continue
@@ -117,7 +132,16 @@ def measure_rough_motion(problem: FilterProblem, causal: bool) -> Array | None:
         scale = problem.precision.scale.get(sighting.name, 1.0)
         spread = project_covariance(jac, cov[rows])
         size = np.einsum("fdd->fd", spread) + var + scale * sighting.var[usable]
-        off = np.clip((sighting.values[usable] - mean) / np.sqrt(size), -FAR_SIGMAS, FAR_SIGMAS)
+        away = sighting.values[usable] - mean
+        there, near = _with_readings_there(x[rows], cov[rows], read[rows], noise)
+        mean_there, jac_there, _ = sighting.model.predict(there)
+        total = project_covariance(jac_there, near)
+        np.einsum("fdd->fd", total)[:] += var + scale * sighting.var[usable]
+        seen = sighting.values[usable]
+        span = image_span(seen, sighting.var[usable])
+        nats.append(mixture_nats(seen - mean_there, total, span))
+        instants.append(rows)
+        off = np.clip(away / np.sqrt(size), -FAR_SIGMAS, FAR_SIGMAS)
         own = np.sqrt(noise + np.einsum("fmm->fm", cov[earlier]))
         pull = np.einsum("fdm,fd->fm", jac, off / np.sqrt(size))
         products.append(pull * own * np.clip(read[earlier], -FAR_SIGMAS, FAR_SIGMAS))
@@ -130,7 +154,20 @@ def measure_rough_motion(problem: FilterProblem, causal: bool) -> Array | None:
     weight = np.concatenate(weights)[known].sum(axis=0)
     shown = np.isfinite(weight) & (weight > 0.0)
     shared = np.maximum(both.sum(axis=0), 0.0)
-    return np.asarray(np.divide(shared, weight, out=np.zeros(len(weight)), where=shown))
+    variance = np.divide(shared, weight, out=np.zeros(len(weight)), where=shown)
+    return RoughMotion(variance, np.concatenate(nats)[known], np.concatenate(instants)[known])
+
+
+def _with_readings_there(x: Array, cov: Array, read: Array, noise: Array) -> tuple[Array, Array]:
+    """Angles (F,M) and their covariances (F,M,M) with the readings of the same
+    instant, of errors read (F,M) in standard deviations, NaN where there are none.
+    """
+    known = np.isfinite(read)
+    spread = np.sqrt(np.einsum("fmm->fm", cov) + noise)
+    total = cov + np.where(known, noise, 1e6)[..., None] * np.eye(len(noise))
+    gain = np.linalg.solve(total, cov).swapaxes(1, 2)
+    off = np.where(known, read, 0.0) * spread
+    return x + (gain @ off[..., None])[..., 0], cov - gain @ cov
 
 
 def _measure_misfits(

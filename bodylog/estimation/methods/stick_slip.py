@@ -1,0 +1,407 @@
+"""Joints that stick and slip: each stands still until it slips, and readings lead.
+
+A smooth motion takes slips for noise of encoders and of images, and cuts through them. Here joint j
+stands still but for slips, which come at a rate λ and have the size N(0, s²). Between two instants
+it has slipped or not; a reading, and an image, weigh both, and the belief is the normal
+distribution with the mean and the covariance of their mixture (generalised pseudo-Bayes, Ackerson
+and Fu 1970). The same backwards from the end, which sticks and slips alike, gives the smoother: of
+two beliefs about either side of an instant the mixture of their products.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...body_model import BodyModel
+from ...settings import EstimationSettings
+from ...types import HARDWARE_ERRORS, Array, Estimate, Finding
+from ..factors.robust import OUTLIERS, image_span
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..inference.problem import FilterProblem
+from ..inference.reacquisition import START_STD
+from ..measurements.records import Encoders, Sighting
+from . import results
+from .results import Beliefs
+from .trust import RoughMotion
+
+LEARNED_S = 60.0
+"""s of a log, its middle, that slips are learned from."""
+GRID = ((1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0), (1.0, 3.0, 10.0, 30.0), (1.0, 4.0, 16.0, 64.0))
+"""Tried first: variances of readings over that of a smooth motion, sizes of slips over its standard
+deviation, and slips a second.
+"""
+FINER = (2.0, 1.4)
+"""Factors by which each of these is then moved to either side."""
+MOST_HALVINGS = 8
+TURN = 2.0 * np.pi
+"""rad: within what an outlier of an encoder may be."""
+SURE = 1e-9
+"""Share of a mixture below which a part of it is left out."""
+LOG_2PI = float(np.log(TURN))
+
+
+@dataclass(frozen=True, eq=False)
+class StickSlip:
+    """Of M joints: variance of readings white (M,) rad², size
+    of slips (M,) rad, and how many come a second (M,).
+    """
+
+    white: Array
+    size: Array
+    rate: Array
+
+
+@dataclass(frozen=True, eq=False)
+class StuckBelief:
+    """Beliefs at E instants: mean (E,M), cov (E,M,M), before them mean (E,M) and cov (E,M,M),
+    errors of readings (E,M) in standard deviations, and nats (E,), those of images (E,), too.
+    """
+
+    mean: Array
+    cov: Array
+    before: Array
+    before_cov: Array
+    errors: Array
+    nats: Array
+    image_nats: Array
+
+
+def estimate_stick_slip(
+    method: str,
+    body: BodyModel,
+    problem: FilterProblem,
+    beliefs: Beliefs,
+    settings: EstimationSettings,
+    rough: RoughMotion,
+) -> Estimate | None:
+    """The estimate with joints that stick and slip, where it foretells images by
+    EVIDENCE_THRESHOLD_NATS better than a smooth motion; else None.
+
+    Rates are those of the smooth motion.
+    """
+    if settings.hardware_errors == "widen" or settings.typed or problem.stepwise:
+        return None
+    encoders = problem.evidence.encoders
+    if encoders is None or problem.precision.drift is not None:
+        return None
+    slips = learn_slips(encoders, problem.precision.encoder)
+    t = problem.timeline.t
+    early = range(int(np.searchsorted(t, t[0] + LEARNED_S, "right")))
+    scales, nats = _learn_image_noise(problem, slips, early)
+    judged = rough.at < len(early)
+    smooth = float(rough.nats[judged].sum())
+    if smooth - float(nats[np.unique(rough.at[judged])].sum()) <= EVIDENCE_THRESHOLD_NATS:
+        return None
+    found = follow_slips(problem, slips, scales, range(len(t)))
+    if settings.method == "smoother":
+        after = follow_slips(problem, slips, scales, range(len(t) - 1, -1, -1))
+        found = join_beliefs(problem.timeline.t, found, after, slips)
+    z = beliefs.z.copy()
+    z[:, : len(body.joints)] = found.mean
+    stuck = replace(
+        beliefs,
+        z=z,
+        cov=found.cov,
+        nats=found.nats,
+        before=found.before,
+        before_cov=found.before_cov,
+        encoder_errors=found.errors,
+        places=(),
+    )
+    made = results.build_estimate(method, body, problem.evidence, problem.timeline, stuck)
+    sizes = dict(zip(body.joints, slips.size.tolist(), strict=True))
+    errors = {"play": {}, "lasting": None, "load": None, "late": {}, "gains": {}, "slips": sizes}
+    each = ", ".join(f"{name} {np.rad2deg(size):.2g}°" for name, size in sizes.items())
+    text = (
+        f"joints stick and slip, by about {each} at once: angles follow the readings; "
+        'see "What real arms do" in docs/validation.md'
+    )
+    return replace(
+        made,
+        settings={**made.settings, HARDWARE_ERRORS: errors},
+        findings=(*made.findings, Finding("warning", text)),
+    )
+
+
+def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
+    """The slips of most evidence by the encoders alone; variance
+    (M,) rad²: of a reading beside a smooth motion.
+    """
+    centre = 0.5 * (encoders.t[0] + encoders.t[-1])
+    rows = np.abs(encoders.t - centre) <= 0.5 * LEARNED_S
+    relative = np.ones(encoders.values.shape) if encoders.relative is None else encoders.relative
+    read = (encoders.t[rows], encoders.values[rows], relative[rows])
+    std = np.sqrt(variance)
+    grid = np.array(np.meshgrid(*GRID, indexing="ij")).reshape(3, -1)[..., None]
+    best = _most_evident(read, grid * np.stack([variance, std, np.ones(len(std))])[:, None])
+    for factor in FINER:
+        steps = np.array([1.0 / factor, 1.0, factor])
+        grid = np.array(np.meshgrid(steps, steps, steps, indexing="ij")).reshape(3, -1)[..., None]
+        best = _most_evident(read, grid * best[:, None])
+    return StickSlip(*best)
+
+
+def _most_evident(read: tuple[Array, Array, Array], tried: Array) -> Array:
+    """Of parameters (3,G,M), those (3,M) of most evidence by readings at t (N,), values (N,M), and
+    relative variances (N,M).
+    """
+    white, size, rate = tried
+    t, values, relative = read
+    mean = np.broadcast_to(np.nan_to_num(values[0]), white.shape)
+    var = np.full(white.shape, START_STD[0] ** 2)
+    nats = np.zeros(white.shape)
+    square = np.square(size)
+    gaps = np.diff(t, prepend=t[0])
+    for gap, value, more in zip(gaps, values, relative, strict=True):
+        slips = -np.expm1(-rate * gap)
+        known = np.isfinite(value)
+        off = np.where(known, value, 0.0) - mean
+        sums = [var + part + more * white for part in (0.0, square)]
+        shares = [(1.0 - slips), slips]
+        dense = [
+            (1.0 - OUTLIERS) * share * np.exp(-0.5 * off * off / one) / np.sqrt(TURN * one)
+            for share, one in zip(shares, sums, strict=True)
+        ]
+        total = dense[0] + dense[1] + OUTLIERS / TURN
+        nats = nats - np.where(known, np.log(total), 0.0)
+        weights = [np.where(known, one / total, 0.0) for one in dense]
+        lost = 1.0 - weights[0] - weights[1]
+        gains = [(var + part) / one for part, one in zip((0.0, square), sums, strict=True)]
+        means = [gain * off for gain in gains]
+        step = weights[0] * means[0] + weights[1] * means[1]
+        left = [gain * more * white for gain in gains]
+        mixed = sum(
+            weight * (one + np.square(moved - step))
+            for weight, one, moved in zip(weights, left, means, strict=True)
+        )
+        var = mixed + lost * (var + slips * square + step * step)
+        mean = mean + step
+    best = nats.argmin(axis=0)
+    return np.asarray(tried[:, best, np.arange(tried.shape[2])])
+
+
+def _learn_image_noise(
+    problem: FilterProblem, slips: StickSlip, order: Sequence[int]
+) -> tuple[list[float], Array]:
+    """Factors on the variance of each sighting's images by their evidence, halved
+    while that grows, and nats (E,) of images: a smooth motion takes slips for noise of images.
+    """
+    tried = [problem.precision.scale.get(one.name, 1.0) for one in problem.evidence.sightings]
+    best = tried
+    nats = follow_slips(problem, slips, best, order).image_nats
+    for _ in range(MOST_HALVINGS):
+        tried = [0.5 * scale for scale in tried]
+        after = follow_slips(problem, slips, tried, order).image_nats
+        if after.sum() >= nats.sum():
+            break
+        best = tried
+        nats = after
+    return best, nats
+
+
+def follow_slips(
+    problem: FilterProblem, slips: StickSlip, scales: Sequence[float], order: Sequence[int]
+) -> StuckBelief:
+    """The beliefs at these of the problem's instants, each by what came before it in this order.
+
+    scales: factor on the variance of each sighting's images.
+    """
+    line = problem.timeline
+    encoders = problem.evidence.encoders
+    assert encoders is not None  # joints stick by what they read
+    m = len(problem.start)
+    count = len(line.t)
+    readings = np.full((count, m), np.nan)
+    readings[line.encoders] = encoders.values
+    noise = np.ones((count, m))
+    if encoders.relative is not None:
+        noise[line.encoders] = encoders.relative
+    noise = noise * slips.white
+    frames: list[list[tuple[int, int]]] = [[] for _ in range(count)]
+    for number, (sighting, at) in enumerate(
+        zip(problem.evidence.sightings, line.sightings, strict=True)
+    ):
+        for row in np.flatnonzero(np.isfinite(sighting.values).all(axis=1)).tolist():
+            frames[at[row]].append((number, row))
+    spans = [_span_of(one) for one in problem.evidence.sightings]
+    found = StuckBelief(
+        np.empty((count, m)),
+        np.empty((count, m, m)),
+        np.empty((count, m)),
+        np.empty((count, m, m)),
+        np.full((count, m), np.nan),
+        np.zeros(count),
+        np.zeros(count),
+    )
+    mean = problem.start.copy()
+    cov = np.eye(m) * START_STD[0] ** 2
+    last = line.t[order[0]]
+    for k in order:
+        likely = -np.expm1(-slips.rate * abs(line.t[k] - last))
+        last = line.t[k]
+        found.before[k] = mean
+        found.before_cov[k] = cov + np.diag(likely * np.square(slips.size))
+        for j in range(m):
+            if np.isnan(readings[k, j]):
+                continue
+            off = readings[k, j] - mean[j]
+            found.errors[k, j] = off / np.sqrt(found.before_cov[k, j, j] + noise[k, j])
+            mean, cov, nats = _weigh_reading(
+                mean, cov, j, off, noise[k, j], float(likely[j]), float(slips.size[j]) ** 2
+            )
+            found.nats[k] += nats
+            likely[j] = 0.0
+        for number, row in frames[k]:
+            sighting = problem.evidence.sightings[number]
+            mean, cov, nats = _weigh_image(
+                mean,
+                cov,
+                sighting,
+                row,
+                scales[number],
+                likely,
+                np.square(slips.size),
+                spans[number],
+            )
+            found.nats[k] += nats
+            found.image_nats[k] += nats
+            likely = np.zeros(m)
+        cov = cov + np.diag(likely * np.square(slips.size))
+        found.mean[k] = mean
+        found.cov[k] = cov
+    return found
+
+
+def _span_of(sighting: Sighting) -> Array:
+    """Within what (D,) outliers among a sense's images may be."""
+    seen = np.isfinite(sighting.values).all(axis=1)
+    return image_span(sighting.values[seen], sighting.var[seen]) if seen.any() else np.ones(1)
+
+
+def _weigh_reading(
+    mean: Array, cov: Array, j: int, off: float, noise: float, likely: float, square: float
+) -> tuple[Array, Array, float]:
+    """The belief (M,), (M,M) after joint j was read `off` rad from its mean, and the nats.
+
+    likely: probability of a slip, of variance `square`, since the belief.
+    """
+    column = cov[:, j]
+    sums = (column[j] + noise, column[j] + square + noise)
+    logs = [
+        np.log(max(share, 1e-300)) - 0.5 * (off * off / one + np.log(one) + LOG_2PI)
+        for share, one in zip((1.0 - likely, likely), sums, strict=True)
+    ]
+    dense = (1.0 - OUTLIERS) * np.exp(logs)
+    total = float(dense.sum()) + OUTLIERS / TURN
+    slipped = column.copy()
+    slipped[j] += square
+    parts = []
+    for weight, row, one, more in zip(
+        dense / total, (column, slipped), sums, (0.0, square), strict=True
+    ):
+        if weight < SURE:
+            continue
+        gain = row / one
+        after = cov - np.outer(gain, row)
+        after[j, j] += more
+        parts.append((weight, gain * off, after))
+    if (lost := OUTLIERS / TURN / total) >= SURE:
+        after = cov.copy()
+        after[j, j] += likely * square
+        parts.append((lost, np.zeros(len(mean)), after))
+    step, cov = _merge_parts(parts)
+    return mean + step, cov, -float(np.log(total))
+
+
+def _weigh_image(
+    mean: Array,
+    cov: Array,
+    sighting: Sighting,
+    row: int,
+    scale: float,
+    likely: Array,
+    squares: Array,
+    span: Array,
+) -> tuple[Array, Array, float]:
+    """The belief (M,), (M,M) after an image, and the nats.
+
+    likely (M,): probability that each joint has slipped since the belief; one at most has ·
+    span (D,): within what an outlier may be.
+    """
+    predicted, jac, model = sighting.model.predict(mean[None])
+    off = sighting.values[row] - predicted[0]
+    own = np.diag(sighting.var[row]) if sighting.cov is None else sighting.cov[row]
+    own = scale * own + np.diag(model[0])
+    slope = jac[0]
+    cases = [(1.0 - min(float(likely.sum()), 0.5), cov)]
+    for j in np.flatnonzero(likely > SURE).tolist():
+        more = cov.copy()
+        more[j, j] += squares[j]
+        cases.append((float(likely[j]), more))
+    parts = []
+    for share, before in cases:
+        seen = slope @ before
+        total = seen @ slope.T + own
+        gain = np.linalg.solve(total, seen).T
+        far = float(off @ np.linalg.solve(total, off))
+        log = -0.5 * (far + np.linalg.slogdet(total)[1] + len(off) * LOG_2PI)
+        parts.append((share * np.exp(log) * (1.0 - OUTLIERS), gain @ off, before - gain @ seen))
+    lost = OUTLIERS / float(np.prod(span))
+    every = sum(share for share, _, _ in parts) + lost
+    open_cov = cov + np.diag(likely * squares)
+    parts.append((lost, np.zeros(len(mean)), open_cov))
+    parts = [(share / every, step, one) for share, step, one in parts if share >= SURE * every]
+    step, cov = _merge_parts(parts)
+    return mean + step, cov, -float(np.log(every))
+
+
+def _merge_parts(parts: Sequence[tuple[float, Array, Array]]) -> tuple[Array, Array]:
+    """Mean and covariance of a mixture (share, mean, cov)."""
+    if len(parts) == 1:
+        return parts[0][1], parts[0][2]
+    shares = np.array([share for share, _, _ in parts])
+    shares = shares / shares.sum()
+    means = np.array([mean for _, mean, _ in parts])
+    mean = shares @ means
+    away = means - mean
+    covs = np.array([cov for _, _, cov in parts])
+    return mean, np.einsum("k,kab->ab", shares, covs + away[:, :, None] * away[:, None, :])
+
+
+def join_beliefs(
+    t: Array, before: StuckBelief, after: StuckBelief, slips: StickSlip
+) -> StuckBelief:
+    """The beliefs at instants t (E,) s by the whole log, of those
+    by what came up to them and by what came from them on.
+
+    Whether a joint has slipped up to the next instant is weighed for each joint alone; the mixture
+    holds the most probable case, and for each joint the other one.
+    """
+    m = before.mean.shape[1]
+    mean = before.mean.copy()
+    cov = before.cov.copy()
+    squares = np.square(slips.size)
+    gaps = np.diff(t)[:, None]
+    likely = np.clip(-np.expm1(-slips.rate * gaps), 1e-300, 1.0 - 1e-12)
+    off = after.mean[1:] - mean[:-1]
+    own = np.einsum("emm->em", cov[:-1] + after.cov[1:])
+    odds = np.log(likely / (1.0 - likely)) - 0.5 * (
+        np.square(off) * (1.0 / (own + squares) - 1.0 / own) + np.log((own + squares) / own)
+    )
+    has_slipped = odds > 0.0
+    flips = np.concatenate([np.zeros((1, m), bool), np.eye(m, dtype=bool)])
+    cases = has_slipped[:, None, :] ^ flips
+    # the odds of the less probable case
+    shares = np.concatenate([np.ones((len(odds), 1)), np.exp(-np.abs(odds))], axis=1)
+    shares = shares / shares.sum(axis=1, keepdims=True)
+    wide = after.cov[1:, None] + (cases * squares)[..., None] * np.eye(m)
+    gain = np.linalg.solve(cov[:-1, None] + wide, np.broadcast_to(cov[:-1, None], wide.shape))
+    gain = gain.swapaxes(-1, -2)
+    steps = (gain @ off[:, None, :, None])[..., 0]
+    covs = cov[:-1, None] - gain @ cov[:-1, None]
+    step = np.einsum("ek,ekm->em", shares, steps)
+    away = steps - step[:, None]
+    mean[:-1] += step
+    cov[:-1] = np.einsum("ek,ekab->eab", shares, covs + away[..., :, None] * away[..., None, :])
+    return replace(before, mean=mean, cov=0.5 * (cov + cov.swapaxes(1, 2)))

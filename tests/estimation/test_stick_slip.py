@@ -1,0 +1,100 @@
+"""Joints that stick and slip: readings lead, by a belief of slips that is right where joints do."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate_from_features
+from bodylog.estimation.measurements.records import Encoders
+from bodylog.estimation.methods import stick_slip
+from bodylog.estimation.methods.stick_slip import StickSlip
+from bodylog.settings import EstimationSettings
+from bodylog.sim.hardware import Hardware
+from bodylog.types import HARDWARE_ERRORS
+from tests.estimation import mechanisms
+from tests.estimation.mechanisms import Fault, Mechanism
+
+SLIPPING = Mechanism(hardware=Hardware(stick=8.7e-3))
+WHITE = 1e-3
+
+
+def drawn(seed, joints=2, count=1500, size=8e-3, rate=20.0):
+    """Times, true angles of joints that slip as the model says, and readings of them."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(count) / 100.0
+    slips = rng.random((count, joints)) < -np.expm1(-rate * 0.01)
+    true = np.cumsum(slips * rng.normal(0.0, size, (count, joints)), axis=0)
+    return t, true, true + rng.normal(0.0, WHITE, true.shape)
+
+
+def posed(t, values):
+    """A problem of readings alone."""
+    encoders = Encoders(t, values, (t * 1e9).astype(np.int64))
+    evidence = SimpleNamespace(encoders=encoders, sightings=())
+    line = SimpleNamespace(t=t, encoders=np.arange(len(t)), sightings=())
+    return SimpleNamespace(evidence=evidence, timeline=line, start=values[0])
+
+
+def test_the_size_and_the_number_of_slips_are_learned():
+    t, _, values = drawn(1)
+    encoders = Encoders(t, values, (t * 1e9).astype(np.int64))
+    found = stick_slip.learn_slips(encoders, np.full(2, 4e-6))
+    np.testing.assert_allclose(np.sqrt(found.white), WHITE, rtol=0.25)
+    np.testing.assert_allclose(found.size, 8e-3, rtol=0.5)
+    np.testing.assert_allclose(found.rate, 20.0, rtol=0.5)
+
+
+def test_beliefs_of_slips_are_as_wrong_as_they_say_and_the_whole_log_knows_more():
+    squares = {"filter": [], "smoother": []}
+    errors = {"filter": [], "smoother": []}
+    slips = StickSlip(np.full(2, WHITE**2), np.full(2, 8e-3), np.full(2, 20.0))
+    for seed in range(4):
+        t, true, values = drawn(seed)
+        problem = posed(t, values)
+        order = range(len(t))
+        before = stick_slip.follow_slips(problem, slips, (), order)
+        after = stick_slip.follow_slips(problem, slips, (), order[::-1])
+        whole = stick_slip.join_beliefs(t, before, after, slips)
+        for name, found in (("filter", before), ("smoother", whole)):
+            off = found.mean - true
+            errors[name].append(np.mean(off**2))
+            squares[name].append(np.mean(off**2 / np.einsum("emm->em", found.cov)))
+    for name in squares:
+        assert np.mean(squares[name]) == pytest.approx(1.0, abs=0.2)
+    assert np.mean(errors["smoother"]) < 0.8 * np.mean(errors["filter"]) < 0.5 * WHITE**2
+
+
+@pytest.mark.parametrize("reaches", [False, True])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
+def test_angles_of_joints_that_slip_are_better_than_their_readings(method, reaches):
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    features = mechanisms.replayed(5, SLIPPING, Fault(), reaches=reaches)
+    found = estimate_from_features(features, body, EstimationSettings(method=method))
+    slips = found.settings[HARDWARE_ERRORS]["slips"]
+    assert all(0.5 * 8.7e-3 < size < 2.0 * 8.7e-3 for size in slips.values())
+    true = mechanisms.links_of(5, SLIPPING, Fault(), reaches).values
+    error = found.joints.values - true
+    raw = features.joints.values - true
+    assert np.mean(error**2) < np.mean(raw**2)
+    assert 0.5 < float((error**2 / np.einsum("nii->ni", found.cov)).mean()) < 2.0
+    (warning,) = [one.text for one in found.findings if one.severity == "warning"]
+    assert "stick and slip" in warning
+
+
+def test_settings_keep_smooth_angles_and_widen_error_bars():
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    features = mechanisms.replayed(5, SLIPPING, Fault())
+    smooth = estimate_from_features(features, body, EstimationSettings(hardware_errors="widen"))
+    assert HARDWARE_ERRORS not in smooth.settings
+    assert any("err alike" in one.text for one in smooth.findings)
+
+
+def test_a_missing_reading_leaves_a_slip_open():
+    t, _, values = drawn(3, joints=1)
+    values[700:750] = np.nan
+    slips = StickSlip(np.full(1, WHITE**2), np.full(1, 8e-3), np.full(1, 20.0))
+    found = stick_slip.follow_slips(posed(t, values), slips, (), range(len(t)))
+    assert found.cov[749, 0, 0] > 20 * found.cov[699, 0, 0]
+    assert np.isnan(found.errors[700:750]).all() and np.isfinite(found.mean).all()
+    assert found.cov[760, 0, 0] < 2 * WHITE**2
