@@ -12,11 +12,10 @@ from .body_model import BodyModel
 from .errors import ConfigError, EvidenceError, InputError, LogError, ModelError
 from .io.atomic_files import require_regular
 from .io.outputs import Output, guard_outputs
-from .robot.model import UNUSABLE_URDF
 from .settings import ColourSettings, Settings
 from .sources import TableSource, feature_of, group_of
 from .types import Features, Finding, Health, Recording
-from .wording import list_in_words
+from .wording import UNUSABLE_URDF, list_in_words
 
 
 def require_distinct_paths(
@@ -25,9 +24,10 @@ def require_distinct_paths(
     """UsageError when an output is an input, or a video that
     the settings name; LogError when an input is a pipe.
     """
+    beside = () if settings is None else tuple(named_files(read, settings))
     for one in read:
         require_regular(one)
-    guard_outputs([*read, *(() if settings is None else named_files(read, settings))], write)
+    guard_outputs([*read, *beside], write)
 
 
 def named_files(logs: Iterable[Path], settings: Settings) -> Iterator[Path]:

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,29 +24,24 @@ from .checks import (
 )
 from .errors import EvidenceError, InputError, ModelError, UsageError
 from .features import defaults as default_features
-from .features.observed import add_recorded_joints, moving_features, still_pose_features
+from .features.observation import observe as observe
 from .findings import verdict
 from .findings.faults import fault_warnings, sighting_findings, truth_findings
-from .findings.joints_only import read_joints_alone, without_body
+from .findings.joints_only import read_joints_alone
 from .findings.log_estimate import LogWithBody, estimate_log
 from .findings.log_estimate import infer as infer
 from .findings.result import NO_SCORES, Scores, estimate_result
 from .findings.result import Result as Result
-from .findings.scoring import (
-    merged_health,
-    score_estimate,
-    score_learned_body,
-    with_true_poses,
-    with_truth_beside_log,
-)
+from .findings.scoring import merged_health, score_learned_body, with_truth_beside_log
 from .io.atomic_files import hash_files
 from .io.outputs import Output
 from .io.temporary import create_scratch_folder
 from .io.text_paths import with_text_paths
 from .logs.limits import LIMITS
 from .logs.protocol import Progress
+from .robot.encoder_body import body_of_encoders
 from .settings import Settings, settings_as_values
-from .types import SURFACE_CHANGES, Features, Finding, FrameConsumer, Recording
+from .types import SURFACE_CHANGES, Finding, Recording
 
 DEFAULTS = Settings()
 
@@ -61,32 +55,6 @@ def record(scenario: str, out: Path, **options: Any) -> Result:
 
     sim.record_scenario(scenario, out, **options)
     return Result(out)
-
-
-@with_text_paths
-def observe(
-    log: Path, settings: Settings = DEFAULTS, progress: Progress | None = None, guess: bool = False
-) -> tuple[Recording, Features]:
-    """A log as signals, and what perception finds in it;
-    tracks and touches the log already carries are taken over.
-
-    `guess`: where nothing is configured and the default colour is not the arm's, what moves as the
-    joints do is followed; the recording's settings then name it.
-    """
-    from . import perception
-    from .recording import recording
-
-    def searcher() -> FrameConsumer:
-        return perception.frame_searcher(settings, progress)
-
-    read = recording.read_recording(log, settings, settings.input.strict, searcher)
-    look = still_pose_features if read.signals.poses else moving_features
-    found = look(read, settings, progress)
-    if guess:
-        read, found = default_features.search_again_without_default(
-            log, read, found, settings, partial(look, progress=progress)
-        )
-    return read, add_recorded_joints(read, found)
 
 
 @with_text_paths
@@ -323,7 +291,7 @@ def estimate(
                 estimate(log, body, folder / "estimate.mcap", settings, progress), output=None
             )
     from . import estimation
-    from .annotating import annotate, estimate_metadata
+    from .annotating import annotate, estimate_metadata, pose_topics
     from .body import storage
     from .robot import model as robot_model
     from .surface import estimate as surface_estimate
@@ -345,14 +313,13 @@ def estimate(
             if by_joints
             else observe(log, settings, progress)
         )
-        learned = without_body(read, settings) if known is None else known
+        learned = body_of_encoders(read, settings) if known is None else known
         cameras = require_same_camera(log, learned.provenance.get("cameras", ()), read, features)
         require_same_size(log, learned, features, settings)
         by_body = estimate_log if learned.surface is None else surface_estimate.estimate_by_surface
         found = by_body(LogWithBody(log, read, features, learned, settings, typed))
         lost = written.add(estimate_messages(read, features, found))
-        read = with_true_poses(log, found, read)
-        scores = score_estimate(found, read)
+        read = pose_topics.with_true_poses(log, found, read)
         origin = provenance_of_logs([(log, written.digest())], read.facts.settings)
         written.about(
             origin
@@ -368,7 +335,7 @@ def estimate(
         *lost,
     )
     health = {**read.facts.health, **features.health, **found.used}
-    return estimate_result(out, found, scores, health, findings)
+    return estimate_result(out, found, read, health, findings)
 
 
 @with_text_paths
@@ -376,12 +343,12 @@ def evaluate(log: Path, settings: Settings = DEFAULTS, truth: Path | None = None
     """Score the estimate an annotated log carries; `truth`:
     a table, arrays or a log that has the true angles.
     """
-    from .annotating import read_back
+    from .annotating import pose_topics, read_back
     from .recording import recording
 
     read = recording.read_recording(log, settings, settings.input.strict)
     found = read_back.read_estimate(log, read.start_ns)
-    read = with_true_poses(log, found, read)
+    read = pose_topics.with_true_poses(log, found, read)
     if truth is not None:
         read = with_truth_beside_log(truth, found, read, settings)
     findings = (
@@ -389,8 +356,7 @@ def evaluate(log: Path, settings: Settings = DEFAULTS, truth: Path | None = None
         *fault_warnings(found.faults),
         *truth_findings(found, read.signals.truth),
     )
-    scores = score_estimate(found, read)
-    return estimate_result(log, found, scores, found.used, findings)
+    return estimate_result(log, found, read, found.used, findings)
 
 
 @with_text_paths

@@ -129,7 +129,7 @@ def write_report(
         shown = image_overlay.draw_pictures(read, features, found) if plain else ()
     done(1)
     findings = (*read.facts.findings, *fault_warnings(found.faults))
-    result = estimate_result(out, found, score_estimate(found, read), found.used, findings)
+    result = estimate_result(out, found, read, found.used, findings)
     metadata = read_back.read_metadata(log)
     if read.signals.poses:
         read, features, found = pose_numbers.number_poses(read, features, found)

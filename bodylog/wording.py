@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from math import degrees
 
+UNUSABLE_URDF = "the log's URDF is not used"
+"""In the finding on a log's own URDF that cannot be read."""
+
 
 def list_in_words(texts: Sequence[str], what: str = "", between: str = ", ", unit: str = "") -> str:
     """The first three texts, their unit, and how many more there are (of `what`)."""

@@ -25,7 +25,7 @@ def test_pipeline_refuses_to_overwrite_its_inputs(out: str, tmp_path: Path) -> N
     assert all(path.read_bytes() == b"precious" for path in (first, second, body))
 
 
-@pytest.mark.parametrize("stage", ["observe", "estimate_log", "score_estimate"])
+@pytest.mark.parametrize("stage", ["observe", "estimate_log", "estimate_messages"])
 @pytest.mark.parametrize("problem", [EvidenceError("no joints"), KeyboardInterrupt()])
 def test_interrupted_estimate_leaves_nothing(tmp_path, monkeypatch, arm, arm_body, stage, problem) -> None:
     def ends(*_: object) -> None:

@@ -1,5 +1,6 @@
 """Poses of one frame in another from a topic of stamped poses, with or without a covariance."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import numpy as np
 from ..logs.decode.columns import read_topic_columns
 from ..logs.decode.parts import TopicColumns
 from ..logs.formats import open_log
-from ..types import Poses
+from ..types import Estimate, Poses, Recording
 
 TRUTH = "/truth/effector_pose"
 """Topic of the effector's true poses in the robot's base."""
@@ -20,7 +21,17 @@ POSED = (*_HEADER, *(f"pose.pose.{field}" for field in _AXES), "pose.covariance"
 _FIELDS = {_PLAIN: (*_HEADER, *(f"pose.{field}" for field in _AXES)), _COVARIANT: POSED}
 
 
-def true_poses(path: Path, start_ns: int) -> Poses | None:
+def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
+    """The recording with the effector's true poses, where
+    the estimate has poses and the log carries true ones.
+    """
+    if found.effector is None:
+        return read
+    poses = _true_poses(log, read.start_ns)
+    return replace(read, signals=replace(read.signals, truth_pose=poses))
+
+
+def _true_poses(path: Path, start_ns: int) -> Poses | None:
     """The effector's true poses in a log, t in s since `start_ns`; None without any."""
     with open_log(path) as log:
         topic = next(

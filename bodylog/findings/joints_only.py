@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..body_model import BodyModel, Noise, TouchConstants
-from ..errors import FormatError, LogError, UsageError
+from ..body_model import BodyModel
+from ..errors import LogError
 from ..robot import joint_limits
-from ..robot import model as robot_model
+from ..robot.encoder_body import list_mute_joints
 from ..settings import Settings
 from ..types import Features, Finding, Recording, Series
 from ..wording import list_in_words
@@ -28,9 +28,10 @@ def read_joints_alone(
     if read.signals.joints is None or not len(read.signals.joints.t):
         without = ", and no --body to find them by images" if body is None else ""
         raise LogError(f"{log}: no joint readings{without}; type: bodylog info {log}")
-    odd = () if read.signals.poses else _reading_findings(read.signals.joints)
     unused = (_no_body(read),) if body is None else ()
-    findings = (*unused, *odd, *_outside_limit_findings(log, read.signals.joints, settings))
+    odd = () if read.signals.poses else _reading_findings(read.signals.joints)
+    beyond = joint_limits.outside_limit_findings(log, read.signals.joints, settings)
+    findings = (*unused, *odd, *beyond)
     return read, Features(
         read.signals.joints, {}, None, (), (), {}, findings, poses=read.signals.poses
     )
@@ -74,48 +75,5 @@ def _reading_findings(joints: Series) -> Iterator[Finding]:
             f"joints: readings that repeat the one before: {list_in_words(often)}, as at "
             "rest or in steps",
         )
-    if mute := _list_mute_joints(joints):
+    if mute := list_mute_joints(joints):
         yield Finding("warning", f"joints: {', '.join(mute)}: no reading is a number")
-
-
-def _list_mute_joints(joints: Series) -> list[str]:
-    return [
-        name
-        for name, y in zip(joints.names, joints.values.T, strict=True)
-        if not np.isfinite(y).any()
-    ]
-
-
-def _outside_limit_findings(log: Path, joints: Series, settings: Settings) -> Iterator[Finding]:
-    """Remarks on joints beyond the limits of their URDF; the log's own URDF may be invalid."""
-    try:
-        yield from joint_limits.limit_findings(
-            joints, *robot_model.joint_limits_of_log(log, settings)
-        )
-    except FormatError as problem:
-        if settings.kinematics.urdf is not None:
-            raise
-        yield Finding("info", f"joints' limits are not known: {problem}")
-
-
-def without_body(read: Recording, settings: Settings) -> BodyModel:
-    """A body of all joints with readings, or those wanted,
-    without other senses; UsageError for an unknown joint.
-    """
-    from .. import estimation
-
-    assert read.signals.joints is not None
-    mute = _list_mute_joints(read.signals.joints)
-    wanted = settings.body.joints
-    known = [name for name in read.signals.joints.names if name not in mute]
-    if unknown := [name for name in wanted or () if name not in known]:
-        raise UsageError(
-            f"[body] joints: found {unknown[0]!r}, possible: {', '.join(known)}; type: "
-            "bodylog info LOG"
-        )
-    names = tuple(wanted or known)
-    # joints that never move keep this process noise, 1 rad²/s³; others learn theirs
-    noise = Noise((joint_limits.ENCODER_STEP_RAD**2 / 12.0,) * len(names), {}, (1.0,) * len(names))
-    found = BodyModel(names, {}, noise, TouchConstants(1.0, 0.005), {})
-    estimation.check_estimation_settings(found, settings.estimate)
-    return found

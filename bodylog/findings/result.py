@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..types import Estimate, Fault, Finding, Health, Score
+from ..types import Estimate, Fault, Finding, Health, Recording, Score
 from . import headline, verdict
-from .scoring import list_bounded_figures
+from .scoring import list_bounded_figures, score_estimate
 
 
 class Scores(tuple[Score, ...]):
@@ -70,11 +70,12 @@ class Result:
 def estimate_result(
     out: Path,
     found: Estimate,
-    scores: tuple[Score, ...],
+    read: Recording,
     health: Mapping[str, Health],
     findings: Sequence[Finding],
 ) -> Result:
-    """An estimate's result with all figures that bounds may name, and its verdict."""
+    """An estimate's result: its scores, all figures that bounds may name, and its verdict."""
+    scores = score_estimate(found, read)
     return Result(
         out,
         Scores(scores),

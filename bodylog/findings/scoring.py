@@ -28,18 +28,6 @@ def score_estimate(found: Estimate, read: Recording) -> tuple[Score, ...]:
     return (*found_scores, *poses.score_poses(found.effector, read.signals.truth_pose))
 
 
-def with_true_poses(log: Path, found: Estimate, read: Recording) -> Recording:
-    """The recording with the effector's true poses, where
-    the estimate has poses and the log carries true ones.
-    """
-    if found.effector is None:
-        return read
-    from ..annotating import pose_topics
-
-    poses = pose_topics.true_poses(log, read.start_ns)
-    return replace(read, signals=replace(read.signals, truth_pose=poses))
-
-
 def with_truth_beside_log(
     path: Path, found: Estimate, read: Recording, settings: Settings
 ) -> Recording:

@@ -118,13 +118,30 @@ def read_recording(
         features = _read_own_features(log, start_ns)
         named, units = _read_named_tracks(log, path, settings, streams, start_ns, features)
         findings = (*log.findings, *silent, *log_findings(log, streams, settings), *units)
+    signals = RecordedSignals(
+        joints=merge_joint_series(streams, settings, start_ns, str(path)),
+        skin=_series_of_stream(streams.get("skin"), start_ns, "0..1"),
+        truth=_series_of_stream(streams.get("truth"), start_ns, "rad"),
+        features=features,
+        reference=_series_of_stream(streams.get("reference"), start_ns, "rad"),
+        poses=any(
+            has_independent_poses(stream.role.topics) for stream in joint_topics.streams_of(streams)
+        ),
+        tracks={name: track for name, (track, _) in named.items()},
+    )
+    films = _frames_of_topics(path, strict, streams, settings, start_ns)
     sidecars = _find_video_files(path, settings)
+    start = settings.topics.start
+    first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9
+    films = {
+        key: video_file.make_video_decoder(side, first_s, start_ns)
+        for key, side in sidecars.items()
+    } | films
     videos = {
         key: source
         for key, source in cameras.cameras_by_name(settings.topics).items()
         if key in sidecars
     }
-    films = _frames_of_cameras(path, strict, streams, sidecars, settings, start_ns)
     facts = LogFacts(
         name=path.name,
         format=log.format,
@@ -139,17 +156,6 @@ def read_recording(
         settings=settings,
         beside=joint_topics.unconfigured_joints(streams, settings),
         track_health={name: health for name, (_, health) in named.items()},
-    )
-    signals = RecordedSignals(
-        joints=merge_joint_series(streams, settings, start_ns, str(path)),
-        skin=_series_of_stream(streams.get("skin"), start_ns, "0..1"),
-        truth=_series_of_stream(streams.get("truth"), start_ns, "rad"),
-        features=features,
-        reference=_series_of_stream(streams.get("reference"), start_ns, "rad"),
-        poses=any(
-            has_independent_poses(stream.role.topics) for stream in joint_topics.streams_of(streams)
-        ),
-        tracks={name: track for name, (track, _) in named.items()},
     )
     pictures = RecordedCameras(
         frames=films.get("camera"),
@@ -200,23 +206,12 @@ def _find_video_files(path: Path, settings: Settings) -> dict[str, video_file.Si
     }
 
 
-def _frames_of_cameras(
-    path: Path,
-    strict: bool,
-    streams: Mapping[str, Stream],
-    sidecars: Mapping[str, video_file.Sidecar],
-    settings: Settings,
-    start_ns: int,
+def _frames_of_topics(
+    path: Path, strict: bool, streams: Mapping[str, Stream], settings: Settings, start_ns: int
 ) -> dict[str, Frames]:
-    """The images of every camera, by its role."""
-    start = settings.topics.start
-    first_s = None if start is None else (round(start * 1e9) - start_ns) / 1e9
+    """The images of every camera that is a topic, by its role."""
     limits = replace(settings.input, strict=strict)
-    beside = {
-        key: video_file.make_video_decoder(side, first_s, start_ns)
-        for key, side in sidecars.items()
-    }
-    return beside | {
+    return {
         key: read_frames_lazily(
             path, limits, s.role.topics, s.counts, s.rows, s.timing.t_ns, start_ns
         )

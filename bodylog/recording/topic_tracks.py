@@ -11,8 +11,8 @@ from ..errors import ConfigError, FormatError, LogError
 from ..logs.decode.columns import read_topic_columns
 from ..logs.decode.parts import TopicColumns
 from ..logs.protocol import Log
-from ..logs.tables.pose_columns import metres_per_unit, millimetres_note, time_column
-from ..logs.tables.table_file import FileTable, read_table_file, table_format
+from ..logs.tables.pose_columns import metres_per_unit, millimetres_note, read_timed_table
+from ..logs.tables.table_file import FileTable
 from ..settings import Settings
 from ..sources import TableSource, TopicSource, track_names
 from ..types import MM_PER_M, TRACK_AXES, Array, Finding, Health, Series, Topic
@@ -219,15 +219,14 @@ def read_table_tracks(
     log: Path, settings: Settings, start_ns: int, end_s: float
 ) -> Iterator[tuple[str, tuple[Series, Health]]]:
     """Every feature of [features] from a table, t in s since start_ns; the log ends at end_s."""
-    read_: dict[Path, FileTable] = {}
+    tables: dict[Path, tuple[FileTable, Array | None]] = {}
     for name, source in settings.features.items():
         if isinstance(source, TableSource):
             path = _find_table_path(log, name, source)
-            if path not in read_:
-                with path.open("rb") as stream:
-                    read_[path] = read_table_file(path, table_format(path, stream.read(4)) or "csv")
+            if path not in tables:
+                tables[path] = read_timed_table(path)
             (track,) = track_names(name, source)
-            yield track, _track_from_table(path, read_[path], name, source, start_ns, end_s)
+            yield track, _track_from_table(path, *tables[path], name, source, start_ns, end_s)
 
 
 def _find_table_path(log: Path, name: str, source: TableSource) -> Path:
@@ -240,12 +239,17 @@ def _find_table_path(log: Path, name: str, source: TableSource) -> Path:
 
 
 def _track_from_table(
-    path: Path, table: FileTable, name: str, source: TableSource, start_ns: int, end_s: float
+    path: Path,
+    table: FileTable,
+    t: Array | None,
+    name: str,
+    source: TableSource,
+    start_ns: int,
+    end_s: float,
 ) -> tuple[Series, Health]:
-    """One feature's positions (N,2) px, or points (N,3), in time order."""
+    """One feature's positions (N,2) px, or points (N,3), in time order; rows at t (N,) s."""
     places, std = _position_columns(path, table, name, source)
-    column, t = time_column(table.numbers)
-    if column is None:
+    if t is None:
         have = ", ".join(table.names[:12])
         text = "has no column of times (t, time, stamp, unix_s, stamp_ns, ...)"
         raise ConfigError(f"{path}: [features] {name}: the table {text}; its columns are {have}")

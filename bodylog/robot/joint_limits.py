@@ -2,18 +2,32 @@
 
 from collections.abc import Iterator, Mapping
 from math import tau
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..errors import FormatError
+from ..settings import Settings
 from ..types import Array, Finding, Series
 from ..wording import list_in_words
+from .model import joint_limits_of_log
 
 if TYPE_CHECKING:
     from ..kinematics.robot import Limits
 
 ENCODER_STEP_RAD = 2.0 * np.pi / 4096.0
 """rad: the step of a 12-bit encoder, assumed for one that never moves."""
+
+
+def outside_limit_findings(log: Path, joints: Series, settings: Settings) -> Iterator[Finding]:
+    """Remarks on joints beyond the limits of their URDF; the log's own URDF may be invalid."""
+    try:
+        yield from limit_findings(joints, *joint_limits_of_log(log, settings))
+    except FormatError as problem:
+        if settings.kinematics.urdf is not None:
+            raise
+        yield Finding("info", f"joints' limits are not known: {problem}")
 
 
 def limit_findings(

@@ -19,7 +19,7 @@ from ..kinematics.robot import Limits, Robot
 from ..logs.tables.frame_columns import frame_of
 from ..settings import Settings
 from ..types import Array, Features, Finding
-from ..wording import list_in_words
+from ..wording import UNUSABLE_URDF, list_in_words
 
 if TYPE_CHECKING:
     from ..body.kinematic.learn import Robotics
@@ -28,8 +28,6 @@ if TYPE_CHECKING:
 
 FROM_LOG = "log"
 """Stands for the log's own /robot_description."""
-UNUSABLE_URDF = "the log's URDF is not used"
-"""In the finding on a log's own URDF that cannot be read."""
 
 
 def urdf_files(settings: Settings) -> tuple[Path, ...]:

@@ -11,6 +11,7 @@ import pytest
 from bodylog.errors import EvidenceError, FormatError, InputError, LogError
 from bodylog.kinematics import urdf
 from bodylog.logs.formats import open_log
+from bodylog.logs.tables import pose_log
 from bodylog.logs.tables.pose_columns import assign_column_roles
 from bodylog.logs.tables.table_file import read_table_file
 from bodylog.pipeline import fit, ingest, observe
@@ -268,3 +269,15 @@ def test_a_lens_that_cannot_be_is_refused(tmp_path, lens, words):
     path = _csv(tmp_path, "pan,fx,fy,cx,cy", *(f"0.1,{one}" for one in lens))
     with pytest.raises(LogError, match=words):
         open_log(path)
+
+
+@pytest.mark.parametrize("row", ["{pan: 0.1, image: a.JPG}", '{pan: 0.1, image: "a\\x2ejpg"}'])
+def test_image_files_of_a_yaml_table_are_found_however_they_are_spelt(tmp_path, row):
+    (path := tmp_path / "poses.yaml").write_text(f"- {row}\n")
+    assert [file.name.lower() for file in pose_log.image_files(path)] == ["a.jpg"]
+
+
+def test_a_yaml_table_without_image_files_is_not_parsed_for_them(tmp_path, monkeypatch):
+    monkeypatch.setattr(pose_log, "read_table_file", lambda *_: pytest.fail("it is parsed"))
+    (path := tmp_path / "poses.yaml").write_text("- {pan: 0.1}\n")
+    assert pose_log.image_files(path) == ()

@@ -5,6 +5,7 @@ image position, point in space, image file, time, or unused.
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ...errors import LogError
 from ..records import Array
 from ..topics import TRACKER
 from .frame_columns import PLACE, frame_poses
-from .table_file import FileTable
+from .table_file import FileTable, read_table_file, table_format
 
 IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
@@ -146,6 +147,15 @@ def time_column(numbers: Mapping[str, Array]) -> tuple[str | None, Array]:
     """The first column named as a time, and its times (N,) s; None without one."""
     name = next((name for name in numbers if _TIME.fullmatch(name)), None)
     return (None, np.empty(0)) if name is None else (name, numbers[name] * _time_column_scale(name))
+
+
+def read_timed_table(path: Path) -> tuple[FileTable, Array | None]:
+    """The table in a file, and its times (N,) s; None where no column is named as a time."""
+    with path.open("rb") as stream:
+        form = table_format(path, stream.read(4)) or "csv"
+    table = read_table_file(path, form)
+    column, t = time_column(table.numbers)
+    return table, None if column is None else t
 
 
 def is_label_column(name: str) -> bool:

@@ -226,10 +226,12 @@ def image_files(path: Path) -> tuple[Path, ...]:
     """The image files that a table of poses names; none for any other file."""
     if not path.is_file() or (form := table_format(path)) is None:
         return ()
-    if form == "csv":
+    if form != "parquet":
         with path.open("rb") as stream:
             text = stream.read(int(1e6 * LIMITS.max_table_mb)).lower()
-        if not any(name.encode() in text for name in IMAGES):
+        # YAML may spell a name with escapes, such as "\x2ejpg"
+        named = any(name.encode() in text for name in IMAGES) or (form == "yaml" and b"\\" in text)
+        if not named:
             return ()
     try:
         found = assign_column_roles(read_table_file(path, form), str(path)).images
