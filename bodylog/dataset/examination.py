@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..delays.findings import ExaminedDelays
+from ..delays.flow_delay import FlowDelay
 from ..errors import ModelError
 from ..findings.result import Result, Scores
 from ..settings import Settings
@@ -174,7 +175,7 @@ def episode_evidence(
     reading that it is about or null]} · joints: names, unit, low and high, t and curves of few
     points · action: the same · cameras {name: thumbnails and the view at rest (JPEG, base64), size,
     stored_hz, arm: whose joints move its picture, of several, delay_profile: log likelihood (nats)
-    of the delays by flow} ·
+    of the delays by flow, flow_per_motion: how much the picture moves with the joints} ·
     robot: its type, "" if it is not known ·
     statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
     `examine_episode` adds by_surface, the figures that are by the robot's surface, faults
@@ -186,13 +187,7 @@ def episode_evidence(
         "joints": None if reading.joints is None else _sample_curves(reading.joints),
         "action": None if reading.action is None else _sample_curves(reading.action),
         "cameras": {
-            name: _camera_evidence(film.seen)
-            | {
-                "arm": film.arm,
-                "delay_profile": []
-                if film.delay is None
-                else [round(nats, 1) for nats in film.delay.profile],
-            }
+            name: _camera_evidence(film.seen) | {"arm": film.arm} | _flow_evidence(film.delay)
             for name, film in reading.films.items()
         },
         "statistics": {
@@ -232,6 +227,15 @@ def _camera_evidence(seen: Any) -> dict[str, Any]:
         "thumbnails": [_thumbnail_as_jpeg(picture) for picture in seen.pictures],
         "size": list(seen.size),
         "stored_hz": seen.repeats.stored_hz,
+    }
+
+
+def _flow_evidence(delay: FlowDelay | None) -> dict[str, Any]:
+    if delay is None or not isfinite(delay.flow_per_motion):
+        return {"delay_profile": [], "flow_per_motion": None}
+    return {
+        "delay_profile": [round(nats, 1) for nats in delay.profile],
+        "flow_per_motion": float(f"{delay.flow_per_motion:.4g}"),
     }
 
 

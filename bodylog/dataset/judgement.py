@@ -37,6 +37,10 @@ DEGREES_PER_RAD = 57.29578
 SWAP_SHARE = 0.5
 """Distance of a swapped joint from the other's siblings, over its distance from its own."""
 SIGNIFICANT_SIGMA = 2.0
+OTHER_MOTION = 2.0
+"""Factor between a picture's motion with the joints and its siblings' from which something else
+moves in it: cameras of three drawn worlds are within 1.4, and people who walk before four others
+make it 4 and more."""
 STOP_SHARE = 0.02
 """Distance from an end of what a joint reads in all episodes, over its range, within which it is at
 a stop."""
@@ -252,12 +256,20 @@ def _find_standouts(
 
 def _flow_profiles(camera: str, names: Sequence[str], evidence: Mapping[str, Evidence]) -> Array:
     """The log likelihood (N,K) of a camera's delays by flow in each episode; NaN where it has none,
-    and where the robot's surface tells the delay."""
+    where the robot's surface tells the delay, and where the picture moves much more with the joints
+    than in most episodes, or much less: something else moves in it, or it stands still."""
     profiles = np.full((len(names), len(list_tried_delays())), np.nan)
-    for row, name in zip(profiles, names, strict=True):
-        profile = evidence[name]["cameras"].get(camera, {}).get("delay_profile")
-        if profile and f"delay/{camera}" not in evidence[name].get("by_surface", ()):
-            row[:] = profile
+    motions = np.full(len(names), np.nan)
+    for number, name in enumerate(names):
+        about = evidence[name]["cameras"].get(camera, {})
+        if about.get("delay_profile") and f"delay/{camera}" not in evidence[name].get(
+            "by_surface", ()
+        ):
+            profiles[number] = about["delay_profile"]
+            motions[number] = np.log(max(about["flow_per_motion"], 1e-9))
+    if np.isfinite(motions).any():
+        other = np.abs(motions - np.nanmedian(motions)) > np.log(OTHER_MOTION)
+        profiles[other] = np.nan
     return profiles
 
 

@@ -72,7 +72,8 @@ class FlowDelay:
     explain the flow best, `joints_nats` by how much better than any other group (infinite without
     one). `certain`: whether the evidence suffices; if not, the value must not be
     used. `edge`: whether it lies at the end of the searched range. `profile` (K,): evidence (nats)
-    of the delays `list_tried_delays` (s), less that of the best of them.
+    of the delays `list_tried_delays` (s), less that of the best of them · flow_per_motion: root
+    mean square of the flow over that of the joints' steps.
     """
 
     delay: Delay
@@ -84,6 +85,7 @@ class FlowDelay:
     row_time: Delay | None = None
     joints_nats: float = float("inf")
     profile: tuple[float, ...] = ()
+    flow_per_motion: float = float("nan")
 
     @property
     def certain(self) -> bool:
@@ -126,9 +128,21 @@ def estimate_flow_delay(
     rolling = _measure_row_time(joints, times, flow, scan, delay.seconds)
     better = min(others, default=float("inf"))
     profile = tuple((scan.profile - scan.evidence).tolist())
+    ratio = _flow_per_motion(parts, scan.motion, delay.seconds)
     return FlowDelay(
-        total, scan.nats, scan.group, scan.edge, row_std_s, row, rolling, better, profile
+        total, scan.nats, scan.group, scan.edge, row_std_s, row, rolling, better, profile, ratio
     )
+
+
+def _flow_per_motion(parts: Sequence[_FlowPart], motion: "_JointMotion", delay: float) -> float:
+    """Root mean square of the flow over that of the joints' steps."""
+    flow2 = sum(float((part.components**2).sum()) for part in parts)
+    steps = [
+        motion.angles(part.times[:, 1] - delay) - motion.angles(part.times[:, 0] - delay)
+        for part in parts
+    ]
+    steps2 = sum(float((step**2).sum()) for step in steps)
+    return float(np.sqrt(flow2 / max(steps2, 1e-12)))
 
 
 def _measure_row_time(

@@ -37,6 +37,15 @@ def test_camera_stored_several_times(copies: int, noise: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
+def test_a_camera_stored_four_times_before_motions_with_pauses(seed: int) -> None:
+    fresh = 30 + 8.0 * np.cumsum(np.tile([1, 1, 0, 0, 0, 1, -1, -1, 0, 0, -1], 8))
+    found = judged(np.repeat(fresh, 4), 1.0, seed)
+    truth = np.arange(len(fresh) * 4) % 4 > 0
+    assert not (found.repeated & ~truth).any()
+    assert found.share is not None and found.share > 0.65
+
+
+@pytest.mark.parametrize("seed", range(4))
 def test_some_frames_twice(seed: int) -> None:
     rng = np.random.default_rng(seed)
     twice = rng.random(80) < 0.25

@@ -40,7 +40,8 @@ _LONG_BEAT = 4
 """Frames from one new image to the next, from which the frames beside a repeat do not tell it."""
 _LEAST_BEATS = 5
 _STEADY_SHARE = 0.75
-"""New images that come after the same number of frames, one more or one less: fewer are pauses."""
+"""New images that come after the same number of frames, one more or one less, of those that no
+pause of two such beats and more lies before: fewer tell no beat."""
 _LEAST_JUDGED = 20
 """Moving frames that suffice for a share; with fewer,
 frames that are equal in every pixel count as well.
@@ -188,7 +189,8 @@ def _long_copies(motion: Array) -> Array:
         return found
     beat = float(np.median(gaps))
     steady = np.abs(gaps - beat) <= 1.0
-    if beat < _LONG_BEAT or steady.mean() < _STEADY_SHARE:
+    of_motion = steady[gaps < 2.0 * beat]
+    if beat < _LONG_BEAT or len(of_motion) < _LEAST_BEATS or of_motion.mean() < _STEADY_SHARE:
         return found
     for begin, end in zip(new[:-1][steady].tolist(), new[1:][steady].tolist(), strict=True):
         least = _REPEAT_SHARE * min(motion[begin], motion[end])
