@@ -87,6 +87,24 @@ def test_camera_and_delay_are_found_within_their_errors(seed):
     assert len(found.used) > 0.8 * part.count
 
 
+def test_unknowns_that_no_landmark_shows_keep_their_priors():
+    built = model([motion(3)])
+    phi = truth(built)
+    truly, of_body = seen(built, phi, 31, pieces=60)
+    first = np.flatnonzero(of_body == of_body.min())
+    part, body = truly.take(first), of_body[first]
+    places = np.array([built.bodies[b].centre for b in body])
+    free = np.ones(len(phi), bool)
+    found, placed, reduced = adjust_landmarks(built, phi, part, Landmarks(body, places), free)
+    fit = LandmarkFit(built, found, free, part, first, placed, reduced)
+    std = np.sqrt(np.diag(unknowns_covariance(fit)))
+    predicted = built.predict(found, part, body, placed.places)
+    unseen = np.flatnonzero(np.abs(predicted.by_joints).max(axis=(0, 1)) == 0.0)
+    assert len(unseen)
+    zeros = np.arange(built.rig.of_joints.start, built.rig.of_joints.stop)
+    np.testing.assert_allclose(std[zeros[unseen]], built.prior[1][zeros[unseen]], rtol=1e-6)
+
+
 def smoothed_with_errors(real: JointCurve, error: CurveError, seed: int) -> JointCurve:
     """A motion with errors of this kind drawn onto its angles."""
     rng = np.random.default_rng(seed)
