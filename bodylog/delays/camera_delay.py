@@ -15,14 +15,14 @@ from ..body.senses import encoder_function
 from ..body_model import BodyModel, ForwardModel
 from ..errors import EvidenceError
 from ..estimation.faults.threshold import MIN_DELAY_S
-from ..estimation.measurements.arm_errors import ArmErrors, learned_arm_errors
+from ..estimation.measurements.arm_errors import MOST_HELD_OUT, ArmErrors, learned_arm_errors
 from ..estimation.measurements.track import camera_of_track
 from ..estimation.timing import correction, gp_likelihood
 from ..estimation.timing.delay_profile import Delay
 from ..estimation.timing.gp_likelihood import ExploredLog, Prior
 from ..perception.tracking import joint_motion
 from ..settings import Settings
-from ..types import TRACK_AXES, Array, Features, Finding
+from ..types import TRACK_AXES, Array, Features, Finding, Score
 from .tracker_delay import measure_tracker_delays, measure_turning_delays
 
 MAX_TURNS = 5
@@ -115,9 +115,14 @@ def learn_with_delays(
     learned = replace(turn.found, vague={}) if still_late else turn.found
     learned = _with_tracker_delays(learned, tracked)
     found = body.with_kinematics(timely, settings, learned, robot, known)
-    about_errors = (*_delay_findings(turn, fixed), *_error_findings(turn.errors))
-    if turn.errors:
-        origin = {**found.model.provenance, **turn.errors.as_provenance()}
+    errors = replace(turn.errors, held_out=_misstated_tracks(found.scores))
+    about_errors = (
+        *_delay_findings(turn, fixed),
+        *_error_findings(errors),
+        *errors.warn_of_narrow_bars(),
+    )
+    if errors:
+        origin = {**found.model.provenance, **errors.as_provenance()}
         found = replace(found, model=replace(found.model, provenance=origin))
     findings = (*_tracker_findings(tracked), *about_errors, *found.findings)
     return replace(found, findings=findings)
@@ -240,7 +245,9 @@ def _alternate_until_converged(explored: _Exploration) -> _Turn:
     started = set[str]()
     given = {name: delay for name, delay in fixed.items() if delay}
     turn = learn_turn(
-        [{**own, **fixed} for _ in features], {**own, **given}, learned_arm_errors(known)
+        [{**own, **fixed} for _ in features],
+        {**own, **given},
+        replace(learned_arm_errors(known), held_out={}),
     )
     for _ in range(MAX_TURNS - 1):
         surest = _surest_logs(turn.residuals, fixed, started)
@@ -351,6 +358,16 @@ def _misstated_bars(turn: _Turn) -> float:
     """How far (in logarithms) squared held-out errors are from the stated variances, on average."""
     found = [one.value for one in turn.found.scores if one.name.startswith("nis/held_out/")]
     return abs(log(max(sum(found) / len(found), 1e-9)))
+
+
+def _misstated_tracks(scores: Iterable[Score]) -> dict[str, float]:
+    """Squared held-out errors over their stated variance
+    {track}, where these are too large for sound ones.
+    """
+    named = ((one.name.partition("nis/held_out/"), one.value) for one in scores)
+    return {
+        track: value for (_, found, track), value in named if found and value > MOST_HELD_OUT
+    }
 
 
 def _remaining_errors(

@@ -58,9 +58,11 @@ def estimate_from_features(
             found = _estimate_with_corrected_times(features, body, settings, delay)
     used = {**found.settings, **({} if unit == "rad" else {JOINT_UNIT_KEY: unit})}
     found = replace(found, can=method.can, settings=used)
-    return replace(
-        found, findings=(*found.findings, *consistency_findings(found, settings, unit, size))
+    findings = (
+        *learned_arm_errors(body).warn_of_narrow_bars(),
+        *consistency_findings(found, settings, unit, size),
     )
+    return replace(found, findings=(*found.findings, *findings))
 
 
 def _estimate_with_corrected_times(

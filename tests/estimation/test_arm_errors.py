@@ -145,19 +145,36 @@ def test_images_keep_their_stamps_where_rows_are_exposed_in_turn(sound_body):
 
 def test_errors_of_an_arm_survive_a_body_file_and_others_are_refused(sound_body):
     rows = {"camera": RowExposure(1e-5, 1e-6, 100.0, 90.0)}
-    errors = ArmErrors({"lift": (4e-3, 2e-4)}, rows, {"lift": (2e-3, 1.5)})
+    errors = ArmErrors({"lift": (4e-3, 2e-4)}, rows, {"lift": (2e-3, 1.5)}, {"effector": 2.3})
     known = replace(sound_body, provenance=errors.as_provenance())
     assert learned_arm_errors(known) == errors
-    known.provenance[ARM_ERRORS].pop("lasting")  # a body of an earlier version
-    assert learned_arm_errors(known) == replace(errors, lasting={})
+    for later in ("lasting", "held_out"):  # a body of an earlier version
+        known.provenance[ARM_ERRORS].pop(later)
+    assert learned_arm_errors(known) == replace(errors, lasting={}, held_out={})
     for wrong in (
         "late",
         {"play": {"lift": [1.0]}},
         {"rows": {"camera": {"seconds": "x"}}},
         {"lasting": {"lift": [2e-3, 0.0]}},
+        {"held_out": {"effector": "much"}},
     ):
         with pytest.raises(ModelError, match=ARM_ERRORS):
             learned_arm_errors(replace(sound_body, provenance={ARM_ERRORS: wrong}))
+
+
+def test_a_body_whose_held_out_errors_exceed_stated_ones_says_so_at_fit_and_at_each_log(
+    sound_body, monkeypatch
+):
+    monkeypatch.setattr(camera_delay, "MOST_HELD_OUT", 0.5)
+    found = fitted(explored(mechanisms.SOUND, duration=12.0))
+    (ratio,) = [one.value for one in found.scores if one.name == "nis/held_out/effector"]
+    assert learned_arm_errors(found.model).held_out == {"effector": ratio}
+    features = mechanisms.replayed(4, mechanisms.SOUND, Fault(), duration=4.0)
+    estimated = estimate_from_features(features, found.model, EstimationSettings())
+    sound = estimate_from_features(features, sound_body, EstimationSettings())
+    for findings, count in ((found.findings, 1), (estimated.findings, 1), (sound.findings, 0)):
+        texts = [one.text for one in findings if one.severity == "warning"]
+        assert len([text for text in texts if "held-out images" in text]) == count
 
 
 def test_links_are_followed_through_noise_of_readings():

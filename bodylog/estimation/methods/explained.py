@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ...body_model import BodyModel
+from ...fault_kinds import OFF_FROM_START_S
 from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
 from ..factors.columns import Column, Play
@@ -30,7 +31,14 @@ from ..measurements.arm_errors import learned_arm_errors
 from ..noise.lasting_error import LastingError
 from ..timing.gp_likelihood import PLAY_SIGMAS
 from . import results
-from .results import Beliefs, find_evident_error, predict_frames, with_lasting_error
+from .results import (
+    LEAST_NEES,
+    Beliefs,
+    find_evident_error,
+    nees_if_white,
+    predict_frames,
+    with_lasting_error,
+)
 from .stick_slip import estimate_stick_slip
 from .trust import measure_rough_motion, reason_of_disagreement, reason_of_misfit, reason_to_widen
 
@@ -41,8 +49,6 @@ without their own noise, and the model's variance (F,D).
 
 CHANGE = 0.5
 """Standard deviation of ln σ and ln τ of a run's encoder errors about those of the exploration."""
-FROM_START_S = 1.0
-"""s: an encoder that is off within so long after the first reading was off before the log."""
 
 
 def explained_estimate(
@@ -72,7 +78,7 @@ def explained_estimate(
         if settings.precision != "auto":
             return kept
         rough = measure_rough_motion(problem, settings.method != "smoother")
-        if rough is None:
+        if rough is None or nees_if_white(kept, rough.variance) < LEAST_NEES:
             return kept
         stuck = estimate_stick_slip(method, body, problem, beliefs, settings, rough)
         return results.with_rough_motion(kept, rough.variance) if stuck is None else stuck
@@ -222,7 +228,7 @@ def _allowance_for_faults(
 
 def _count_from_start(problem: FilterProblem, faults: tuple[Fault, ...]) -> int:
     """How many encoders have an offset, if all that are named have had it from the start."""
-    begin = problem.timeline.t[0] + FROM_START_S
+    begin = problem.timeline.t[0] + OFF_FROM_START_S
     if not faults or problem.precision.drift is None:
         return 0
     off = int((problem.precision.drift > 0.0).sum())

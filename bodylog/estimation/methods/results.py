@@ -116,15 +116,17 @@ def find_evident_error(
     lasting = find_lasting_error(
         evidence.encoders, evidence.sightings, beliefs, problem.precision.encoder
     )
-    if lasting is None or _nees_if_white(found, lasting) < LEAST_NEES:
+    if lasting is None or nees_if_white(found, lasting.std**2) < LEAST_NEES:
         return None
     return lasting
 
 
-def _nees_if_white(found: Estimate, lasting: LastingError) -> float:
-    """Mean squared error over stated variance, with this error beside what is stated."""
+def nees_if_white(found: Estimate, more: Array | float) -> float:
+    """Mean squared error over stated variance, with variance
+    more (M,) rad² beside what is stated.
+    """
     stated = np.einsum("nii->ni", found.cov)
-    return float(np.median((stated + lasting.std**2) / stated))
+    return float(np.median((stated + more) / stated))
 
 
 def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) -> Estimate:
@@ -132,7 +134,7 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
 
     kept_for: why the error is not taken out of the angles.
     """
-    nees = _nees_if_white(found, lasting)
+    nees = nees_if_white(found, lasting.std**2)
     own = {LASTING_ERROR: {**asdict(lasting), "nees_if_white": nees}}
     seen = (
         f"errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "
