@@ -39,8 +39,15 @@ __all__ = [
     "settings_as_values",
 ]
 
-METHODS = ("filter", "smoother", "ekf", "kalman", "predictive-coding")
-"""Names of the methods of estimation."""
+METHOD_MODULES = {
+    "filter": "filtering",
+    "smoother": "smoother",
+    "ekf": "filtering",
+    "kalman": "kalman",
+    "predictive-coding": "predictive_coding",
+}
+"""Methods of estimation: the module of each in `estimation/methods/`, which describes it in METHODS."""
+METHODS = tuple(METHOD_MODULES)
 PRESETS = ("default", "paper")
 CLOCKS = ("auto", "header", "log")
 

@@ -2,6 +2,7 @@
 
 import ast
 import re
+import shutil
 import subprocess
 import sys
 from functools import cache
@@ -229,3 +230,76 @@ def test_tests_import_nothing_from_other_tests():
                 if any(name.startswith("test_") for name in names):
                     wrong.append(f"{path.relative_to(ROOT)}:{node.lineno}")
     assert not wrong, "what several tests use stands in a module of their folder that is no test"
+
+
+CHANGES = {
+    "a container of logs": {
+        "bodylog/logs/ours.py": """
+from .mcap.reader import McapLog
+
+
+def open_ours(path, strict, source, limits):
+    inside = path.with_suffix(".inside")
+    inside.write_bytes(source.read_bytes()[6:])
+    return McapLog(path, strict, inside, limits)
+""",
+        "bodylog/logs/formats.py": (
+            (line := "FORMATS: Mapping[bytes, Opener] = {\n"),
+            "def _open_ours(*log):\n    from .ours import open_ours\n\n    return open_ours(*log)\n\n\n"
+            + line
+            + "    b'OURLOG': _open_ours,\n",
+        ),
+    },
+    "a method": {
+        "bodylog/estimation/methods/ours.py": """
+from ...types import Capabilities
+from . import filtering
+from .contract import Method
+
+METHODS = {"ours": Method(filtering.estimate_by_filter, Capabilities(), live=True)}
+""",
+        "bodylog/settings.py": ('    "kalman": "kalman",\n', '    "kalman": "kalman",\n    "ours": "ours",\n'),
+    },
+    "a fault of a sensor": {
+        "bodylog/fault_kinds.py": (
+            (kind := '    GLITCH = "glitch"\n'),
+            kind + '    SLEEPY = "sleepy"\n',
+            (line := "FORMS: Mapping[tuple[str, FaultKind], FaultForm] = {\n"),
+            line + '    ("encoders", FaultKind.SLEEPY): FaultForm("encoder is sleepy {since}"),\n',
+        ),
+        "bodylog/estimation/faults/encoder_faults.py": (
+            (found := "        for fault in one.faults\n    ]\n"),
+            found + '    faults.append(Fault("encoders", body.joints[0], FaultKind.SLEEPY, 1.0, 0.1, "rad"))\n',
+        ),
+    },
+    "the words of a fault, of a verdict, of a score, of a setting": {
+        "bodylog/findings/verdict.py": ("no fault found in", "none of these has a fault:")
+    },
+}
+"""What someone changes who has the page alone: the text of a new file, or texts and what replaces each in a file."""
+
+
+def test_a_change_is_placed_by_the_page_in_two_files_at_most(tmp_path):
+    for room in ("bodylog", "cli"):
+        shutil.copytree(ROOT / room, tmp_path / {"cli": "bodylog_cli"}.get(room, room))
+    for change, files in CHANGES.items():
+        (row,) = re.findall(rf"^\| {change} \| (.*) \|$", PAGE, re.MULTILINE)
+        assert len(files) <= 2
+        for name, text in files.items():
+            path = tmp_path / name
+            if isinstance(text, str):
+                assert f"`{path.parent.relative_to(tmp_path / 'bodylog').as_posix()}/`" in row and not path.exists()
+                path.write_text(text)
+                continue
+            assert path.name in row
+            written = path.read_text()
+            for old, new in zip(text[::2], text[1::2], strict=True):
+                assert written.count(old) == 1
+                written = written.replace(old, new)
+            path.write_text(written)
+    log = tmp_path / "log.ours"
+    log.write_bytes(b"OURLOG" + (ROOT / "fixtures" / "arm" / "reach.mcap").read_bytes())
+    typed = ("estimate", log, "--method", "ours", "-o", tmp_path / "out.mcap")
+    command = [sys.executable, "-m", "bodylog_cli", *map(str, typed)]
+    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert "encoder is sleepy since 1.0 s" in printed and "none of these has a fault:" in printed

@@ -61,6 +61,7 @@ def test_colours_are_names_or_hsv_ranges(tmp_path):
         ("[colours]\nhand = {low = [1, 2], high = [3, 4, 5]}", 'possible: blue.*type: hand = "red"'),
         ("[colours]\nhand = {low = [1, 2, 300], high = [3, 4, 5]}", "h 0..180"),
         ("[estimate]\nmethod = 'smother'", "possible: filter, smoother, .*; did you mean smoother?"),
+        ("[estimate]\nmethod = 'laplace'", "did you mean filter?"),
         ("[estimate]\nrate = true", "possible: number from 0.001 to 10000 Hz; leave it out for: the encoders' rate"),
         ("[estimate]\nrate = nan", "possible: number"),
         ("[synchrony]\nclock_offset = -inf", "possible: number from -9e\\+09 to 9e\\+09 s, or auto"),

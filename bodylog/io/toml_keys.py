@@ -95,10 +95,16 @@ def require_known(name: str, known: list[str], where: str, label: str) -> None:
         )
 
 
+OTHER_NAMES = {"laplace": "filter", "rts": "smoother"}
+"""What papers call a method, and its name here: Laplace's approximation, Rauch, Tung and Striebel."""
+
+
 def find_nearest_name(name: str, known: Sequence[str]) -> str:
-    """The known name most like a name."""
+    """The known name that means the same, or else the one most like it."""
     import difflib
 
+    if OTHER_NAMES.get(name) in known:
+        return OTHER_NAMES[name]
     return difflib.get_close_matches(name[:99], known, 1, 0.0)[0]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...settings import EstimationSettings
-from ...types import Array, Estimate, Fault, Features, Finding
+from ...types import Array, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.encoder_offset import total_free_energy
 from ..faults.screening import screen_measurements
@@ -27,6 +27,7 @@ from ..noise import encoder_noise, noise_model
 from ..noise.evidence_search import tune_by_evidence, with_preferred_order
 from ..noise.noise_model import resolve_noise_model, warn_of_few_readings, weigh_repeated_readings
 from ..noise.posture_prior import learn_posture_prior
+from .contract import Method
 from .explained import explained_estimate
 from .results import Beliefs
 
@@ -244,3 +245,9 @@ def find_offset_faults(problem: FilterProblem, solved: Solution) -> tuple[Fault,
     var = offset_variance(problem, solved)
     offsets = unfold(solved.trace.z[:, problem.dynamics.offset :])
     return encoder_offset.list_drifting_encoders(problem, offsets, var)
+
+
+METHODS = {
+    "filter": Method(estimate_by_filter, Capabilities(), live=True),
+    "ekf": Method(estimate_by_filter, Capabilities()),
+}

@@ -9,12 +9,13 @@ import numpy as np
 from ...body_model import BodyModel
 from ...errors import UsageError
 from ...settings import EstimationSettings
-from ...types import Array, Estimate, Features
+from ...types import Array, Capabilities, Estimate, Features
 from ..faults.screening import screen_measurements
 from ..measurements.gather import choose_initial_angles
 from ..measurements.timeline import build_timeline
 from ..noise.noise_model import PAPER_VARIANCES
 from . import results
+from .contract import Method
 from .grid import GRID_RATE_HZ, GridSense, beliefs_at_instants, place_on_grid
 
 STEP_VARIANCE_RAD2 = 0.001
@@ -76,3 +77,13 @@ def filter_static_angles(s: Array, x: Array, noise: float) -> tuple[Array, Array
         var = (1.0 - gain) * var
         after[k], after_var[k] = x, var
     return after, after_var, nats
+
+
+METHODS = {
+    "kalman": Method(
+        estimate_by_kalman_filter,
+        Capabilities(moves=False, density=False, repairs=False, from_paper=True),
+        senses=frozenset({"encoders"}),
+        heeds=frozenset(),
+    )
+}

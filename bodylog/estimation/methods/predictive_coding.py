@@ -10,7 +10,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...errors import UsageError
 from ...settings import EstimationSettings
-from ...types import Array, Estimate, Features, Finding
+from ...types import Array, Capabilities, Estimate, Features, Finding
 from ..measurements.gather import list_unread_joints
 from ..measurements.records import Evidence
 from . import results
@@ -21,6 +21,7 @@ from .algorithm1 import (
     descend_free_energy,
     gauss_newton_hessian,
 )
+from .contract import Method
 from .grid import TRIED_GAINS, GridProblem, beliefs_at_instants, build_grid_problem
 
 SIGMA_T = 1.0
@@ -145,3 +146,14 @@ def stable_step(plan: GridProblem) -> float:
     modes = np.linalg.eigvals(a)
     modes = modes[modes.real < -1e-9]
     return float((-2.0 * modes.real / np.abs(modes) ** 2).min()) if len(modes) else np.inf
+
+
+METHODS = {
+    "predictive-coding": Method(
+        estimate_by_predictive_coding,
+        Capabilities(moves=False, density=False, repairs=False, from_paper=True),
+        heeds=frozenset({"precision", "lambda", "sigma_encoders", "sigma_vision", "sigma_touch"}),
+        literal_touch=True,
+        encoder_model=True,
+    )
+}

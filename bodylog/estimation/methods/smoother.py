@@ -11,7 +11,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...settings import EstimationSettings
-from ...types import Array, Estimate, Features
+from ...types import Array, Capabilities, Estimate, Features
 from ..inference.convergence import (
     CONVERGED_MOVE,
     MAX_SWEEPS,
@@ -40,6 +40,7 @@ from ..inference.solution import (
     smooth_states,
 )
 from ..inference.tangents import hand_over_starts
+from .contract import Method
 from .explained import explained_estimate
 from .filtering import (
     build_filter_problem,
@@ -177,3 +178,6 @@ def _measure_end_moves(adjoint_moved: Array, p: Array) -> float:
             initial=0.0
         )
     )
+
+
+METHODS = {"smoother": Method(estimate_by_smoother, Capabilities(causal=False))}

@@ -1,50 +1,15 @@
-"""The table of methods: the function of each, what it can do, and which settings it ignores."""
+"""The table of methods, and which settings each ignores."""
 
-from collections.abc import Callable, Mapping
-from typing import NamedTuple
+from collections.abc import Mapping
+from importlib import import_module
 
-from ...body_model import BodyModel
-from ...settings import EstimationSettings
-from ...types import Capabilities, Estimate, Features, Finding
-from . import filtering, kalman, predictive_coding, smoother
-
-
-class Method(NamedTuple):
-    """One `--method`: its function, what it can do, the senses it can use, the settings it obeys.
-
-    heeds: settings beside method, senses, rate and start · literal_touch: accepts touch as printed
-    in the paper · encoder_model: uses the body's model of encoder readings that are no angles ·
-    live: needs no knowledge of the whole log, so that it can run beside a robot.
-    """
-
-    estimate: Callable[[Features, BodyModel, EstimationSettings], Estimate]
-    can: Capabilities
-    senses: frozenset[str] = frozenset({"encoders", "vision", "touch"})
-    heeds: frozenset[str] = frozenset(
-        {"precision", "bias", "process", "sigma_encoders", "sigma_vision", "sigma_touch"}
-    )
-    literal_touch: bool = False
-    encoder_model: bool = False
-    live: bool = False
-
+from ...settings import METHOD_MODULES, EstimationSettings
+from ...types import Finding
+from .contract import Method
 
 METHODS: Mapping[str, Method] = {
-    "filter": Method(filtering.estimate_by_filter, Capabilities(), live=True),
-    "smoother": Method(smoother.estimate_by_smoother, Capabilities(causal=False)),
-    "ekf": Method(filtering.estimate_by_filter, Capabilities()),
-    "kalman": Method(
-        kalman.estimate_by_kalman_filter,
-        Capabilities(moves=False, density=False, repairs=False, from_paper=True),
-        senses=frozenset({"encoders"}),
-        heeds=frozenset(),
-    ),
-    "predictive-coding": Method(
-        predictive_coding.estimate_by_predictive_coding,
-        Capabilities(moves=False, density=False, repairs=False, from_paper=True),
-        heeds=frozenset({"precision", "lambda", "sigma_encoders", "sigma_vision", "sigma_touch"}),
-        literal_touch=True,
-        encoder_model=True,
-    ),
+    name: import_module(f".{module}", __package__).METHODS[name]
+    for name, module in METHOD_MODULES.items()
 }
 
 
