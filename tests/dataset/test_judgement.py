@@ -9,7 +9,9 @@ import pytest
 pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'bodylog[datasets]'")
 
 
-from bodylog.dataset.judgement import judge_episodes
+from bodylog.dataset.judgement import OTHER_MOTION, judge_episodes
+from bodylog.dataset.siblings import OTHER_DELAY_NATS
+from bodylog.delays.flow_delay import list_tried_delays
 from tests.dataset.judged_episodes import examined, judged
 
 from . import arm_dataset
@@ -91,3 +93,41 @@ def test_delays_of_episodes_have_the_row_time_of_all() -> None:
 def test_delays_of_few_episodes_stay_as_they_are() -> None:
     rows, evidence = rolled_episodes([0.03, 0.09, 0.05])
     assert judge_episodes(rows, evidence).rows == rows
+
+
+def flow_episodes(delays_s: list[float], nats: float, motions: list[float]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """Rows and evidence of a camera whose delays by flow have an error of 4 ms, while the likelihood of delays 40 ms
+    away is by `nats` less; its picture moves with the joints by `motions`."""
+    evidence, rows = {}, []
+    for number, (delay, motion) in enumerate(zip(delays_s, motions, strict=True)):
+        profile = -nats * np.minimum(np.abs(list_tried_delays() - delay) / 0.04, 1.0) ** 2
+        about = {"view": None, "size": None, "stored_hz": None, "thumbnails": []}
+        evidence[str(number)] = {
+            "figures": {"delay/top": [delay, 0.004, 0.0, None]},
+            "joints": None,
+            "action": None,
+            "cameras": {"top": about | {"delay_profile": profile.tolist(), "flow_per_motion": motion}},
+            "digest": None,
+            "duration_s": 10.0,
+        }
+        scores = {"delay/top": delay, "std/delay/top": 0.004}
+        rows.append({"name": str(number), "exit_code": 0, "findings": [], "verdict": [], "scores": scores})
+    return rows, evidence
+
+
+LATE_S = [0.02, 0.02, 0.12, 0.02, 0.02, 0.02, 0.02, 0.02]
+
+
+@pytest.mark.parametrize("share", [0.5, 2.0])
+def test_a_late_camera_is_accused_where_the_likelihood_of_all_episodes_confirms_it(share: float) -> None:
+    found = judge_episodes(*flow_episodes(LATE_S, share * OTHER_DELAY_NATS, [1.0] * 8))
+    assert [one.episode for one in found.outliers] == (["2"] if share > 1.0 else [])
+    assert share > 1.0 or any("differ from the others" in text and "delay/top" in text for text in found.verdict)
+    assert found.pooled["delay/top"].mean == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("motion", [0.9 * OTHER_MOTION, 1.1 * OTHER_MOTION, 1.0 / (1.1 * OTHER_MOTION)])
+def test_a_picture_in_which_something_else_moves_accuses_no_episode(motion: float) -> None:
+    motions = [motion if delay > 0.1 else 1.0 for delay in LATE_S]
+    found = judge_episodes(*flow_episodes(LATE_S, 2.0 * OTHER_DELAY_NATS, motions))
+    assert bool(found.outliers) == (1.0 < motion < OTHER_MOTION)

@@ -176,3 +176,53 @@ def test_folders_of_episodes_are_datasets(
     for row in rows.values():
         assert f"rate/{cameras[kind]}" in row["scores"]
         assert f"longest_repeat/{joint}" in row["scores"]
+
+
+POSITIONS, IMAGES, ACTIONS = (
+    f"data/demo_2/{name}" for name in ("obs/robot0_joint_pos", "obs/agentview_image", "actions")
+)
+SPOILT: dict[str, tuple[Callable[[Any], object], str]] = {
+    "no joints": (lambda file: file.pop(POSITIONS), "observation.state: missing in 1 of 3 episodes: set.hdf5_2"),
+    "no actions": (lambda file: file.pop(ACTIONS), "action: missing in 1 of 3 episodes: set.hdf5_2"),
+    "no images": (lambda file: file.pop(IMAGES), "agentview: missing in 1 of 3 episodes: set.hdf5_2"),
+    "smaller images": (
+        lambda file: file.update({IMAGES: file.pop(IMAGES)[:, :32]}),
+        "agentview: images of 64 x 64 in 2 of 3 episodes, of 64 x 32 in set.hdf5_2",
+    ),
+    "images that are no bytes": (
+        lambda file: file.update({IMAGES: file.pop(IMAGES)[:] / 2.0}),
+        "agentview: missing in 1 of 3 episodes: set.hdf5_2",
+    ),
+}
+"""What is done to the last episode of a file, and the sentence on it."""
+
+
+@pytest.mark.parametrize("name", SPOILT)
+def test_what_one_episode_of_an_hdf5_file_lacks_is_named_in_the_verdict(
+    tmp_path: Path, examine: Any, name: str
+) -> None:
+    spoil, says = SPOILT[name]
+    path = drawn.robomimic(tmp_path / "set.hdf5", (0, 1, 2), 30)
+    with drawn.h5py.File(path, "r+") as file:
+        part = {one: file[one][:] for one in (POSITIONS, IMAGES, ACTIONS)}
+        spoil(part)
+        for one in (POSITIONS, IMAGES, ACTIONS):
+            del file[one]
+            if one in part:
+                file[one] = part[one]
+    _, _, text = examine(path)
+    assert says in text
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut", "noise"])
+def test_a_damaged_log_of_a_folder_has_a_row_that_says_so(tmp_path: Path, examine: Any, damage: str) -> None:
+    folder = tmp_path / "set"
+    folder.mkdir()
+    for number in range(3):
+        drawn.aloha(folder / f"{number}.hdf5", 30 + number)
+    data = (folder / "1.hdf5").read_bytes()
+    left = {"empty": b"", "cut": data[: len(data) // 2], "noise": np.random.default_rng(0).bytes(len(data))}
+    (folder / "1.hdf5").write_bytes(left[damage])
+    code, rows, text = examine(folder)
+    assert code == 65 and "1 cannot be used: 1.hdf5" in text
+    assert rows["1.hdf5"]["exit_code"] == 65 and "1.hdf5" in rows["1.hdf5"]["error"]

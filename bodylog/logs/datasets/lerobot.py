@@ -143,7 +143,7 @@ def _read_lerobot_episode(
         )
     streams += _task_changes(known, found, ns, findings)
     for name, about in known.features.items():
-        if about.get("dtype") == "image" and name not in columns:
+        if _lacks_image_column(name, about, columns):
             text = f"{name}: info.json says dtype image, {table} has no such column"
             findings.append(Finding("lost", f"{text}; possible: video"))
         elif about.get("dtype") in ("video", "image"):
@@ -359,6 +359,11 @@ def _read_lerobot_camera(
     yield EpisodeCamera(
         f"{topic}/image", times, reader, (film.width, film.height), "", metadata, grey
     )
+
+
+def _lacks_image_column(name: str, about: Mapping[str, Any], columns: Mapping[str, str]) -> bool:
+    """Whether a table lacks the images that info.json declares in it; depth is not read anyway."""
+    return about.get("dtype") == "image" and name not in columns and not _is_depth(name, about)
 
 
 def _is_depth(name: str, about: Mapping[str, Any]) -> bool:
