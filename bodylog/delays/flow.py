@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..body.data import angle_smoother
+from ..perception.surface.camera_clock import fit_camera_clock
 from ..perception.surface.flow import GridFlow, measure_grid_flow
 from ..perception.surface.repeats import FrameRepeats
 from ..types import Array, Recording, Series
@@ -73,7 +74,7 @@ def delay_by_flow(read: Recording, seen: GridFlow | None) -> FlowDelay | None:
     suffice."""
     if read.signals.joints is None or seen is None or len(seen.times) < 2:
         return None
-    seen = merge_slow_repeats(seen)
+    seen = date_by_camera_clock(merge_slow_repeats(seen))
     interval_s = float(np.median(np.diff(seen.times, axis=1)))
     joints = smooth_joints(
         read.signals.joints, min(interval_s / KNOTS_PER_INTERVAL, LONGEST_KNOT_S)
@@ -114,6 +115,19 @@ def merge_slow_repeats(seen: GridFlow) -> GridFlow:
     last = np.append(first[1:] - 1, len(seen.times) - 1)
     times = np.column_stack([seen.times[first, 0], seen.times[last, 1]])
     return replace(seen, times=times, flow=np.add.reduceat(seen.flow, first, axis=0))
+
+
+def date_by_camera_clock(seen: GridFlow) -> GridFlow:
+    """The flow of a camera with the times of its own clock, where it has one that its recorder's
+    stamps tell; intervals between copies of one picture join the one that follows."""
+    clock = fit_camera_clock(seen.repeats.t, alternating_repeats(seen.repeats))
+    if clock is None:
+        return seen
+    dates = clock.date_pictures(np.append(seen.times[:, 0], seen.times[-1, 1]))
+    kept = np.flatnonzero(np.diff(dates, prepend=-np.inf))
+    times = np.column_stack([dates[kept[:-1]], dates[kept[1:]]])
+    flow = np.add.reduceat(seen.flow[: kept[-1]], kept[:-1], axis=0)
+    return replace(seen, times=times, flow=flow)
 
 
 def _longest_row_time(seen: GridFlow) -> float:

@@ -6,8 +6,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bodylog.delays.flow import group_joints, measure_flow_delays, name_moving_arm, smooth_joints
+from bodylog.delays.flow import (
+    date_by_camera_clock,
+    group_joints,
+    measure_flow_delays,
+    name_moving_arm,
+    smooth_joints,
+)
 from bodylog.delays.flow_delay import estimate_flow_delay
+from bodylog.perception.surface.flow import GridFlow
+from bodylog.perception.surface.repeats import FrameRepeats
 from bodylog.recording import recording
 from bodylog.settings import Settings, TopicSettings
 from bodylog.types import Array, Series
@@ -35,15 +43,19 @@ def recorded(seed: int, noise: float) -> Series:
 
 def filmed(seed: int, delay: float) -> tuple[Array, Array]:
     """Stamps (N,2), late by `delay` s, and the flow that the right arm causes, with noise and glitches."""
-    rng = np.random.default_rng(seed + 200)
     true = np.arange(1.0, 15.0, 1.0 / 15.0)
-    times = np.column_stack([true[:-1], true[1:]])
-    begin, end = angles(seed, times[:, 0])[:, 2:], angles(seed, times[:, 1])[:, 2:]
+    return np.column_stack([true[:-1], true[1:]]) + delay, make_flow(seed, true)
+
+
+def make_flow(seed: int, true: Array) -> Array:
+    """The flow (N-1,6,8,2) between pictures taken at `true` (N,) s."""
+    rng = np.random.default_rng(seed + 200)
+    begin, end = angles(seed, true[:-1])[:, 2:], angles(seed, true[1:])[:, 2:]
     constant, varying = rng.normal(0.0, 30.0, (96, 3)), rng.normal(0.0, 20.0, (96, 3, 3))
     slope = constant + np.einsum("nk,cjk->ncj", begin, varying)
-    flow = np.einsum("ncj,nj->nc", slope, end - begin) + rng.normal(0.0, 0.3, (len(times), 96))
-    flow[rng.choice(len(times), 6, replace=False)] += rng.normal(0.0, 20.0, (6, 96))
-    return times + delay, flow.reshape(-1, 6, 8, 2)
+    flow = np.einsum("ncj,nj->nc", slope, end - begin) + rng.normal(0.0, 0.3, (len(begin), 96))
+    flow[rng.choice(len(begin), 6, replace=False)] += rng.normal(0.0, 20.0, (6, 96))
+    return np.asarray(flow.reshape(-1, 6, 8, 2))
 
 
 @pytest.mark.parametrize(("seed", "delay"), [(0, 0.083), (1, -0.05), (2, 0.0)])
@@ -54,6 +66,35 @@ def test_delay_is_recovered_with_its_error_bar(seed: int, delay: float) -> None:
     assert found is not None and found.certain
     assert found.joints == (2, 3, 4)
     assert abs(found.delay.seconds - delay) < min(3.0 * found.delay.std_error + 0.0005, 0.006)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_recorder_that_stores_a_slow_camera_twice_leaves_the_delay(seed: int) -> None:
+    """Stamps k/30 of a camera at 15.1 Hz lie up to 33 ms behind it; its clock leaves the delay that the true
+    times of its pictures have."""
+    rng = np.random.default_rng(seed)
+    taken = np.arange(1.0 + rng.uniform(0.0, 0.06), 15.0, 1.0 / 15.1)
+    ticks = np.arange(31, 449) / 30.0
+    latest = np.searchsorted(taken, ticks, side="right") - 1
+    ticks, latest = ticks[latest >= 0], latest[latest >= 0]
+    repeated = np.diff(latest, prepend=-1) == 0
+    new = ticks[~repeated]
+    flow = make_flow(seed, taken)[: len(new) - 1]
+    nothing = np.zeros(len(ticks))
+    repeats = FrameRepeats(ticks, repeated, np.ones(len(ticks), bool), nothing, nothing)
+    times = np.column_stack([new[:-1], new[1:]])
+    seen = GridFlow(times, flow, nothing, nothing, nothing, nothing, (), repeats, (320, 240))
+    dated = date_by_camera_clock(seen)
+    joints = smooth_joints(recorded(seed, 0.002), 0.015)
+    shown = taken[latest[~repeated]]
+    late = float(np.mean(new - shown))
+    true = replace(seen, times=np.column_stack([shown[:-1], shown[1:]]) + late)
+    by_stamps, by_clock, by_truth = (
+        estimate_flow_delay(joints, one.times, one.flow, GROUPS, 0.0) for one in (seen, dated, true)
+    )
+    assert by_stamps is not None and by_clock is not None and by_truth is not None
+    assert abs(by_clock.delay.seconds - by_truth.delay.seconds) < 0.0005
+    assert by_clock.nats > by_stamps.nats + 20.0
 
 
 def test_images_of_another_motion_are_refused() -> None:
