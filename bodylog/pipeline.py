@@ -294,7 +294,6 @@ def estimate(
     from .annotating import annotate, estimate_metadata, pose_topics
     from .body import storage
     from .robot import model as robot_model
-    from .surface import estimate as surface_estimate
 
     require_distinct_paths(
         [log, *(robot_model.urdf_files(settings) if body is None else [body])],
@@ -316,8 +315,13 @@ def estimate(
         learned = body_of_encoders(read, settings) if known is None else known
         cameras = require_same_camera(log, learned.provenance.get("cameras", ()), read, features)
         require_same_size(log, learned, features, settings)
-        by_body = estimate_log if learned.surface is None else surface_estimate.estimate_by_surface
-        found = by_body(LogWithBody(log, read, features, learned, settings, typed))
+        given = LogWithBody(log, read, features, learned, settings, typed)
+        if learned.surface is None:
+            found = estimate_log(given)
+        else:
+            from .surface.estimate import estimate_by_surface
+
+            found = estimate_by_surface(given)
         lost = written.add(estimate_messages(read, features, found))
         read = pose_topics.with_true_poses(log, found, read)
         origin = provenance_of_logs([(log, written.digest())], read.facts.settings)

@@ -18,7 +18,6 @@ FIXED = {1: "<d", 2: "<f", 6: "<Q", 7: "<I", 15: "<i", 16: "<q"}
 MESSAGE = 11
 STRING = 9
 BYTES = 12
-_BOOL = 8
 _GROUP = 10
 DEEPEST = 64
 _WIRES = {0: 0, 1: 8, 5: 4}
