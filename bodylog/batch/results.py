@@ -68,7 +68,7 @@ class Journal:
         """The files of the task, with all rows; returns the rows as written."""
         first = self._whole[0]
         if first.task == EXAMINE:
-            return write_examined(self._out, rows, first.bounds)
+            return write_examined(self._out, rows, first.bounds, first.body)
         write_batch_files(self._out, rows)
         return rows
 
@@ -110,14 +110,17 @@ def write_batch_files(out: Path, rows: Sequence[Row]) -> None:
         write_text_atomically(out / name, text, ODD)
 
 
-def write_examined(out: Path, rows: Sequence[Row], bounds: Sequence[str]) -> list[Row]:
-    """The files of a dataset's examination; returns the rows, judged beside their siblings.
+def write_examined(
+    out: Path, rows: Sequence[Row], bounds: Sequence[str], body: Path | None
+) -> list[Row]:
+    """The files of a dataset's examination, by a body or by none; returns the rows, judged beside
+    their siblings.
 
     JUnit XML has one more case, for the dataset: bounds may name figures of the whole.
     """
     from ..dataset import outputs
 
-    judged = outputs.judge_dataset(out, rows)
+    judged = outputs.judge_dataset(out, rows, body)
     whole = outputs.dataset_row(judged, bounds)
     texts = {
         "results.jsonl": "".join(map(row_as_json_line, judged.rows)),

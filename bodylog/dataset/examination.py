@@ -135,6 +135,7 @@ def _add_surface(
         "by_surface": figures_of_surface,
         "faults": faults,
         "row_shares": {name: [share, at] for name, (share, at, _) in row_shares.items()},
+        "changes": dict(found.changes),
     }
 
 
@@ -179,8 +180,8 @@ def episode_evidence(
     robot: its type, "" if it is not known ·
     statistics {feature: count, min, max, mean, std} · digest: SHA-256 of the numbers as stored.
     `examine_episode` adds by_surface, the figures that are by the robot's surface, faults
-    [kind, sensor, size, standard error, unit], what differs from a body, and row_shares, how
-    delays follow the row time.
+    [kind, sensor, size, standard error, unit], what differs from a body, changes {camera: what it
+    weighed about that}, and row_shares, how delays follow the row time.
     """
     return {
         "figures": dict(sorted(figures.items())),

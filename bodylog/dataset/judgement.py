@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..delays.flow_delay import METHOD_STD_S, list_tried_delays
-from ..types import Array, Score
+from ..types import Array, Fault, Score
 from ..wording import list_in_words, quantity_text
 from .checks import BY_NAME, Check
 from .siblings import (
@@ -98,10 +98,13 @@ class DatasetJudgement:
 
 
 def judge_episodes(
-    rows: Sequence[Row], evidence: Mapping[str, Evidence], findings: Sequence[str] = ()
+    rows: Sequence[Row],
+    evidence: Mapping[str, Evidence],
+    findings: Sequence[str] = (),
+    since: Sequence[tuple[str, Fault]] = (),
 ) -> DatasetJudgement:
     """Judge the rows of a dataset's episodes; `findings`: what is wrong with the dataset's own
-    files."""
+    files · since: faults by a body that all episodes from one on have, with the name of that one."""
     names = [row["name"] for row in rows if row["name"] in evidence]
     alone = evidence
     evidence = _with_common_row_times(names, evidence)
@@ -121,7 +124,7 @@ def judge_episodes(
         standouts += _find_standouts(group, evidence, table, single, looks)
         for camera, (_, step) in moved.items():
             lasting += moved_sentences(camera, step, group)
-        singles, more = _compare_with_body(group, evidence)
+        singles, more = _compare_with_body(group, evidence, since)
         standouts += singles
         lasting += more
     odd = sorted(standouts, key=lambda one: -one.z)
@@ -184,10 +187,10 @@ def _robot_sentences(kinds: Mapping[Robot, Sequence[str]]) -> Iterator[str]:
 
 
 def _compare_with_body(
-    names: Sequence[str], evidence: Mapping[str, Evidence]
+    names: Sequence[str], evidence: Mapping[str, Evidence], together: Sequence[tuple[str, Fault]]
 ) -> tuple[list[StandsOut], list[str]]:
     """Episodes in which a sensor differs from what a body learned, and sentences on those in which
-    it does so in most episodes, or from one on."""
+    it does so in most episodes, or from one on; `together`: what episodes from one on tell."""
     episodes: dict[tuple[str, str], list[str]] = {}
     sizes: dict[tuple[str, str], dict[str, tuple[float, float, str]]] = {}
     for name in names:
@@ -197,7 +200,20 @@ def _compare_with_body(
                 sizes.setdefault((sensor, kind), {})[name] = (size, std, unit)
     singles = list[StandsOut]()
     lasting = list[str]()
+    for first, fault in together:
+        if first not in names:
+            continue
+        place = names.index(first)
+        whose = f"from {first} on" if place else f"in all {len(names)} episodes"
+        offset = quantity_text(fault.size, fault.std, fault.unit, True)
+        about = f", {offset}" if fault.std is not None else ""
+        text = f"{fault.name}: {_OF_BODY.get(fault.kind, fault.kind)} than the body that is given"
+        lasting.append(f"{text}{about}, {whose}, by these episodes together")
+        before = [one for one in episodes.get((fault.name, fault.kind), ()) if one in names[:place]]
+        episodes[fault.name, fault.kind] = before
     for (sensor, kind), odd in episodes.items():
+        if not odd:
+            continue
         known = sizes.get((sensor, kind), {})
         text = f"{sensor}: {_OF_BODY.get(kind, kind)} than the body that is given"
         count = len(odd)

@@ -12,7 +12,7 @@ from ..evaluation import bounds as score_bounds
 from ..io.atomic_files import read_limited_text as read_text
 from ..io.atomic_files import replace_atomically
 from ..io.values import read_json
-from ..types import Array
+from ..types import Array, Fault
 from .files import dataset_findings
 from .judgement import DatasetJudgement, Evidence, Row, judge_episodes
 
@@ -22,13 +22,31 @@ DATASET = "dataset"
 _MOST_BYTES = 64 << 20
 
 
-def judge_dataset(out: Path, rows: Sequence[Row]) -> DatasetJudgement:
-    """Judge the rows in a folder by the evidence beside them, and the dataset's own files."""
+def judge_dataset(out: Path, rows: Sequence[Row], body: Path | None = None) -> DatasetJudgement:
+    """Judge the rows in a folder by the evidence beside them, the dataset's own files, and the body
+    by which the episodes were examined."""
     evidence = read_evidence(out, rows)
     findings = tuple(
         dict.fromkeys(dataset_findings({row["name"]: row["log"] for row in rows}, evidence))
     )
-    return judge_episodes(rows, evidence, findings)
+    return judge_episodes(rows, evidence, findings, _find_lasting_faults(rows, evidence, body))
+
+
+def _find_lasting_faults(
+    rows: Sequence[Row], evidence: Mapping[str, Evidence], body: Path | None
+) -> list[tuple[str, Fault]]:
+    """What episodes together tell of a change since a body was learned: the first of them, and the
+    fault."""
+    from ..body import storage
+    from ..surface.estimate import find_lasting_faults
+
+    names = [row["name"] for row in rows if row["name"] in evidence]
+    if body is None or not any(evidence[name].get("changes") for name in names):
+        return []
+    found = find_lasting_faults(
+        [evidence[name].get("changes", {}) for name in names], storage.load_body(body)
+    )
+    return [(names[number], fault) for number, fault in found]
 
 
 def read_evidence(out: Path, rows: Sequence[Row]) -> dict[str, Evidence]:

@@ -26,8 +26,10 @@ joint's motion is correlated over more than that.
 FINE_STEPS_S = (0.01, 0.005)
 """Distances of the delays that are tried around the best one; a parabola gives the rest."""
 MIN_EVIDENCE_NATS = 80.0
-"""Least evidence for a delay over delays that are FAR_S away. Joints of one episode beside images
-of another, of the same task, reach 51 nats; true pairs have 210 and more."""
+"""Least evidence for a delay over delays that are FAR_S away. Of 304 films of drawn arms 31 have
+less; the delays of the others err by 11 ms rms, and one of 273 is wrong (by 85 ms). It does not
+tell whether images belong to the joints: of 28 films of another episode of the same arm two have
+more (86 and 163 nats), and no bound that true films pass would refuse all."""
 FAR_S = 0.2
 """Distance of delays that a motion of arms tells apart: half a period of the fastest reaches."""
 LEAST_KNOTS = 4

@@ -2,6 +2,7 @@
 offsets that the surface shows, and the postures that its images tell.
 """
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -186,25 +187,56 @@ def judge_together(
 
     logs: of each log the changes that its estimate's settings hold (SURFACE_CHANGES).
     """
-    from ..kinematics.landmark_hypotheses import ChangeHypothesis, join_changes
-
     assert learned.surface is not None
     names = {joint: name for name, joint in learned.surface.joint_of.items()}
     for camera in learned.surface.cameras:
         each = [one[camera.name] for one in logs if camera.name in one]
         if len(each) < 2:
             continue
-        changes = join_changes(
-            [[ChangeHypothesis(**change) for change in one["changes"]] for one in each],
-            len(camera.delays),
-            MARGIN_NATS,
-        )
-        sure = _identifiable_joints(changes, learned.surface)
-        shifts = [one["shift_px"] for one in each]
-        shift = None if None in shifts else max(shifts)
-        joined = CameraChanges(camera.name, changes, sure, shift)
+        joined = _join_logs(each, camera, learned.surface)
         least = _smallest_shown_offsets(joined, learned, names, {})
         yield camera.name, len(each), _winning_fault(joined, 0.0, learned), least
+
+
+def _join_logs(
+    each: Sequence[Mapping[str, Any]], camera: SurfaceCamera, surface: Surface
+) -> CameraChanges:
+    """What several logs tell together of one camera, by the changes of each."""
+    from ..kinematics.landmark_hypotheses import ChangeHypothesis, join_changes
+
+    changes = join_changes(
+        [[ChangeHypothesis(**change) for change in one["changes"]] for one in each],
+        len(camera.delays),
+        MARGIN_NATS,
+    )
+    shifts = [one["shift_px"] for one in each]
+    shift = None if None in shifts else max(shifts)
+    return CameraChanges(camera.name, changes, _identifiable_joints(changes, surface), shift)
+
+
+def find_lasting_faults(
+    logs: Sequence[Mapping[str, Any]], learned: BodyModel
+) -> Iterator[tuple[int, Fault]]:
+    """Yield for each camera the fault that all logs from one on have in common, and the number of
+    that one: of all numbers that with most evidence, less the logarithm of how many there are.
+
+    logs: of each log, in order, the changes that its estimate's settings hold (SURFACE_CHANGES);
+    empty where nothing was judged.
+    """
+    assert learned.surface is not None
+    for camera in learned.surface.cameras:
+        known = [number for number, one in enumerate(logs) if camera.name in one]
+        found = list[tuple[float, int, Fault]]()
+        for place, number in enumerate(known[:-1]):
+            each = [logs[one][camera.name] for one in known[place:]]
+            joined = _join_logs(each, camera, learned.surface)
+            fault = _winning_fault(joined, 0.0, learned)
+            nats = max(change.nats for change in joined.changes) - joined.changes[0].nats
+            if fault is not None and nats >= FAULT_EVIDENCE_NATS + math.log(len(known)):
+                found.append((nats, number, fault))
+        if found:
+            _, number, fault = max(found, key=lambda one: one[0])
+            yield number, fault
 
 
 def _add_offset_variances(found: Estimate, faults: Sequence[Fault]) -> Estimate:

@@ -87,5 +87,14 @@ def test_an_encoder_that_was_homed_again_is_named_with_its_episode_and_size(
     assert (odd.episode, odd.figures) == ("arm_1", ("offset/lift",))
     assert "lift: its encoder has another zero than the body that is given" in odd.text
     assert "(+5 ± 0.17°)" in odd.text
-    (lasting,) = [text for text in judged.findings if "top" in text]
+    (lasting,) = [text for text in judged.findings if "it stands elsewhere" in text]
     assert lasting.endswith("it stands elsewhere before the arm than the body that is given, from arm_3 on")
+
+    # what the episodes from one on tell together stands for what single ones of them tell
+    fault = Fault("encoders", "lift", "offset", 0.0, 0.05, "rad", 0.001)
+    judged = judge_episodes(rows, evidence, (), [("arm_1", fault)])
+    assert not judged.outliers
+    (text,) = [text for text in judged.findings if "lift" in text]
+    assert text.endswith("(+2.86 ± 0.057°), from arm_1 on, by these episodes together")
+    judged = judge_episodes(rows, evidence, (), [("arm_2", fault)])
+    assert [one.episode for one in judged.outliers] == ["arm_1"]

@@ -86,6 +86,22 @@ def test_logs_tell_together_what_none_of_them_tells_alone():
     assert surface_findings.examine_together(logs[:1], learned) == ((), ())
 
 
+def test_an_offset_that_no_log_tells_alone_is_found_from_its_first_log_on():
+    camera = SimpleNamespace(name="camera", delays=np.zeros(8))
+    surface = SimpleNamespace(joint_of={"pan": "pan", "elbow": "elbow"}, cameras=(camera,))
+    learned = SimpleNamespace(surface=surface, joints=("pan", "elbow"))
+    rng = np.random.default_rng(4)
+    for first in (0, 3):
+        sizes = rng.normal(0.0, 0.5, 8) + np.where(np.arange(8) < first, 0.0, 3.0)
+        logs = [changes_of_log(np.radians(size)) for size in sizes]
+        logs[5] = {}
+        ((number, fault),) = surface_estimate.find_lasting_faults(logs, learned)
+        assert number == first and fault.name == "elbow"
+        assert abs(np.degrees(fault.size) - 3.0) < 2.0 * np.degrees(fault.std)
+    sound = [changes_of_log(np.radians(size)) for size in rng.normal(0.0, 1.0, 8)]
+    assert not list(surface_estimate.find_lasting_faults(sound, learned))
+
+
 @pytest.mark.soak
 def test_offsets_of_a_real_humanoid_are_named_with_their_sizes():
     if not humanoid_faults.G1.is_dir():
