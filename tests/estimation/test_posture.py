@@ -55,7 +55,7 @@ def estimated(features, seed, method="smoother", **settings):
 
 def test_smoother_is_better_than_by_encoders_alone_and_knows_how_good():
     ratios, all_nees = [], []
-    for seed in (11, 12, 13, 14):  # the factor was set on 0 to 5
+    for seed in (11, 12, 13, 14):  # the factor was chosen on others
         features = drawn_log(seed)
         found, rms, nees = estimated(features, seed)
         _, alone, _ = estimated(features, seed, without=("vision",))

@@ -8,7 +8,7 @@ import pytest
 
 from bodylog.delays.findings import ExaminedDelays
 from bodylog.errors import ModelError
-from bodylog.settings import KinematicsSettings, Settings
+from bodylog.settings import CameraSettings, KinematicsSettings, Settings
 from bodylog.surface import calibration as surface_calibration
 from bodylog.surface import findings as surface_findings
 from bodylog.types import Series
@@ -55,6 +55,37 @@ def test_surface_of_a_rendered_arm_gives_delay_and_lens(worlds, run_cli, capsys)
     found = {name: score["value"] for name, score in entry["scores"].items()}
     assert abs(found["delay/camera"]) < max(0.003, 2.0 * found["std/delay/camera"])
     assert found["focal/camera"] == pytest.approx(717.3, abs=3.0 * found["std/focal/camera"])
+
+
+def place_of_recorded_camera(arm: str) -> tuple[float, ...]:
+    """x, y, z (m), roll, pitch, yaw (rad) in the base of the optical frame that `record` films an arm from."""
+    from bodylog.sim.arms import ARMS
+    from bodylog.sim.camera import look_at
+    from bodylog.sim.stage import _ASIDE
+    from bodylog.sim.world import open_world
+
+    with open_world(ARMS[arm]) as world:
+        places, _ = world.pose(np.array(ARMS[arm].home))
+        target = places[world.links.index("effector")]
+    camera = look_at(target + ARMS[arm].camera, target + _ASIDE, (320, 240))
+    turn = camera.rotation.T
+    angles = np.arctan2(turn[2, 1], turn[2, 2]), -np.arcsin(turn[2, 0]), np.arctan2(turn[1, 0], turn[0, 0])
+    return (*camera.position, *angles)
+
+
+@pytest.mark.soak
+def test_rows_that_are_exposed_one_after_another_are_told_from_a_delay(run_cli, tmp_path):
+    """Seven joints before a shutter of 60 ms; a stamp is that of the first row, so the middle one is 30 ms later."""
+    log = tmp_path / "explore.mcap"
+    options = ("--scene", "bare", "--arm", "seven", "--size", "320x240", "--hardware", "rolling=0.06", "--noise", 0.002)
+    assert run_cli("record", "babble", "--full", *options, "--seed", 62, "--duration", 12, "-o", log) == 0
+    camera = CameraSettings(link="base_link", place=place_of_recorded_camera("seven"))
+    settings = Settings(kinematics=KinematicsSettings(urdf="log"), camera=camera)
+    found = scores(surface_findings.examine_by_surface(log, settings))
+    assert found["row_time/camera"] == pytest.approx(0.06, abs=2.0 * found["std/row_time/camera"])
+    assert found["row_time/camera"] > 0.04 and found["std/row_time/camera"] < 0.03
+    assert found["delay/camera"] == pytest.approx(-0.03, abs=2.0 * found["std/delay/camera"])
+    assert found["std/delay/camera"] < 0.006
 
 
 @pytest.mark.soak
