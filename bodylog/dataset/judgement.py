@@ -223,8 +223,8 @@ def _compare_with_body(
             values = np.array([size for size, *_ in known.values()])
             about = ""
             if len(values):
-                first = next(iter(known.values()))
-                about = f", {quantity_text(float(np.median(values)), None, first[2], True)}"
+                unit = next(iter(known.values()))[2]
+                about = f", {quantity_text(float(np.median(values)), None, unit, True)}"
             lasting.append(f"{text}{about}, {where}")
             continue
         for name in odd:
