@@ -34,6 +34,8 @@ deviation, and slips a second.
 FINER = (2.0, 1.4)
 """Factors by which each of these is then moved to either side."""
 MOST_HALVINGS = 8
+FEWEST_SLIPS = 10
+"""Slips of which the size is known to a quarter."""
 TURN = 2.0 * np.pi
 """rad: within what an outlier of an encoder may be."""
 SURE = 1e-9
@@ -75,8 +77,8 @@ def estimate_stick_slip(
     settings: EstimationSettings,
     rough: RoughMotion,
 ) -> Estimate | None:
-    """The estimate with joints that stick and slip, where it foretells images by
-    EVIDENCE_THRESHOLD_NATS better than a smooth motion; else None.
+    """The estimate with joints that stick and slip, where it foretells images, or all
+    measurements, by EVIDENCE_THRESHOLD_NATS better than a smooth motion; else None.
 
     Rates are those of the smooth motion.
     """
@@ -88,10 +90,16 @@ def estimate_stick_slip(
     slips = learn_slips(encoders, problem.precision.encoder)
     t = problem.timeline.t
     early = range(int(np.searchsorted(t, t[0] + LEARNED_S, "right")))
-    scales, nats = _learn_image_noise(problem, slips, early)
+    if not _slips_often(encoders, slips):
+        return None
+    scales, first = _learn_image_noise(problem, slips, early)
     judged = rough.at < len(early)
-    smooth = float(rough.nats[judged].sum())
-    if smooth - float(nats[np.unique(rough.at[judged])].sum()) <= EVIDENCE_THRESHOLD_NATS:
+    images = first.image_nats[np.unique(rough.at[judged])]
+    gains = (
+        float(rough.image_nats[judged].sum() - images.sum()),
+        float(rough.nats[: len(early)].sum() - first.nats.sum()),
+    )
+    if max(gains) <= EVIDENCE_THRESHOLD_NATS:
         return None
     found = follow_slips(problem, slips, scales, range(len(t)))
     if settings.method == "smoother":
@@ -122,6 +130,14 @@ def estimate_stick_slip(
         settings={**made.settings, HARDWARE_ERRORS: errors},
         findings=(*made.findings, Finding("warning", text)),
     )
+
+
+def _slips_often(encoders: Encoders, slips: StickSlip) -> bool:
+    """Whether some joint has FEWEST_SLIPS steps of half the
+    size of its slips: an arm at rest stands still, too.
+    """
+    steps = np.abs(np.diff(encoders.values, axis=0)) > 0.5 * slips.size
+    return bool((steps.sum(axis=0) >= FEWEST_SLIPS).any())
 
 
 def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
@@ -183,21 +199,21 @@ def _most_evident(read: tuple[Array, Array, Array], tried: Array) -> Array:
 
 def _learn_image_noise(
     problem: FilterProblem, slips: StickSlip, order: Sequence[int]
-) -> tuple[list[float], Array]:
-    """Factors on the variance of each sighting's images by their evidence, halved
-    while that grows, and nats (E,) of images: a smooth motion takes slips for noise of images.
+) -> tuple[list[float], StuckBelief]:
+    """Factors on the variance of each sighting's images by their evidence, halved while
+    that grows, and the beliefs: a smooth motion takes slips for noise of images.
     """
     tried = [problem.precision.scale.get(one.name, 1.0) for one in problem.evidence.sightings]
     best = tried
-    nats = follow_slips(problem, slips, best, order).image_nats
+    found = follow_slips(problem, slips, best, order)
     for _ in range(MOST_HALVINGS):
         tried = [0.5 * scale for scale in tried]
-        after = follow_slips(problem, slips, tried, order).image_nats
-        if after.sum() >= nats.sum():
+        after = follow_slips(problem, slips, tried, order)
+        if after.image_nats.sum() >= found.image_nats.sum():
             break
         best = tried
-        nats = after
-    return best, nats
+        found = after
+    return best, found
 
 
 def follow_slips(
