@@ -68,6 +68,14 @@ def test_a_camera_of_varying_rate_has_no_clock(seed: int) -> None:
 
 
 @pytest.mark.parametrize("seed", SEEDS)
+def test_a_camera_whose_rate_drifts_has_no_clock(seed: int) -> None:
+    """Its rate rises and falls by 6 % in 10 s; nearly every second frame of the recorder is new all the same."""
+    swing = np.sin(np.arange(200) / 25.0 + seed)
+    t, repeated, _ = store_pictures(np.cumsum((1.0 + 0.06 * swing) / 15.0), np.arange(390) / 30)
+    assert fit_camera_clock(t, repeated) is None
+
+
+@pytest.mark.parametrize("seed", SEEDS)
 def test_true_stamps_are_left_alone(seed: int) -> None:
     """Stamps of the camera itself, with its jitter, some pictures sent twice; and those of a recorder that is slower
     than its camera."""

@@ -30,6 +30,9 @@ MISTAKEN_SHARE = 0.1
 """Share of frames that are new or repeated by mistake, where a picture moves slowly or is lost."""
 LEAST_EXPLAINED = 0.5
 """Share of the entropy of new and repeated frames that a clock has to explain."""
+LEAST_EXPECTED = 0.9
+"""Share of new pictures that follow the one before and wait for no longer than one beat, at least:
+of 60 drawn regular cameras 0.97 to 1, of 20 whose rate swings by 6 % in 10 s 0.80 to 0.89."""
 LONGEST_TO_MEAN = (0.9, 1.12)
 """Periods that are tried, over the mean time between new pictures: some pictures are lost, some
 repeats are not seen."""
@@ -109,6 +112,10 @@ def fit_camera_clock(t: Array, repeated: Array) -> CameraClock | None:
     number = _latest_pictures(arrived.until, phase, period, arrived.early_s)
     waits = arrived.until - phase - period * number
     first = np.flatnonzero(np.diff(number, prepend=-np.inf))
+    within = waits <= arrived.until - arrived.after + arrived.early_s
+    follows = np.diff(number, prepend=number[0] - 1.0) == 1.0
+    if np.mean(within & follows) < LEAST_EXPECTED:
+        return None
     return CameraClock(phase, period, float(np.mean(waits[first])), arrived.early_s)
 
 
