@@ -45,9 +45,7 @@ class Estimator(LiveEstimator):
             else correction.fixed_delays(delay, cameras)
         )
 
-    def step(
-        self, t: float, joints: Angles | None = None, **places: Place | None
-    ) -> Belief:
+    def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> Belief:
         """The belief after all readings stamped t (s): joints in rad, places (u, v) or (u, v,
         std_u, std_v) in px, or (x, y, z), with their std, in m.
 

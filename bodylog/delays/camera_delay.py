@@ -365,9 +365,7 @@ def _misstated_tracks(scores: Iterable[Score]) -> dict[str, float]:
     {track}, where these are too large for sound ones.
     """
     named = ((one.name.partition("nis/held_out/"), one.value) for one in scores)
-    return {
-        track: value for (_, found, track), value in named if found and value > MOST_HELD_OUT
-    }
+    return {track: value for (_, found, track), value in named if found and value > MOST_HELD_OUT}
 
 
 def _remaining_errors(

@@ -102,9 +102,7 @@ def learn_noise(
         nats = float(found.fun)
         if settled:
             break
-    return Learned(
-        noise, path, nats, beliefs.sizes[0], beliefs.sizes_cov[0], eliminated.schur
-    )
+    return Learned(noise, path, nats, beliefs.sizes[0], beliefs.sizes_cov[0], eliminated.schur)
 
 
 def _errors(joints: JointNoise) -> Array:
@@ -147,9 +145,7 @@ def _from_vector(p: Array, like: Noise) -> Noise:
         rest = rest[count + 1 :]
     factors = np.exp(rest).tolist()
     first = len(like.scales)
-    return replace(
-        like, joints=made, scales=tuple(factors[:first]), groups=tuple(factors[first:])
-    )
+    return replace(like, joints=made, scales=tuple(factors[:first]), groups=tuple(factors[first:]))
 
 
 def _units(problem: FactorProblem, noise: Noise) -> Array:

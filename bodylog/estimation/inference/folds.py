@@ -58,9 +58,7 @@ def choose_fold(events: int) -> Fold:
     return Fold(events, length, max(1, -(-events // length)))
 
 
-def fold_readings(
-    problem: FilterProblem, fold: Fold, held: Array | None = None
-) -> FilterReadings:
+def fold_readings(problem: FilterProblem, fold: Fold, held: Array | None = None) -> FilterReadings:
     """Readings of all instants, folded, without the frames'
     tangents; held (E,M) bool: joints silent for long.
     """

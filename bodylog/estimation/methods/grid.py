@@ -128,7 +128,11 @@ def build_grid_problem(
     senses = [] if encoders is None else [encoders]
     senses += [
         _build_visual_sense(
-            s, t, noise.scale.get(s.name, 1.0), width, noise_model.typed_track_variance(settings, s.name)
+            s,
+            t,
+            noise.scale.get(s.name, 1.0),
+            width,
+            noise_model.typed_track_variance(settings, s.name),
         )
         for s in seen
     ]

@@ -159,9 +159,7 @@ def _smooth_path(
         trace,
     )
     _, start = smooth_states(readings, trace, np.zeros_like(trace.z[-1]), dynamics)
-    smooth, _ = smooth_states(
-        readings, trace, adjoints_for_next_round(start), dynamics
-    )
+    smooth, _ = smooth_states(readings, trace, adjoints_for_next_round(start), dynamics)
     return fold.unfold(smooth[:, :m]), trace
 
 

@@ -106,7 +106,17 @@ def assign_column_roles(table: FileTable, path: str) -> PoseColumns:
     notes += [f"the camera's lens: {', '.join(lens)}"] if lens else []
     if unused:
         notes.append(f"columns not used: {', '.join(unused)}")
-    return PoseColumns(joints, tracks, std, images, t, time, tuple(notes), lens, (*dict.fromkeys(odd.values()), *partial))
+    return PoseColumns(
+        joints,
+        tracks,
+        std,
+        images,
+        t,
+        time,
+        tuple(notes),
+        lens,
+        (*dict.fromkeys(odd.values()), *partial),
+    )
 
 
 def are_image_files(files: Array) -> bool:
