@@ -192,17 +192,17 @@ def _find_coloured(errors: Array, encoders: Encoders, noise: Array) -> Array:
     found = np.zeros(len(noise), bool)
     for j, column in enumerate(cut.T):
         values = encoders.values[:, j]
-        known = np.isfinite(column)
-        if known.sum() < FEWEST_READINGS or not (
+        read = column[np.isfinite(column)]
+        if len(read) < FEWEST_READINGS or not (
             noise[j] > MOST_COUNTS * quantisation_variance(values[np.isfinite(values)])
         ):
             continue
-        square = float(np.mean(np.square(column[known])))
+        square = float(np.mean(np.square(read)))
         if square < LEAST_SQUARE:
             continue
         for lag in (1, 2):
-            product = column[lag:] * column[:-lag]
-            found[j] |= abs(float(np.nanmean(product))) > MOST_COLOUR * square
+            product = read[lag:] * read[:-lag]
+            found[j] |= abs(float(np.mean(product))) > MOST_COLOUR * square
     return found
 
 
