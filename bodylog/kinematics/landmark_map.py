@@ -29,7 +29,7 @@ class Foretold:
     front: Array
 
 
-def foretell(
+def predict_landmarks(
     model: LandmarkModel, phi: Array, landmarks: Landmarks, t: Array, log: int, height: float
 ) -> Foretold:
     """Where landmarks appear at image times t (F,) s of a log, in images `height` px high."""

@@ -60,7 +60,7 @@ def find_again(
     """
     import numpy as np
 
-    from ..kinematics.landmark_map import LEAST_FACING, foretell, nearest_views, view_maps
+    from ..kinematics.landmark_map import LEAST_FACING, nearest_views, predict_landmarks, view_maps
     from ..kinematics.landmarks import LandmarkSightings
     from ..perception.surface.patches import match_templates, warp_patches
 
@@ -69,7 +69,7 @@ def find_again(
     possible = np.zeros(known.count, int)
     for log, key in enumerate(keys):
         t = key.t[::every]
-        there = foretell(model, phi, landmarks, t, log, height)
+        there = predict_landmarks(model, phi, landmarks, t, log, height)
         for number, image in enumerate(key.images[::every]):
             views, facing = nearest_views(known, there.by_place[:, number])
             some = np.flatnonzero((facing >= LEAST_FACING) & there.front[:, number])

@@ -6,7 +6,7 @@ import numpy as np
 
 from bodylog.body_model import LandmarkMap
 from bodylog.kinematics.landmark_adjustment import Landmarks, reduce_normal
-from bodylog.kinematics.landmark_map import foretell, nearest_views, place_prior, view_maps
+from bodylog.kinematics.landmark_map import nearest_views, place_prior, predict_landmarks, view_maps
 from bodylog.kinematics.landmarks import LandmarkBelief, LandmarkModel, LandmarkSightings
 from tests.kinematics.landmark_arm import model, motion, seen, truth
 
@@ -76,7 +76,7 @@ def test_landmarks_are_foretold_where_they_are_exposed():
     places = np.array([built.bodies[b].centre + 0.35 * built.bodies[b].size * rng.standard_normal(3) for b in body])
     for piece in range(part.count):
         rows = part.piece == piece
-        found = foretell(built, phi, Landmarks(body, places), part.t[rows], 0, part.height)
+        found = predict_landmarks(built, phi, Landmarks(body, places), part.t[rows], 0, part.height)
         np.testing.assert_allclose(found.image[piece], part.uv[rows], atol=0.3)
         assert found.front[piece].all()
 

@@ -74,7 +74,7 @@ def place_of_recorded_camera(arm: str) -> tuple[float, ...]:
 
 
 @pytest.mark.soak
-def test_rows_that_are_exposed_one_after_another_are_told_from_a_delay(run_cli, tmp_path):
+def test_rows_that_are_exposed_one_after_another_are_distinguished_from_a_delay(run_cli, tmp_path):
     """Seven joints before a shutter of 60 ms; a stamp is that of the first row, so the middle one is 30 ms later."""
     log = tmp_path / "explore.mcap"
     options = ("--scene", "bare", "--arm", "seven", "--size", "320x240", "--hardware", "rolling=0.06", "--noise", 0.002)

@@ -5,7 +5,7 @@ import numpy as np
 
 from bodylog.body_model import PATCH_PX, LandmarkMap
 from bodylog.kinematics.landmark_adjustment import Landmarks
-from bodylog.kinematics.landmark_map import foretell
+from bodylog.kinematics.landmark_map import predict_landmarks
 from bodylog.perception.surface.corner_tracks import KeyFrames
 from bodylog.surface.map import find_again
 from tests.kinematics.landmark_arm import model, motion, truth
@@ -19,7 +19,7 @@ def test_landmarks_are_found_again_in_every_image_or_every_second():
     phi = truth(built)
     body = np.array([1, 2, 3])
     landmarks = Landmarks(body, np.array([built.bodies[b].centre for b in body]))
-    there = foretell(built, phi, landmarks, T, 0, HEIGHT)
+    there = predict_landmarks(built, phi, landmarks, T, 0, HEIGHT)
     rng = np.random.default_rng(2)
     patches = np.array([cv2.GaussianBlur(rng.uniform(0, 255, (PATCH_PX, PATCH_PX)), (0, 0), 1.2) for _ in body])
     patches = patches.astype(np.uint8)

@@ -77,7 +77,7 @@ def estimate_stick_slip(
     settings: EstimationSettings,
     rough: RoughMotion,
 ) -> Estimate | None:
-    """The estimate with joints that stick and slip, where it foretells images, or all
+    """The estimate with joints that stick and slip, where it predicts images, or all
     measurements, by EVIDENCE_THRESHOLD_NATS better than a smooth motion; else None.
 
     Rates are those of the smooth motion.
