@@ -46,7 +46,7 @@ METHOD_MODULES = {
     "kalman": "kalman",
     "predictive-coding": "predictive_coding",
 }
-"""Methods of estimation: the module of each in `estimation/methods/`, which describes it in METHODS."""
+"""Methods of estimation: the module of each in `estimation/methods/`; its METHODS describes it."""
 METHODS = tuple(METHOD_MODULES)
 PRESETS = ("default", "paper")
 CLOCKS = ("auto", "header", "log")

@@ -104,7 +104,7 @@ def judge_episodes(
     since: Sequence[tuple[str, Fault]] = (),
 ) -> DatasetJudgement:
     """Judge the rows of a dataset's episodes; `findings`: what is wrong with the dataset's own
-    files · since: faults by a body that all episodes from one on have, with the name of that one."""
+    files · since: faults by a body that all episodes from one on have, and the name of that one."""
     names = [row["name"] for row in rows if row["name"] in evidence]
     alone = evidence
     evidence = _with_common_row_times(names, evidence)

@@ -26,10 +26,10 @@ def observe(
     from .. import perception
     from ..recording import recording
 
-    def searcher() -> FrameConsumer:
+    def make_searcher() -> FrameConsumer:
         return perception.frame_searcher(settings, progress)
 
-    read = recording.read_recording(log, settings, settings.input.strict, searcher)
+    read = recording.read_recording(log, settings, settings.input.strict, make_searcher)
     look = still_pose_features if read.signals.poses else moving_features
     found = look(read, settings, progress)
     if guess:

@@ -96,7 +96,7 @@ def require_known(name: str, known: list[str], where: str, label: str) -> None:
 
 
 OTHER_NAMES = {"laplace": "filter", "rts": "smoother"}
-"""What papers call a method, and its name here: Laplace's approximation, Rauch, Tung and Striebel."""
+"""What papers call a method, and its name here: Laplace's approximation; Rauch, Tung, Striebel."""
 
 
 def find_nearest_name(name: str, known: Sequence[str]) -> str:

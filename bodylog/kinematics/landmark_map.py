@@ -19,7 +19,7 @@ _NEAREST_M = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Foretold:
+class PredictedLandmarks:
     """Landmarks (K,) at times (F,): image (K,F,2) px ·
     by_place (K,F,2,3) px/m · front (K,F): before the camera.
     """
@@ -31,7 +31,7 @@ class Foretold:
 
 def predict_landmarks(
     model: LandmarkModel, phi: Array, landmarks: Landmarks, t: Array, log: int, height: float
-) -> Foretold:
+) -> PredictedLandmarks:
     """Where landmarks appear at image times t (F,) s of a log, in images `height` px high."""
     count = len(landmarks.body)
     frames = len(t)
@@ -44,7 +44,9 @@ def predict_landmarks(
         uv = predicted.image
     shape = (count, frames)
     front = predicted.depth.reshape(shape) > _NEAREST_M
-    return Foretold(uv.reshape(*shape, 2), predicted.by_place.reshape(*shape, 2, 3), front)
+    return PredictedLandmarks(
+        uv.reshape(*shape, 2), predicted.by_place.reshape(*shape, 2, 3), front
+    )
 
 
 def looking(slopes: Array) -> Array:

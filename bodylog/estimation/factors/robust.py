@@ -23,11 +23,7 @@ def believed(residual: Array, cov: Array, span: Array) -> Array:
     """Shares (F,) of residuals (F,D) with covariances
     (F,D,D); outliers lie anywhere within span (D,).
     """
-    rows = residual.shape[1]
-    square = np.einsum("fd,fd->f", residual, np.linalg.solve(cov, residual[..., None])[..., 0])
-    log_det = np.linalg.slogdet(cov)[1]
-    inlier = -0.5 * (square + log_det + rows * np.log(2.0 * np.pi)) + np.log1p(-OUTLIERS)
-    outlier = np.log(OUTLIERS) - np.log(span).sum()
+    inlier, outlier = _log_mixture(residual, cov, span)
     share = 1.0 / (1.0 + np.exp(np.clip(outlier - inlier, -50.0, 50.0)))
     return np.asarray(np.maximum(share, LEAST))
 
@@ -39,11 +35,16 @@ def image_span(values: Array, var: Array) -> Array:
 
 def mixture_nats(residual: Array, cov: Array, span: Array) -> Array:
     """−ln p (F,) of residuals (F,D) with covariances (F,D,D), or of outliers within span (D,)."""
-    square = np.einsum("fd,fd->f", residual, np.linalg.solve(cov, residual[..., None])[..., 0])
+    return np.asarray(-np.logaddexp(*_log_mixture(residual, cov, span)))
+
+
+def _log_mixture(residual: Array, cov: Array, span: Array) -> tuple[Array, float]:
+    """Logarithms of (1 − ε) N(r; 0, S) (F,) and of ε / range."""
     rows = residual.shape[1]
-    inlier = -0.5 * (square + np.linalg.slogdet(cov)[1] + rows * np.log(2.0 * np.pi))
-    outlier = np.log(OUTLIERS) - np.log(span).sum()
-    return np.asarray(-np.logaddexp(inlier + np.log1p(-OUTLIERS), outlier))
+    square = np.einsum("fd,fd->f", residual, np.linalg.solve(cov, residual[..., None])[..., 0])
+    log_det = np.linalg.slogdet(cov)[1]
+    inlier = -0.5 * (square + log_det + rows * np.log(2.0 * np.pi)) + np.log1p(-OUTLIERS)
+    return inlier, float(np.log(OUTLIERS) - np.log(span).sum())
 
 
 def outlier_nats(share: Array, span: Array) -> float:

@@ -85,8 +85,8 @@ class ArmErrors:
         for name, ratio in self.held_out.items():
             yield Finding(
                 "warning",
-                f"{name}: in the exploration squared errors of held-out images were {ratio:.2g} times "
-                "their stated variance, so error bars are too small: encoders or the marker err for "
+                f"{name}: in the exploration squared errors of held-out images were {ratio:.2g} "
+                "times their stated variance, so error bars are too small: encoders or the marker err for "
                 'long, or joints stick and slip; see "What real arms do" in docs/validation.md',
             )
 
@@ -112,8 +112,8 @@ def learned_arm_errors(body: BodyModel | None) -> ArmErrors:
         numbers = [np.nan]
     if not all(map(isfinite, numbers)):
         raise ModelError(
-            f"provenance.{ARM_ERRORS}: found {given!r}, possible: play, rows, lasting and held_out in "
-            "numbers"
+            f"provenance.{ARM_ERRORS}: found {given!r}, possible: play, rows, lasting and held_out "
+            "in numbers"
         )
     return ArmErrors(play, rows, lasting, held_out)
 

@@ -159,8 +159,8 @@ def with_rough_motion(found: Estimate, rough: Array) -> Estimate:
     sizes = zip(found.joints.names, 1e3 * np.sqrt(rough), strict=True)
     each = ", ".join(f"{name} {size:.2g}" for name, size in sizes)
     text = (
-        "joints: encoders and the images after them err alike, or a reading and the next, so joints "
-        f"stick and slip, or shake, by about (mrad) {each}; error bars are widened by that; see "
+        "joints: encoders and the images after them err alike, or a reading and the next, so "
+        f"joints stick and slip, or shake, by about (mrad) {each}; error bars are widened by that; see "
         '"What real arms do" in docs/validation.md'
     )
     return replace(

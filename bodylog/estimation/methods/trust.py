@@ -36,7 +36,7 @@ MOST_MISFIT = 2.0
 their stated size, 1; error bars beyond it are wrong.
 """
 ROUGH_SIGMAS = 2.5
-"""Standard deviations from which errors of encoders and images are alike: by chance in 1 log of 160."""
+"""Standard deviations from which errors of encoders and images agree: by chance in 1 log of 160."""
 MOST_COLOUR = 0.1
 """Correlation of an encoder's innovations, from one reading to the next or the one after it, from
 which a joint does not move as assumed. Of 8 drawn sound logs each joint has at most 0.06, and of 8
@@ -44,8 +44,8 @@ in which joints stick and slip by four times the noise, and more, the least is 0
 """
 FEWEST_IMAGES = 24
 LEAST_SQUARE = 0.5
-"""Mean square of innovations in standard deviations below which error bars are too wide, and not too
-small: encoders of a microrad, on joints that turn smoothly, have 0.17 to 0.35.
+"""Mean square of innovations in standard deviations below which error bars are too wide, and not
+too small: encoders of a microrad, on joints that turn smoothly, have 0.17 to 0.35.
 """
 FEWEST_READINGS = 1000
 """Readings of which correlations are known to MOST_COLOUR / 3."""

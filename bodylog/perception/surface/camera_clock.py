@@ -23,7 +23,7 @@ A third of the scatter of stamps that are late by up to one beat."""
 REGULAR_SHARE = 0.95
 """Share of the stamps' intervals that are regular, at least."""
 JITTER_BEATS = 0.1
-"""Standard deviation, in beats, of pictures about their clock: the transport's and the recorder's."""
+"""Standard deviation, in beats, of pictures about their clock: of transport and recorder."""
 EARLIEST_SIGMA = 2.5
 """Such deviations by which a picture may be early: 1 in 160 is earlier."""
 MISTAKEN_SHARE = 0.1
