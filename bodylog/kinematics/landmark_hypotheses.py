@@ -175,24 +175,35 @@ def _join_offsets(
     variance = 1.0 / np.maximum(1.0 / posterior - 1.0 / prior, 1e-6 / prior)
     measured = np.array([one.value for one in logs]) / posterior * variance
     share = 1.0 / (learned_from + 1.0)
-    std = np.sqrt(variance)
-    sound = (1.0 - share) * np.diag(variance) + share * np.outer(std, std)
-    nats, apart = (
-        _ln_density(measured, sound + added) - _ln_density(measured, sound)
-        for added in (np.full(sound.shape, prior), prior * np.diag(gains > 0.0))
-    )
-    gain = prior * np.linalg.inv(sound + prior).sum(axis=0)
+    own = (1.0 - share) * variance
+    body = np.sqrt(share * variance)[:, None]
+    ones = np.ones((len(logs), 1))
+    sound = _ln_density(measured, own, body)
+    nats = _ln_density(measured, own, np.hstack([body, np.sqrt(prior) * ones])) - sound
+    apart = _ln_density(measured, own + prior * (gains > 0.0), body) - sound
+    weights = _solve_low_rank(ones, own, body)[:, 0]
+    precision = 1.0 / prior + float(weights.sum())
     common = apart - nats < margin
     return ChangeHypothesis(
         logs[0].name,
         nats if common else apart,
-        float(gain @ measured) if common else 0.0,
-        float(np.sqrt(prior * (1.0 - gain.sum()))),
+        float(weights @ measured) / precision if common else 0.0,
+        precision**-0.5,
         logs[0].beforehand,
     )
 
 
-def _ln_density(measured: Array, covariance: Array) -> float:
-    """Logarithm of a normal density about 0, less its constant."""
-    nats = np.linalg.slogdet(covariance)[1] + measured @ np.linalg.solve(covariance, measured)
-    return float(-0.5 * nats)
+def _ln_density(measured: Array, own: Array, factors: Array) -> float:
+    """Logarithm of a normal density about 0, less its constant, with the covariance
+    diag(own) + U Uᵀ of own (L,) and factors U (L,R): time grows with L alone.
+    """
+    small = np.eye(factors.shape[1]) + factors.T @ (factors / own[:, None])
+    square = measured @ _solve_low_rank(measured[:, None], own, factors)[:, 0]
+    return float(-0.5 * (np.log(own).sum() + np.linalg.slogdet(small)[1] + square))
+
+
+def _solve_low_rank(right: Array, own: Array, factors: Array) -> Array:
+    """(diag(own) + U Uᵀ)⁻¹ right (L,C), of own (L,) and factors U (L,R), by Woodbury's identity."""
+    scaled = factors / own[:, None]
+    small = np.eye(factors.shape[1]) + factors.T @ scaled
+    return np.asarray(right / own[:, None] - scaled @ np.linalg.solve(small, scaled.T @ right))
