@@ -1,10 +1,65 @@
-"""Integrated white noise on time nodes: its precision, and solutions in linear time."""
+"""How joints move: the table of motion models, and white noise on time nodes, whose precision
+is banded, so that solutions take linear time.
+"""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from math import factorial
+from typing import Protocol
 
 import numpy as np
 
 from .types import Array
+
+MAX_ORDER = 3
+"""Most states of a joint, MOST_ORDER of motion.h: angle, rate, acceleration."""
+
+
+class MotionModel(Protocol):
+    """How a joint's states move: angle (rad) and rate, and for order 3 acceleration.
+
+    Over short times it is white noise in the derivative `order`: its density, the process noise of
+    a joint in rad²/s³ or rad²/s⁵, is learned from a log or set.
+    """
+
+    @property
+    def order(self) -> int:
+        """Number p of states: 2 or 3."""
+
+    def transition(self, gap: Array) -> Array:
+        """Matrices (K,p,p) that move the states over the gaps (K,) s."""
+
+    def covariance(self, gap: Array) -> Array:
+        """Covariance (K,p,p) that the states gain over the gaps (K,) s by unit process noise."""
+
+
+@dataclass(frozen=True)
+class WhiteNoise:
+    """White noise in the derivative `order`: what the compiled filter knows, in motion.h.
+
+    Other models go to it as matrices of each step.
+    """
+
+    order: int
+
+    def transition(self, gap: Array) -> Array:
+        """Taylor's series over the gaps."""
+        return motion_transition(self.order, gap)
+
+    def covariance(self, gap: Array) -> Array:
+        """Covariance that integrated white noise gains over the gaps."""
+        return motion_covariance(self.order, gap)
+
+
+WHITE_ACCELERATION = "white-acceleration"
+WHITE_JERK = "white-jerk"
+MOTION_MODELS: dict[str, MotionModel] = {
+    WHITE_ACCELERATION: WhiteNoise(2),
+    WHITE_JERK: WhiteNoise(3),
+}
+"""Motion models by their names in `[estimate] motion`; a new one is a class and a line here."""
+PROCESS_UNITS: Mapping[int, str] = {2: "rad²/s³", MAX_ORDER: "rad²/s⁵"}
+"""Unit of process noise by the order of the motion."""
 
 
 def motion_covariance(order: int, gap: Array) -> Array:

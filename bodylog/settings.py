@@ -334,6 +334,11 @@ class EstimationSettings:
         "Variances: from this log (auto), the body (model) or the paper (fixed).",
         choices=("auto", "model", "fixed"),
     )
+    motion: str = declare_key(
+        "auto",
+        "Motion of joints: auto, white-acceleration, white-jerk, or another model's name.",
+        noun="motion model",
+    )
     bias: str = declare_key(
         "auto",
         "Encoder offset states; not for kalman, predictive-coding.",
@@ -386,7 +391,7 @@ class EstimationSettings:
     )
     process: float | Mapping[str, float] | None = declare_key(
         None,
-        "Process noise of all joints, or by joint.",
+        "Process noise of all joints, or by joint; rad²/s⁵ under white jerk.",
         unit="rad²/s³",
         low=1e-18,
         high=1e9,

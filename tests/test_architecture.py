@@ -38,7 +38,7 @@ ROOMS = {
     "perception": RECORDS,
     "body": {*RECORDS, "kinematics", "linear_algebra", "motion"},
     "estimation": {*RECORDS, "kinematics", "linear_algebra", "motion"},
-    "evaluation": RECORDS,
+    "evaluation": {*RECORDS, "motion"},
     "report": RECORDS,
     "sim": {*RECORDS, "choices", "kinematics"},
 }
@@ -272,6 +272,22 @@ METHODS = {"ours": Method(filtering.estimate_by_filter, Capabilities(), live=Tru
             found + '    faults.append(Fault("encoders", body.joints[0], FaultKind.SLEEPY, 1.0, 0.1, "rad"))\n',
         ),
     },
+    "a motion model": {
+        "bodylog/motion.py": (
+            (table := 'WHITE_ACCELERATION = "white-acceleration"\n'),
+            """class Fading(WhiteNoise):
+    def transition(self, gap: Array) -> Array:
+        moved = super().transition(gap)
+        moved[:, :, 2] *= np.exp(-gap)[:, None]
+        return moved
+
+
+"""
+            + table,
+            (line := "    WHITE_JERK: WhiteNoise(3),\n"),
+            line + '    "ours": Fading(3),\n',
+        ),
+    },
     "the words of a fault, of a verdict, of a score, of a setting": {
         "bodylog/findings/verdict.py": ("no fault found in", "none of these has a fault:")
     },
@@ -299,7 +315,10 @@ def test_a_change_is_placed_by_the_page_in_two_files_at_most(tmp_path):
             path.write_text(written)
     log = tmp_path / "log.ours"
     log.write_bytes(b"OURLOG" + (ROOT / "fixtures" / "arm" / "reach.mcap").read_bytes())
-    typed = ("estimate", log, "--method", "ours", "-o", tmp_path / "out.mcap")
+    config = tmp_path / "robot.toml"
+    config.write_text('[estimate]\nmotion = "ours"\n')
+    typed = ("estimate", log, "--method", "ours", "--config", config, "-o", tmp_path / "out.mcap")
     command = [sys.executable, "-m", "bodylog_cli", *map(str, typed)]
     printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
     assert "encoder is sleepy since 1.0 s" in printed and "none of these has a fault:" in printed
+    assert b'"motion": "ours"' in (tmp_path / "out.mcap").read_bytes()

@@ -413,11 +413,14 @@ class LiveEstimator:
             )
         drift = np.full(len(names), RANDOM_WALKS[1]) if self._settings.bias == "on" else None
         inputs = self._inputs
-        order = noise.order
-        posture = build_posture_prior(inputs.silent, inputs.wanted, noise.process, x, order)
+        posture = build_posture_prior(inputs.silent, inputs.wanted, noise.process, x, noise.order)
         is_prior = None if posture is None else posture.joints
         dynamics = FilterDynamics(
-            noise.process, drift, is_prior, order, build_stationary_motion(inputs.wanted, x, noise)
+            noise.process,
+            drift,
+            is_prior,
+            noise.motion,
+            build_stationary_motion(inputs.wanted, x, noise),
         )
         steps = SequentialFilter(dynamics, posture)
         var = noise.encoder.tolist()
@@ -434,7 +437,7 @@ class LiveEstimator:
 def _needs_no_log(settings: EstimationSettings) -> None:
     """UsageError for settings that need the whole log."""
     able = tuple(name for name, method in METHODS.items() if method.live)
-    possible = {"method": able, "precision": ("model",), "bias": ("off", "on")}
+    possible = {"method": able, "precision": ("model",), "bias": ("off", "on"), "motion": ("auto",)}
     for name, values in possible.items():
         if (found := getattr(settings, name)) not in values:
             raise UsageError(

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
+from ..motion import MAX_ORDER, MOTION_MODELS, PROCESS_UNITS, WHITE_ACCELERATION
 from ..types import Array, Estimate, Score, Series
 
 SAME_TIME_S = 1e-6
@@ -132,7 +133,9 @@ def precision_scores(estimate: Estimate) -> list[Score]:
             Score(f"std/encoders/{n}", v**0.5, "rad")
             for n, v in _each_named_variance(names, settings.get("sigma_encoders"))
         ]
-    kind, unit = ("jerk", "rad²/s⁵") if settings.get("order") == 3 else ("acceleration", "rad²/s³")
+    motion = MOTION_MODELS.get(str(settings.get("motion")), MOTION_MODELS[WHITE_ACCELERATION])
+    kind = "jerk" if motion.order == MAX_ORDER else "acceleration"
+    unit = PROCESS_UNITS[motion.order]
     found += [
         Score(f"process_noise/{kind}/{n}", v, unit)
         for n, v in _each_named_variance(names, settings.get("process"))

@@ -10,9 +10,11 @@ from scipy.linalg import expm
 from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation.inference.problem import FilterProblem
 from bodylog.estimation.methods import filtering
+from bodylog.motion import WHITE_ACCELERATION, WHITE_JERK
 from bodylog.types import Array, Features, Series, Synchrony, Touch
 
 JOINTS = ("pan", "lift", "elbow")
+WHITE_MOTIONS = {2: WHITE_ACCELERATION, 3: WHITE_JERK}
 
 
 @dataclass(frozen=True)
@@ -138,7 +140,7 @@ class Dense:
     smooth_cov: Array
 
 
-def dense(world: World, process: Array, encoder: Array, pixel: float, order: int = 2) -> Dense:
+def dense(world: World, process: Array, encoder: Array, pixel: float, order: int = 2, fade: float = 0.0) -> Dense:
     """The reference for a linear body: every reading at its own time, all of one instant in one update."""
     joints, track, model = world.features.joints, world.features.tracks["effector"], world.body.senses["effector"]
     assert joints is not None
@@ -148,7 +150,7 @@ def dense(world: World, process: Array, encoder: Array, pixel: float, order: int
     p, last, rows = np.diag(np.repeat([1.0, 1.0, 9.0][:order], 3)), t[0], []
     for now in t:
         dt, last = now - last, now
-        f, q = discretised(process, dt, order)
+        f, q = discretised(process, dt, order, fade)
         zp, pp = f @ z, f @ p @ f.T + q
         h, y, r = [], [], []
         for values in joints.values[joints.t == now]:
@@ -178,10 +180,14 @@ def dense(world: World, process: Array, encoder: Array, pixel: float, order: int
     return Dense(t, *parts, np.array(smooth[::-1]), np.array(cov[::-1]))
 
 
-def discretised(process: Array, dt: float, order: int) -> tuple[Array, Array]:
-    """Transition and noise (K,K) of three joints whose derivative `order` is white noise, by Van Loan's exponential."""
+def discretised(process: Array, dt: float, order: int, fade: float = 0.0) -> tuple[Array, Array]:
+    """Transition and noise (K,K) of three joints whose derivative `order` is white noise, by Van Loan's exponential.
+
+    fade (1/s): rate at which the last state decays, as in Singer's model.
+    """
     k = 3 * order
     rates, noise = np.eye(k, k, 3), np.zeros((k, k))
+    rates[k - 3 :, k - 3 :] = -fade * np.eye(3)
     noise[k - 3 :, k - 3 :] = np.diag(process)
     both = expm(dt * np.block([[-rates, noise], [np.zeros((k, k)), rates.T]]))
     f = both[k:, k:].T
@@ -205,7 +211,7 @@ def white_jerk(monkeypatch: pytest.MonkeyPatch) -> Array:
     process = np.array([9.0, 15.0, 30.0])
 
     def jerk(problem: FilterProblem) -> FilterProblem:
-        return replace(problem, precision=replace(problem.precision, order=3, process=process))
+        return replace(problem, precision=replace(problem.precision, motion=WHITE_JERK, process=process))
 
     monkeypatch.setattr(filtering, "with_preferred_order", jerk)
     return process

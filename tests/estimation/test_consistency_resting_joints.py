@@ -43,7 +43,7 @@ def test_encoder_noise_of_quantised_readings_is_the_step(method, senses, step, n
 def test_rounding_leaves_variances_of_near_exact_encoders_positive(seed):
     world = drawn(seed, Drawn("sines", 1e-6, encoder_hz=100.0, camera_hz=30.0))
     found = estimate_from_features(world.features, world.body, EstimationSettings())
-    assert found.settings["order"] == 3 and require_finite_estimate(found) is found
+    assert found.settings["motion"] == "white-jerk" and require_finite_estimate(found) is found
 
 
 @pytest.mark.parametrize("seed", [300, 304, 305])

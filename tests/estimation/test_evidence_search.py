@@ -8,7 +8,7 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.settings import EstimationSettings
-from tests.estimation.conftest import World, draw
+from tests.estimation.conftest import WHITE_MOTIONS, World, draw
 from tests.estimation.resting import Drawn, drawn
 
 
@@ -28,14 +28,14 @@ def test_motion_order_is_chosen_by_evidence_and_listed(world, order, seed):
     made = world(seed)
     settings = estimate_from_features(made.features, made.body, EstimationSettings(senses=("encoders",))).settings
     (jerk,) = [one for one in settings["hypotheses"] if one["name"] == "white jerk"]
-    assert settings["order"] == order and jerk["chosen"] == (order == 3)
+    assert settings["motion"] == WHITE_MOTIONS[order] and jerk["chosen"] == (order == 3)
     assert (jerk["nats"] > 0.0) == jerk["chosen"] and (jerk["about"], jerk["threshold"]) == ("joints", 0.0)
 
 
 def test_typed_process_is_white_acceleration():
     world = draw(0, encoder_hz=100.0)
     found = estimate_from_features(world.features, world.body, EstimationSettings(process=0.3))
-    assert found.settings["order"] == 2 and found.settings["process"] == [0.3] * 3
+    assert found.settings["motion"] == WHITE_MOTIONS[2] and found.settings["process"] == [0.3] * 3
     assert "white jerk" not in [one["name"] for one in found.settings.get("hypotheses", ())]
 
 
@@ -51,5 +51,5 @@ def test_joints_that_stick_or_rest_have_white_acceleration(how, seed):
     world = drawn(seed, how)
     settings = estimate_from_features(world.features, world.body, EstimationSettings()).settings
     (jerk,) = [one for one in settings["hypotheses"] if one["name"] == "white jerk"]
-    assert settings["order"] == 2 and jerk["nats"] < jerk["threshold"]
+    assert settings["motion"] == WHITE_MOTIONS[2] and jerk["nats"] < jerk["threshold"]
     assert jerk["threshold"] == (-3 * EVIDENCE_THRESHOLD_NATS if how.gaps else 0.0)

@@ -14,7 +14,7 @@ from bodylog.estimation.inference.walk import filter_sequentially
 from bodylog.estimation.live import LiveEstimator
 from bodylog.estimation.methods import filtering, smoother
 from bodylog.settings import EstimationSettings
-from tests.estimation.conftest import discretised
+from tests.estimation.conftest import WHITE_MOTIONS, discretised
 from tests.estimation.spoilt_logs import muted
 
 VAR = {2: np.array([[0.3, 1.2], [0.5, 0.1]]), 3: np.array([[0.3, 1.2], [0.5, 0.1], [2.0, 0.4]])}
@@ -107,7 +107,7 @@ def test_silence_of_a_linear_body_is_that_of_full_matrices(world, linear_model, 
     drawn = world(3, duration=7.0, model=linear_model)
     features = muted(drawn.features, 3.0, 4.0)
     problem = filtering.build_filter_problem(features, drawn.body, EstimationSettings(precision="model", bias="off"))
-    precision = replace(problem.precision, order=order, near={})
+    precision = replace(problem.precision, motion=WHITE_MOTIONS[order], near={})
     problem = replace(problem, precision=precision)
     problem = replace(problem, stationary=Stationary(problem.start, np.square(
         np.repeat(np.array(reacquisition.START_STD[:order])[:, None], 3, axis=1)), precision.process))  # fmt: skip

@@ -22,7 +22,7 @@ from bodylog.estimation.measurements import touch
 from bodylog.estimation.noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Estimate, Features, Series
-from tests.estimation.conftest import Explored, discretised
+from tests.estimation.conftest import WHITE_MOTIONS, Explored, discretised
 from tests.seeds import seeds
 
 MODEL = EstimationSettings(precision="model", bias="off")
@@ -208,7 +208,7 @@ def test_motion_learned_from_a_log_is_used_live(world):
         estimate_from_features(drawn.features, drawn.body, EstimationSettings(m, bias="off"))
         for m in ("filter", "smoother")
     )
-    assert batch.settings["order"] == smooth.settings["order"] == 3
+    assert batch.settings["motion"] == smooth.settings["motion"] == "white-jerk"
     messages = messages_of(drawn.features, drawn.body)
     for learned in (batch, smooth):
         settings = json.loads(json.dumps(learned.settings))
@@ -461,7 +461,7 @@ def test_joints_in_two_halves_start_once_all_are_known(world):
 def test_step_equals_the_matrix_form(seed, offsets, order):
     rng, m, dt = np.random.default_rng(seed), 3, 0.013
     drift = np.array([1e-4, 0.0, 1e-5]) if offsets else None
-    dynamics = FilterDynamics(rng.uniform(0.1, 1.0, m), drift, order=order)
+    dynamics = FilterDynamics(rng.uniform(0.1, 1.0, m), drift, motion=WHITE_MOTIONS[order])
     k, more = dynamics.size, rng.uniform(1.0, 2.0, m)
     root = rng.normal(size=(k, k))
     z, p, var = rng.normal(size=k), root @ root.T / k, rng.uniform(1e-4, 1e-2, m)

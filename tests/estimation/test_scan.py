@@ -15,6 +15,7 @@ from bodylog.estimation.inference.filter_records import (
 )
 from bodylog.estimation.inference.reacquisition import START_STD
 from bodylog.estimation.inference.scan import TraceDetail, filter_stretches, restart_filter
+from tests.estimation.conftest import WHITE_MOTIONS
 
 JOINTS = 3
 
@@ -123,7 +124,8 @@ def drawn(request, monkeypatch):
         monkeypatch.setattr(f"bodylog.estimation.inference.{module}.BLOCK_INSTANTS", 16)
     order, drift, tracks, c = request.param
     rng, length, rows = np.random.default_rng(order + 10 * tracks + drift), 40, 2 + tracks % 2
-    dynamics = FilterDynamics(rng.uniform(0.1, 1.0, JOINTS), np.array([1e-4, 0.0, 1e-5]) if drift else None, order=order)
+    walk = np.array([1e-4, 0.0, 1e-5]) if drift else None
+    dynamics = FilterDynamics(rng.uniform(0.1, 1.0, JOINTS), walk, motion=WHITE_MOTIONS[order])
     y = rng.normal(0.0, 0.1, (length, tracks, rows, c))
     y[rng.random((*y.shape[:2], 1, c)).repeat(rows, axis=2) < 0.6] = np.nan
     encoders = rng.normal(0.0, 0.1, (length, JOINTS, c))

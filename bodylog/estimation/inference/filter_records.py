@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ...motion import MOTION_MODELS, WHITE_ACCELERATION, MotionModel, WhiteNoise
 from ...types import Array
 
 GATE_SIGMA = 5.0
@@ -65,20 +66,30 @@ class Stationary:
 
 @dataclass(frozen=True, eq=False)
 class FilterDynamics:
-    """White acceleration (M,) rad²/s³, or jerk rad²/s⁵ ·
+    """Process noise (M,) of joints, rad²/s³ or rad²/s⁵ ·
     random walk (M,) rad²/s of offsets, or None; or (M,C).
 
     is_prior (M,) bool: joints whose readings come from the posture prior; they do not count as
-    evidence · order: 2 for white acceleration, 3 for white jerk · stationary: motion of joints
-    whose encoders are silent for long, or None. A state holds all joints' angles, rates[,
-    accelerations][, encoder offsets].
+    evidence · motion: name of their motion model · stationary: motion of joints whose encoders are
+    silent for long, or None. A state holds all joints' angles, rates[, accelerations][, encoder
+    offsets].
     """
 
     process: Array
     drift: Array | None = None
     is_prior: Array | None = None
-    order: int = 2
+    motion: str = WHITE_ACCELERATION
     stationary: Stationary | None = None
+
+    @property
+    def model(self) -> MotionModel:
+        """How joints move."""
+        return MOTION_MODELS[self.motion]
+
+    @property
+    def order(self) -> int:
+        """Number of states of a joint without its offset."""
+        return self.model.order
 
     @property
     def size(self) -> int:
@@ -90,7 +101,7 @@ class FilterDynamics:
         """Index of the first encoder offset in the state; None without offsets."""
         return None if self.drift is None else self.order * len(self.process)
 
-    def moves(self, dt: Array, held: Array) -> tuple[Array, Array, Array]:
+    def silent_moves(self, dt: Array, held: Array) -> tuple[Array, Array, Array]:
         """Move (E,S,S,M), shift (E,S,M) and noise (E,S,S,M) of
         joints held (E,M) for dt (E,) s: a stationary process.
 
@@ -110,6 +121,41 @@ class FilterDynamics:
             move[:, order, order], noise[:, order, order] = 1.0, self.drift * dt[:, None]
         np.moveaxis(move, -1, 1)[~held] = np.nan
         return move, shift, noise
+
+    def with_moves(self, readings: "FilterReadings") -> "FilterReadings":
+        """The readings with every joint's move, where the kernel does not know the motion model.
+
+        Candidates, with process noise (M,C) of their own, get readings of their own.
+        """
+        if type(self.model) is WhiteNoise:
+            return readings
+        process = np.reshape(self.process, (len(self.process), -1))
+        if (candidates := process.shape[1] // readings.dt.shape[1]) > 1:
+            readings = readings.repeated(candidates)
+        dt = readings.dt
+        order, states = self.order, self.size // len(process)
+        density = np.broadcast_to(process, (len(dt), len(process), dt.shape[1]))
+        if readings.more is not None:
+            density = density * readings.more
+        shape = (len(dt), states, states, len(process), dt.shape[1])
+        move, noise = np.zeros((2, *shape))
+        steps = (
+            np.moveaxis(part(dt.ravel()).reshape(*dt.shape, order, order), 1, -1)[..., None, :]
+            for part in (self.model.transition, self.model.covariance)
+        )
+        move[:, :order, :order] = next(steps)
+        noise[:, :order, :order] = next(steps) * density[:, None, None]
+        if self.drift is not None:
+            move[:, order, order] = 1.0
+            noise[:, order, order] = self.drift[:, None] * dt[:, None]
+        moves = move, np.zeros((len(dt), *shape[2:])), noise
+        if readings.moves is not None:
+            silent = np.isfinite(readings.moves[0][:, 0, 0])
+            moves = tuple(  # type: ignore[assignment]
+                np.where(np.expand_dims(silent, (*range(1, part.ndim - 2),)), part, usual)
+                for part, usual in zip(readings.moves, moves, strict=True)
+            )
+        return replace(readings, moves=moves)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +191,12 @@ class FilterReadings:
         return replace(self, **parts)
 
     def repeated(self, count: int) -> "FilterReadings":
-        """One stretch, `count` times side by side."""
+        """Each stretch `count` times side by side; what has as many columns already stays."""
+        stretches = self.dt.shape[-1]
         parts: dict[str, Any] = {
             k: np.repeat(part, count, axis=-1)
             for k, part in vars(self).items()
-            if isinstance(part, np.ndarray)
+            if isinstance(part, np.ndarray) and part.shape[-1] == stretches
         }
         if self.moves is not None:
             parts["moves"] = tuple(np.repeat(part, count, axis=-1) for part in self.moves)

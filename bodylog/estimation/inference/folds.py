@@ -72,7 +72,9 @@ def fold_readings(problem: FilterProblem, fold: Fold, held: Array | None = None)
         return found
     dt = np.diff(problem.timeline.t, prepend=problem.timeline.t[0])
     # other joints move by dt, with the process of a candidate
-    move, shift, noise = (fold.fold(part, np.nan) for part in problem.dynamics.moves(dt, held))
+    move, shift, noise = (
+        fold.fold(part, np.nan) for part in problem.dynamics.silent_moves(dt, held)
+    )
     return replace(found, moves=(move, shift, noise))
 
 

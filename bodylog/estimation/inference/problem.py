@@ -54,7 +54,7 @@ class FilterProblem:
             self.precision.process,
             self.precision.drift,
             is_prior,
-            self.precision.order,
+            self.precision.motion,
             self.stationary,
         )
 

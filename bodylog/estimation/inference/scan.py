@@ -109,7 +109,7 @@ def filter_stretches(
     same shape to overwrite, as fresh memory costs as much as the arithmetic.
     """
     trace = into or allocate_trace(readings, dynamics, z.shape[1], every, keep)
-    prepare_filter(readings, dynamics, z, p, trace, every)()
+    prepare_filter(dynamics.with_moves(readings), dynamics, z, p, trace, every)()
     return trace
 
 

@@ -111,9 +111,12 @@ class FilterStep:
         self._leaps[0][:] = np.nan
         if held is not None and self._dynamics.stationary is not None:
             for part, found in zip(
-                self._leaps, self._dynamics.moves(np.array([dt]), held[None]), strict=True
+                self._leaps, self._dynamics.silent_moves(np.array([dt]), held[None]), strict=True
             ):
                 part[..., 0] = found
+        if (moved := self._dynamics.with_moves(to)) is not to:
+            for part, found in zip(self._leaps, moved.moves or (), strict=True):
+                part[:] = found
         to.y[:], to.jac[:], to.var[:] = np.nan, 0.0, 1.0
         for track, line in enumerate(lines):
             n = len(line.y)

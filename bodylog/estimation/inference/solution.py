@@ -136,6 +136,7 @@ def _propagate_adjoint_back(
     (gains, weights), start = trace.back or (None, None), np.empty_like(end)
     (length, m, shared), c = readings.encoders.shape, end.shape[-1]
     length = length if smooth is None else len(smooth)
+    moves = dynamics.with_moves(readings).moves
     bind_kernel_call(
         "adjoint",
         _Adjoint,
@@ -154,7 +155,7 @@ def _propagate_adjoint_back(
         encoder_var=readings.encoder_var,
         y=readings.y,
         jac=readings.jac,
-        move=None if readings.moves is None else readings.moves[0],
+        move=None if moves is None else moves[0],
         information=trace.information,
         gains=gains,
         weights=weights,

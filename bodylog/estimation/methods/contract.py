@@ -20,7 +20,7 @@ class Method(NamedTuple):
     can: Capabilities
     senses: frozenset[str] = frozenset({"encoders", "vision", "touch"})
     heeds: frozenset[str] = frozenset(
-        {"precision", "bias", "process", "sigma_encoders", "sigma_vision", "sigma_touch"}
+        {"precision", "bias", "motion", "process", "sigma_encoders", "sigma_vision", "sigma_touch"}
     )
     literal_touch: bool = False
     encoder_model: bool = False

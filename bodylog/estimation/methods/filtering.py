@@ -10,6 +10,8 @@ from typing import TypeVar
 import numpy as np
 
 from ...body_model import BodyModel
+from ...errors import UsageError
+from ...motion import MAX_ORDER, PROCESS_UNITS
 from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
@@ -24,7 +26,7 @@ from ..inference.walk import filter_roughly, filter_sequentially, find_initial_p
 from ..measurements.gather import choose_initial_angles
 from ..measurements.timeline import build_timeline
 from ..noise import encoder_noise, noise_model
-from ..noise.evidence_search import tune_by_evidence, with_preferred_order
+from ..noise.evidence_search import tune_by_evidence, with_motion, with_preferred_order
 from ..noise.noise_model import resolve_noise_model, warn_of_few_readings, weigh_repeated_readings
 from ..noise.posture_prior import learn_posture_prior
 from .contract import Method
@@ -101,13 +103,30 @@ def build_filter_problem(
     )
     allowed = encoder_offset.preset_walks(settings.bias, evidence)
     problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
-    if settings.process is None:  # it is a white acceleration
+    if settings.motion != "auto":
+        problem = with_named_motion(problem, settings)
+    elif settings.process is None:  # it is a white acceleration
         problem = with_preferred_order(problem)
-        problem = replace(
-            problem,
-            precision=noise_model.with_typed_noise(problem.precision, settings, body.joints),
+    precision = noise_model.with_typed_noise(problem.precision, settings, body.joints)
+    return find_initial_path(replace(problem, precision=precision))
+
+
+def with_named_motion(problem: FilterProblem, settings: EstimationSettings) -> FilterProblem:
+    """The problem with the motion model that is set; UsageError where nothing gives its noise."""
+    problem = with_motion(problem, settings.motion)
+    precision = problem.precision
+    unread = problem.posture_prior is not None
+    unknown = settings.process is None and (unread or precision.learned is None)
+    if unknown and precision.order == MAX_ORDER:
+        raise UsageError(
+            f"motion: {settings.motion!r} needs process noise in {PROCESS_UNITS[MAX_ORDER]}, "
+            "which neither the body nor this log gives; set process under [estimate]"
         )
-    return find_initial_path(problem)
+    if not unread:
+        return problem
+    typed = noise_model.with_typed_noise(precision, settings, problem.evidence.joints)
+    prior = learn_posture_prior(problem.evidence, typed.process, problem.start, typed.order)
+    return replace(problem, posture_prior=prior)
 
 
 def solve_with_reacquisition(

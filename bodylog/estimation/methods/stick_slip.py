@@ -84,6 +84,8 @@ def estimate_stick_slip(
     """
     if settings.hardware_errors == "widen" or settings.typed or problem.stepwise:
         return None
+    if settings.motion != "auto":
+        return None
     encoders = problem.evidence.encoders
     if encoders is None or problem.precision.drift is not None:
         return None

@@ -23,6 +23,8 @@ def ignored_settings(settings: EstimationSettings) -> tuple[Finding, ...]:
         for name, value in asked
         if getattr(settings, name) == value and (paper or name not in heeds)
     }
+    if settings.motion != "auto" and "motion" not in heeds:
+        set_to["motion"] = settings.motion
     if settings.common_cause is not None and "touch" not in METHODS[settings.method].senses:
         set_to["common_cause"] = str(settings.common_cause)
     ignored = {

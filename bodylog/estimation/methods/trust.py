@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...motion import WHITE_JERK
 from ...settings import EstimationSettings
 from ...types import Array
 from ..factors.robust import image_span, mixture_nats
@@ -59,6 +60,8 @@ def reason_to_widen(
     """Why an error of std rad is not looked for in the log of these joints; None if it is."""
     if settings.hardware_errors == "widen":
         return 'type hardware_errors = "explain" under [estimate] to have them taken out'
+    if settings.motion not in ("auto", WHITE_JERK):
+        return f"motion is set to {settings.motion}, and they are looked for under {WHITE_JERK}"
     if settings.bias != "auto":
         return f"encoder offsets are set to {settings.bias}"
     if settings.typed:

@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ...motion import WHITE_JERK
 from ...types import Array, Hypothesis
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.convergence import MAX_SWEEPS
@@ -196,7 +197,6 @@ def with_preferred_order(problem: FilterProblem) -> FilterProblem:
     Where images determine all silent joints these keep white acceleration.
     """
     encoders = problem.evidence.encoders
-    precision = problem.precision
     learned = problem.precision.learned
     unread = problem.posture_prior is not None
     if (
@@ -215,9 +215,20 @@ def with_preferred_order(problem: FilterProblem) -> FilterProblem:
     threshold = -EVIDENCE_THRESHOLD_NATS * len(encoders.values.T) if lasting else 0.0
     order = Hypothesis("white jerk", "joints", nats, threshold, bool(nats > threshold))
     evidence = replace(problem.evidence, hypotheses=(*problem.evidence.hypotheses, order))
-    if order.chosen:
-        precision = replace(precision, encoder=jerk.encoder, order=3).held(jerk.process, encoders)
-    return replace(problem, evidence=evidence, precision=precision)
+    problem = replace(problem, evidence=evidence)
+    return with_motion(problem, WHITE_JERK) if order.chosen else problem
+
+
+def with_motion(problem: FilterProblem, name: str) -> FilterProblem:
+    """The problem with a motion model of the table, and the noise that encoders give for white
+    noise of its order, where it is learned from the log.
+    """
+    precision = replace(problem.precision, motion=name)
+    encoders = problem.evidence.encoders
+    if encoders is not None and precision.learned is not None:
+        learned = precision.learned[precision.order - 2]
+        precision = replace(precision, encoder=learned.encoder).held(learned.process, encoders)
+    return replace(problem, precision=precision)
 
 
 def tune_by_evidence(problem: FilterProblem, whole: bool) -> tuple[NoiseModel, Solution | None]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import UsageError
+from ...motion import MOTION_MODELS, PROCESS_UNITS, WHITE_ACCELERATION
 from ...settings import EstimationSettings
 from ...types import Array, Finding
 from ..measurements.long_arrays import MIN_READINGS
@@ -26,7 +27,7 @@ class NoiseModel:
     """encoder (M,) rad² · process (M,) · drift (M,) rad²/s
     or None · scale {sighting: factor on its variance}.
 
-    order 2: white acceleration, process in rad²/s³; 3: white jerk, rad²/s⁵ · near
+    motion: name of the joints' motion model, process in rad²/s³ or rad²/s⁵ · near
     {sighting: px} correlation length of its errors; other sightings have white errors ·
     stated: share of the covariance that is stated, () or (M,) · fewer {tracks in view:
     process (M,)} where these are not all · likeliest: process (M,) of a filter, where a
@@ -45,8 +46,13 @@ class NoiseModel:
     likeliest: Array | None = None
     evident: Array | None = None
     learned: tuple[LearnedEncoderNoise, LearnedEncoderNoise] | None = None
-    order: int = 2
+    motion: str = WHITE_ACCELERATION
     moments: Array | None = None
+
+    @property
+    def order(self) -> int:
+        """Order of the motion model."""
+        return MOTION_MODELS[self.motion].order
 
     def plain(self) -> dict[str, Any]:
         """The model as plain numbers, for the estimate's settings."""
@@ -54,7 +60,7 @@ class NoiseModel:
         encoder = [float(v) for v in self.encoder]
         process = [float(v) for v in self.process]
         plain: dict[str, Any] = {
-            "order": self.order,
+            "motion": self.motion,
             "encoder": encoder,
             "process": process,
             "drift": drift,
@@ -166,9 +172,9 @@ def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> Noise
         return NoiseModel(
             np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {}
         )
-    order = found.get("order", 2)
-    if order not in (2, 3):
-        raise UsageError(f"learned: order is {order!r}, possible: 2 or 3")
+    motion = found.get("motion", WHITE_ACCELERATION)
+    require_motion_model(motion, "learned")
+    order = MOTION_MODELS[motion].order
     if "likeliest" in found:  # a smoother's process variances are not a filter's
         found = {**found, "process": found["likeliest"], "stated": [1.0] * len(body.joints)}
     shape = (len(body.joints),)
@@ -180,7 +186,13 @@ def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> Noise
     )
     scale = dict(found.get("scale", {}))
     near = dict(found.get("near", {}))
-    return NoiseModel(encoder, process, None, scale, near, stated, order=order, moments=moments)
+    return NoiseModel(encoder, process, None, scale, near, stated, motion=motion, moments=moments)
+
+
+def require_motion_model(name: object, where: str) -> None:
+    """UsageError for a motion model that is not in the table."""
+    if name not in MOTION_MODELS:
+        raise UsageError(f"{where}: motion is {name!r}, possible: {', '.join(MOTION_MODELS)}")
 
 
 def _parse_positive_array(found: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Array:
@@ -300,7 +312,7 @@ def remark_on_precision(
     pixels = {s.name: float(np.median(s.var)) * found.scale.get(s.name, 1.0) for s in sightings}
     used = [
         f"encoders {_list_variances(found.encoder)} rad²",
-        f"process {_list_variances(found.process)} rad²/s³",
+        f"process {_list_variances(found.process)} {PROCESS_UNITS[found.order]}",
         *(f"{name} {value:.3g} px²" for name, value in pixels.items()),
     ]
     typed = f" ({', '.join(settings.typed)} as typed)" if settings.typed else ""

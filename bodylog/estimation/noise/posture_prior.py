@@ -41,7 +41,9 @@ class PosturePrior:
         )
 
 
-def learn_posture_prior(evidence: Evidence, process: Array, start: Array) -> PosturePrior | None:
+def learn_posture_prior(
+    evidence: Evidence, process: Array, start: Array, order: int = 2
+) -> PosturePrior | None:
     """The prior of joints without encoder readings
     in a log, from the samples of its tracks' models.
     """
@@ -51,7 +53,7 @@ def learn_posture_prior(evidence: Evidence, process: Array, start: Array) -> Pos
         else np.isfinite(evidence.encoders.values).any(axis=0)
     )
     return build_posture_prior(
-        read == 0, {s.name: s.model for s in evidence.sightings}, process, start
+        read == 0, {s.name: s.model for s in evidence.sightings}, process, start, order
     )
 
 
