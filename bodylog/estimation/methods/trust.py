@@ -206,7 +206,7 @@ def _measure_shared_motion(images: _ImageEvidence) -> Array:
     weight = images.weight.sum(axis=0)
     shown = np.isfinite(weight) & (weight > 0.0)
     shared = np.maximum(product.sum(axis=0), 0.0)
-    return np.divide(shared, weight, out=np.zeros(len(weight)), where=shown)
+    return np.asarray(np.divide(shared, weight, out=np.zeros(len(weight)), where=shown))
 
 
 def _find_coloured(errors: Array, encoders: Encoders, noise: Array) -> Array:
