@@ -13,8 +13,10 @@ import numpy as np
 from ...motion import WHITE_JERK
 from ...settings import EstimationSettings
 from ...types import Array
+from ..factors.hypotheses import Explanation
+from ..factors.load import Load, bend_under_load
 from ..factors.robust import image_span, mixture_nats
-from ..factors.whole_log import ExplainedLog, SolvedLog, solve_log
+from ..factors.whole_log import ExplainedLog, SolvedLog, explain_by_white_noise, solve_log
 from ..inference.leave_one_out import project_covariance
 from ..inference.problem import FilterProblem
 from ..inference.walk import filter_roughly
@@ -79,14 +81,45 @@ def reason_to_widen(
 def reason_of_disagreement(
     problem: FilterProblem, beliefs: Beliefs, found: ExplainedLog, causal: bool
 ) -> str | None:
-    """Why the solution with white noise is not that of the beliefs; None if it is."""
-    white = solve_log(problem, found.with_white_noise(), causal)
-    stated = np.einsum("emm->em", beliefs.cov)
-    apart = white.instants.angles - beliefs.z[:, : stated.shape[1]]
+    """Why the solution with white noise is not that of the beliefs; None if it is.
+
+    Where a load explains the log, white noise blames images or encoders for it, each engine others.
+    So both filter that log again, from readings of the links that bend under the load.
+    """
+    if any(isinstance(one, Load) for one in found.explanation.columns):
+        problem = _move_readings_to_links(problem, found.explanation)
+        problem = replace(problem, precision=tune_by_evidence(problem, whole=False)[0])
+        filtered = filter_roughly(problem)
+        angles = filtered.fold.unfold(filtered.trace.z)
+        cov = filtered.fold.unfold(filtered.trace.cov)
+        white = explain_by_white_noise(problem)
+        assert white is not None  # as the log with its load has an explanation
+        causal = True
+    else:
+        angles = beliefs.z
+        cov = beliefs.cov
+        white = found.with_white_noise()
+    m = len(problem.start)
+    solved = solve_log(problem, white, causal)
+    stated = np.einsum("emm->em", cov[:, :m, :m])
+    apart = solved.instants.angles - angles[:, :m]
     far = float(np.sqrt(np.mean(np.square(apart) / stated)))
     if far <= MOST_APART:
         return None
     return f"two solutions for white noise are {far:.2g} standard deviations apart"
+
+
+def _move_readings_to_links(problem: FilterProblem, explanation: Explanation) -> FilterProblem:
+    """The problem with readings of the links, which bend under the load that explains the log."""
+
+    def move(angles: Array) -> Array:
+        return angles + bend_under_load(explanation.columns, explanation.learned.sizes, angles)
+
+    encoders = problem.evidence.encoders
+    assert encoders is not None  # of what is explained
+    read = replace(encoders, values=move(encoders.values))
+    evidence = replace(problem.evidence, encoders=read)
+    return replace(problem, evidence=evidence, start=move(problem.start[None])[0])
 
 
 def reason_of_misfit(
