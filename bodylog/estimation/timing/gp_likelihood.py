@@ -17,7 +17,7 @@ import numpy as np
 
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
-from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
+from ..inference.scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.arm_errors import LEAST_PLAY, ArmErrors, RowExposure, read_slack
 from ..measurements.long_arrays import MIN_READINGS, median_by_pivot
 from ..measurements.records import Encoders, Sighting
