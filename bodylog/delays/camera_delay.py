@@ -17,12 +17,13 @@ from ..errors import EvidenceError
 from ..estimation.faults.threshold import MIN_DELAY_S
 from ..estimation.measurements.arm_errors import MOST_HELD_OUT, ArmErrors, learned_arm_errors
 from ..estimation.measurements.track import camera_of_track
-from ..estimation.timing import correction, gp_likelihood
+from ..estimation.timing import correction
 from ..estimation.timing.delay_profile import Delay
-from ..estimation.timing.gp_likelihood import ExploredLog, Prior
 from ..perception.tracking import joint_motion
 from ..settings import Settings
 from ..types import TRACK_AXES, Array, Features, Finding, Score
+from . import gp_likelihood
+from .gp_likelihood import ExploredLog, Prior
 from .tracker_delay import measure_tracker_delays, measure_turning_delays
 
 MAX_TURNS = 5

@@ -10,7 +10,7 @@ from bodylog import body
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.faults import encoder_offset
 from bodylog.estimation.faults.encoder_offset import _score_offsets, offset_score
-from bodylog.estimation.inference.gauss_newton import solve_by_gauss_newton
+from bodylog.estimation.inference.filter_log import solve_by_gauss_newton
 from bodylog.estimation.methods import filtering
 from bodylog.settings import EstimationSettings, Settings
 from tests.estimation.conftest import draw

@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.errors import UsageError
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.inference import gauss_newton, sequential
+from bodylog.estimation.inference import filter_log, sequential
 from bodylog.estimation.methods import filtering, smoother
 from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import Explored
@@ -144,7 +144,7 @@ def test_error_bars_hold_while_encoders_are_silent(world, silence):
     )
 
 
-@pytest.mark.parametrize("solve", [gauss_newton.solve_by_gauss_newton, smoother.solve_map_path])
+@pytest.mark.parametrize("solve", [filter_log.solve_by_gauss_newton, smoother.solve_map_path])
 def test_full_reset_separates_what_precedes_and_follows(world, linear_model, solve):
     drawn = world(0, duration=9.0, model=linear_model)
     joints, track = drawn.features.joints, drawn.features.tracks["effector"]

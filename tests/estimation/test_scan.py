@@ -7,14 +7,16 @@ import pytest
 from scipy.linalg import block_diag, expm
 
 from bodylog.estimation.inference import solution
-from bodylog.estimation.inference.filter_records import (
+from bodylog.estimation.inference.scan import (
     FLAT_COST_NATS,
     GATE_SIGMA,
     FilterDynamics,
     FilterReadings,
+    TraceDetail,
+    filter_stretches,
+    restart_filter,
 )
-from bodylog.estimation.inference.reacquisition import START_STD
-from bodylog.estimation.inference.scan import TraceDetail, filter_stretches, restart_filter
+from bodylog.motion import START_STD
 from tests.estimation.conftest import WHITE_MOTIONS
 
 JOINTS = 3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.inference import gauss_newton, walk
+from bodylog.estimation.inference import filter_log
 from bodylog.estimation.measurements.records import Sighting
 from bodylog.estimation.measurements.timeline import GAP_STEPS, list_track_sets
 from bodylog.estimation.methods import filtering
@@ -79,7 +79,7 @@ def test_walk_by_single_instants_equals_the_sweeps(world, seed):
         problem.precision, fewer={(): problem.precision.process * np.array([1.0, 9.0, 4.0])}
     )
     problem = replace(problem, precision=precision)
-    swept, walked = gauss_newton.solve_by_gauss_newton(problem), walk.filter_sequentially(problem)
+    swept, walked = filter_log.solve_by_gauss_newton(problem), filter_log.filter_sequentially(problem)
     np.testing.assert_allclose(
         swept.fold.unfold(swept.trace.z), walked.fold.unfold(walked.trace.z), atol=1e-7
     )

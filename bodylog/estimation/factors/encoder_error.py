@@ -18,10 +18,6 @@ from ...types import Array
 
 LEAST_STD = 1e-8
 """rad: standard deviation of an error that is absent, so that matrices keep their inverses."""
-START_STD = (1.0, 1.0, 3.0)
-"""rad, rad/s, rad/s²: prior standard deviations at the
-first knot, those of the filter without lasting errors.
-"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +64,7 @@ class JointNoise:
         """Precision (M,p,p) of the state at the first
         knot, about the angles that are read first.
         """
-        var = np.tile(np.square(np.array(START_STD[: self.order])), (len(self.white), 1))
+        var = np.tile(np.square(np.array(motion.START_STD[: self.order])), (len(self.white), 1))
         if self.error is not None:
             var = np.column_stack([var, np.square(np.maximum(self.error, LEAST_STD))])
         return np.asarray(np.eye(self.states) / var[:, None, :])

@@ -10,8 +10,8 @@ import numpy as np
 
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..measurements.arm_errors import PLAY_STD
 from ..measurements.track import camera_of_track
-from ..timing.gp_likelihood import PLAY_STD
 from .columns import Column, Delay, Path, Play
 from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve

@@ -21,10 +21,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ...types import ALTERNATIVE_SEPARATOR, Array, Fault, FaultKind, Hypothesis
+from ..inference.filter_log import filter_roughly
 from ..inference.problem import FilterProblem
 from ..inference.solution import Solution
 from ..inference.tangents import OFFSET_STD
-from ..inference.walk import filter_roughly
 from ..measurements.long_arrays import find_finite_rows as seen_rows
 from ..measurements.records import Evidence
 from ..measurements.timeline import list_span_starts

@@ -12,8 +12,8 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import unmix_rows
-from .filter_records import FLAT_COST_NATS, GATE_SIGMA
 from .problem import FilterProblem
+from .scan import FLAT_COST_NATS, GATE_SIGMA
 from .solution import Smooth
 
 MIN_VARIANCE_SHARE = 1e-3

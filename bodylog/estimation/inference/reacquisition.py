@@ -12,18 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from ...motion import START_STD
 from ...types import Array, Finding
 from ...wording import list_in_words
 from ..measurements.records import Encoders, Evidence
 from ..noise.correlated_noise import PendingFrame
-from .filter_records import GATE_SIGMA
+from .scan import GATE_SIGMA
 
-START_STD = (1.0, 1.0, 3.0)
-"""rad, rad/s, rad/s²: prior standard deviations of joints before the first reading.
-
-With (2, 3, 10) filters of 177 drawn logs err up to 4 % more, of (0.5, 0.3, 1) up to 5 % less, but
-then a robot that moves at first is taken for still.
-"""
 LONG_SILENCE_S = 0.5
 """s: after a longer silence an encoder must confirm the belief before the gate may reject it. With
 0.25 s errors of 177 drawn logs stay; with 1 s smoothed ones are 4 % larger in silences of 2 s, and

@@ -16,10 +16,16 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from ..noise.posture_prior import PosturePrior
-from .convergence import CONVERGED_MOVE, MAX_SWEEPS
-from .filter_records import GATE_SIGMA, FilterDynamics, FilterReadings
 from .reacquisition import LONG_SILENCE_S, find_lost_joints, open_joints
-from .scan import allocate_trace, prepare_filter
+from .scan import (
+    CONVERGED_MOVE,
+    GATE_SIGMA,
+    MAX_SWEEPS,
+    FilterDynamics,
+    FilterReadings,
+    allocate_trace,
+    prepare_filter,
+)
 from .tangents import state_prior
 
 

@@ -16,15 +16,13 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from .convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
-from .folds import Fold
+from .filter_log import filter_sequentially, frames_by_instant, write_lines
 from .leave_one_out import remove_readings
-from .problem import FilterProblem
-from .scan import TraceDetail, filter_stretches
+from .problem import FilterProblem, Fold
+from .scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE, TraceDetail, filter_stretches
 from .sequential import linearise_over_belief
 from .solution import Smooth, Solution, assemble_smooth
 from .tangents import stretch_priors
-from .walk import filter_sequentially, frames_by_instant, write_lines
 
 BRIEF_SILENCE_S = 5.0
 """s: a longer silence starts once, as evidence of 40 sines with 10 s does not tell postures apart.

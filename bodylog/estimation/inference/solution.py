@@ -13,10 +13,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
-from .filter_records import FilterDynamics, FilterReadings
-from .folds import Fold
 from .kernel import bind_kernel_call, list_struct_fields
-from .scan import BLOCK_INSTANTS, FilterTrace, TraceDetail, filter_stretches
+from .problem import Fold
+from .scan import (
+    BLOCK_INSTANTS,
+    FilterDynamics,
+    FilterReadings,
+    FilterTrace,
+    TraceDetail,
+    filter_stretches,
+)
 from .tangents import Tangents
 
 

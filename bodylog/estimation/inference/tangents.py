@@ -7,6 +7,7 @@ from copy import copy
 
 import numpy as np
 
+from ...motion import START_STD
 from ...types import Array
 from ..measurements.records import Sighting, interpolate_values, mix_rows
 from ..noise.correlated_noise import (
@@ -17,10 +18,8 @@ from ..noise.correlated_noise import (
     shared_model_factors,
 )
 from ..noise.noise_model import NoiseModel
-from .filter_records import FilterDynamics, FilterReadings
-from .folds import Fold
-from .problem import FilterProblem
-from .reacquisition import START_STD
+from .problem import FilterProblem, Fold
+from .scan import FilterDynamics, FilterReadings
 
 
 class Tangents:

@@ -27,9 +27,8 @@ from ..factors.whole_log import (
 from ..faults.moved_camera import restore_displacements
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.problem import FilterProblem
-from ..measurements.arm_errors import learned_arm_errors
+from ..measurements.arm_errors import PLAY_SIGMAS, learned_arm_errors
 from ..noise.lasting_error import LastingError
-from ..timing.gp_likelihood import PLAY_SIGMAS
 from . import results
 from .results import (
     LEAST_NEES,

@@ -17,12 +17,17 @@ from ...types import Array, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.encoder_offset import total_free_energy
 from ..faults.screening import screen_measurements
-from ..inference.convergence import DidNotConverge
-from ..inference.gauss_newton import solve_by_gauss_newton
+from ..inference.filter_log import (
+    filter_roughly,
+    filter_sequentially,
+    find_initial_path,
+    loses_encoder,
+    solve_by_gauss_newton,
+)
 from ..inference.problem import FilterProblem
 from ..inference.reacquisition import warn_of_resets
+from ..inference.scan import DidNotConverge
 from ..inference.solution import Solution
-from ..inference.walk import filter_roughly, filter_sequentially, find_initial_path, loses_encoder
 from ..measurements.gather import choose_initial_angles
 from ..measurements.timeline import build_timeline
 from ..noise import encoder_noise, noise_model

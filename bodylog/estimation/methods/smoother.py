@@ -12,15 +12,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Features
-from ..inference.convergence import (
-    CONVERGED_MOVE,
-    MAX_SWEEPS,
-    DidNotConverge,
-    measure_farthest_move,
-    require_finite,
-)
-from ..inference.folds import choose_fold, fold_readings
-from ..inference.gauss_newton import initial_sweep
+from ..inference.filter_log import initial_sweep
 from ..inference.leave_one_out import (
     SmoothedWithResiduals,
     find_contradicted_readings,
@@ -28,8 +20,17 @@ from ..inference.leave_one_out import (
     remove_readings,
     smoothed_free_energy,
 )
-from ..inference.problem import FilterProblem
-from ..inference.scan import TraceDetail, filter_stretches, restart_filter
+from ..inference.problem import FilterProblem, choose_fold, fold_readings
+from ..inference.scan import (
+    CONVERGED_MOVE,
+    MAX_SWEEPS,
+    DidNotConverge,
+    TraceDetail,
+    filter_stretches,
+    measure_farthest_move,
+    require_finite,
+    restart_filter,
+)
 from ..inference.silence import smooth_across_silence
 from ..inference.solution import (
     Smooth,

@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...body_model import BodyModel
+from ...motion import START_STD
 from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, Array, Estimate, Finding
 from ..factors.robust import OUTLIERS, image_span
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.problem import FilterProblem
-from ..inference.reacquisition import START_STD
 from ..measurements.records import Encoders, Sighting
 from . import results
 from .results import Beliefs

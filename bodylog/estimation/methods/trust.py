@@ -17,9 +17,9 @@ from ..factors.hypotheses import Explanation
 from ..factors.load import Load, bend_under_load
 from ..factors.robust import image_span, mixture_nats
 from ..factors.whole_log import ExplainedLog, SolvedLog, explain_by_white_noise, solve_log
+from ..inference.filter_log import filter_roughly
 from ..inference.leave_one_out import project_covariance
 from ..inference.problem import FilterProblem
-from ..inference.walk import filter_roughly
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence
 from ..noise.lasting_error import MOST_COUNTS

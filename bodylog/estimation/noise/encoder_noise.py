@@ -13,8 +13,8 @@ import numpy as np
 from scipy.special import wrightomega
 
 from ...types import Array
-from ..inference.filter_records import GATE_SIGMA
 from ..inference.kernel import bind_kernel_call, list_struct_fields
+from ..inference.scan import GATE_SIGMA
 from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_by_pivot, median_step
 from ..measurements.records import Encoders
 from ..measurements.timeline import GAP_STEPS, MAX_OUTPUT_RATE_HZ

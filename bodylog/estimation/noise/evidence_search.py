@@ -24,14 +24,19 @@ import numpy as np
 from ...motion import WHITE_JERK
 from ...types import Array, Hypothesis
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
-from ..inference.convergence import MAX_SWEEPS
-from ..inference.filter_records import FilterDynamics, FilterReadings
+from ..inference.filter_log import filter_roughly
 from ..inference.problem import FilterProblem
 from ..inference.reacquisition import find_silent_joints, joints_left_open
-from ..inference.scan import FilterTrace, TraceDetail, filter_stretches
+from ..inference.scan import (
+    MAX_SWEEPS,
+    FilterDynamics,
+    FilterReadings,
+    FilterTrace,
+    TraceDetail,
+    filter_stretches,
+)
 from ..inference.solution import Solution, adjoints_for_next_round, smooth_states
 from ..inference.tangents import hand_over_starts, stretch_priors
-from ..inference.walk import filter_roughly
 from ..measurements.long_arrays import find_finite_rows, median_step
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import (

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...body_model import ForwardModel
+from ...motion import START_STD, Stationary
 from ...types import Array
-from ..inference.filter_records import Stationary
-from ..inference.reacquisition import START_STD
 from ..measurements.records import Evidence
 from .noise_model import NoiseModel
 

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from ...types import Array
-from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
+from ..inference.scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 
 Detail = TypeVar("Detail")
 MAX_DELAY_S = 1.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...kinematics.calibration import CHI_SQUARE_MEDIANS
 from ...types import Array
-from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
+from ..inference.scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track_curve import MAX_CURVE_MEANS, RegressionRows, regression_rows, track_curve

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...types import Array
-from ..factors.noise import LOG_SCALE, LONGEST_S
-from ..factors.problem import ANY_ERRORS
-from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..estimation.factors.noise import LOG_SCALE, LONGEST_S
+from ..estimation.factors.problem import ANY_ERRORS
+from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..types import Array
 
 TIMES_S = (0.2, 1.0, 4.0)
 """Time constants that are tried first."""

@@ -15,20 +15,27 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...types import Array
-from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
-from ..inference.convergence import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
-from ..measurements.arm_errors import LEAST_PLAY, ArmErrors, RowExposure, read_slack
-from ..measurements.long_arrays import MIN_READINGS, median_by_pivot
-from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import (
+from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..estimation.inference.scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
+from ..estimation.measurements.arm_errors import (
+    LEAST_PLAY,
+    PLAY_SIGMAS,
+    PLAY_STD,
+    ArmErrors,
+    RowExposure,
+    read_slack,
+)
+from ..estimation.measurements.long_arrays import MIN_READINGS, median_by_pivot
+from ..estimation.measurements.records import Encoders, Sighting
+from ..estimation.measurements.track_curve import (
     BLUNDER_MEDIANS,
     MAX_CURVE_MEANS,
     Curve,
     interpolate_curve,
     track_curve,
 )
-from .delay_profile import MAX_DELAY_S, Delay
+from ..estimation.timing.delay_profile import MAX_DELAY_S, Delay
+from ..types import Array
 from .lasting_likelihood import (
     LEAST_RAD,
     TrackResiduals,
@@ -40,12 +47,8 @@ Prior = Callable[[Array], tuple[Array, Array]]
 """The prior of a track at angles (B,M) rad: mean (D,) and covariance (D,B,B), px or mm, squared."""
 MOST_HALF = 0.05
 """rad: half of the largest play, 5.7°; more is no play."""
-PLAY_STD = 0.01
-"""rad: prior standard deviation of half a play, 1.1° of play."""
 ROW_TIME_STD = 0.03
 """s: of a picture's row time; most pictures take less than 1/30 s."""
-PLAY_SIGMAS = 3.0
-"""Standard deviations from zero of a joint's play that is taken."""
 LASTING_MEANS = 400
 """Most means of all logs that errors which last are looked for with."""
 LASTING_STEP_S = 0.1

@@ -7,12 +7,12 @@ import pytest
 from scipy.linalg import expm, solve_continuous_lyapunov
 
 from bodylog.errors import UsageError
-from bodylog.estimation.inference import gauss_newton, reacquisition
-from bodylog.estimation.inference.filter_records import Stationary
+from bodylog.estimation.inference import filter_log, reacquisition
+from bodylog.estimation.inference.filter_log import filter_sequentially
 from bodylog.estimation.inference.silence import smooth_across_silence
-from bodylog.estimation.inference.walk import filter_sequentially
 from bodylog.estimation.live import LiveEstimator
 from bodylog.estimation.methods import filtering, smoother
+from bodylog.motion import START_STD, Stationary
 from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import WHITE_MOTIONS, discretised
 from tests.estimation.spoilt_logs import muted
@@ -80,7 +80,7 @@ def textbook(problem, world, order, stationary):
         if now - last > reacquisition.LONG_SILENCE_S:
             for joint in range(3):
                 own = np.ix_(range(joint, k, 3), range(joint, k, 3))
-                var = np.square(reacquisition.START_STD[:order])
+                var = np.square(START_STD[:order])
                 f[own], q[own] = within(rates(var, process[joint]), process[joint], dt)
                 shift[joint::3] = (np.eye(order) - f[own])[:, 0] * stationary.mean[joint]
         zp, pp = f @ z + shift, f @ p @ f.T + q
@@ -110,10 +110,10 @@ def test_silence_of_a_linear_body_is_that_of_full_matrices(world, linear_model, 
     precision = replace(problem.precision, motion=WHITE_MOTIONS[order], near={})
     problem = replace(problem, precision=precision)
     problem = replace(problem, stationary=Stationary(problem.start, np.square(
-        np.repeat(np.array(reacquisition.START_STD[:order])[:, None], 3, axis=1)), precision.process))  # fmt: skip
+        np.repeat(np.array(START_STD[:order])[:, None], 3, axis=1)), precision.process))  # fmt: skip
     assert problem.stepwise and problem.held.any()
     z, p, smooth, cov = textbook(problem, drawn, order, problem.stationary)
-    for found in (filter_sequentially(problem), gauss_newton.solve_by_gauss_newton(problem)):
+    for found in (filter_sequentially(problem), filter_log.solve_by_gauss_newton(problem)):
         np.testing.assert_allclose(found.fold.unfold(found.trace.z), z, atol=1e-7)
         np.testing.assert_allclose(found.fold.unfold(found.trace.cov), p[:, :3, :3], atol=1e-7)
     for found in (smooth_across_silence(problem), smoother.solve_map_path(problem)):

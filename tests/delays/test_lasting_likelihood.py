@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from bodylog.estimation.timing import lasting_likelihood
-from bodylog.estimation.timing.lasting_likelihood import (
+from bodylog.delays import lasting_likelihood
+from bodylog.delays.lasting_likelihood import (
     TrackResiduals,
     lasting_covariance,
     measure_lasting_errors,
