@@ -76,7 +76,7 @@ class JointNoise:
     def read(self, states: Array) -> Array:
         """What an encoder reads (…,I,M) of means or columns of states (p,…,I,M)."""
         if self.error is None or self.at_link.all():
-            return states[0]
+            return np.asarray(states[0])
         return np.asarray(states[0] + np.where(self.at_link, 0.0, states[self.order]))
 
     def advance(self, states: Array, gap: Array, decay: Array) -> None:

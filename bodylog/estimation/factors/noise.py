@@ -247,10 +247,9 @@ def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
     pairs = cov + z[..., :, None] * z[..., None, :] + x @ sizes_cov @ x.swapaxes(-1, -2)
     with_columns = z[..., :, None] * c
     with_columns[..., 1:] += x @ sizes_cov
-    first = [
-        np.ascontiguousarray(np.moveaxis(one, (2, 3), (0, 1))) for one in (pairs, with_columns)
-    ]
-    return _Expected(*first, columns)
+    pairs = np.ascontiguousarray(np.moveaxis(pairs, (2, 3), (0, 1)))
+    with_columns = np.ascontiguousarray(np.moveaxis(with_columns, (2, 3), (0, 1)))
+    return _Expected(pairs, with_columns, columns)
 
 
 def _joint_costs(
