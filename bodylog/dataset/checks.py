@@ -146,7 +146,7 @@ CHECKS: tuple[Check, ...] = (
     Check(
         "stuck",
         "s",
-        joint_checks.measure_stuck_joints,
+        joint_checks.measure_joint_standstills,
         0.1,
         "it believes a joint that does not do what it was asked",
     ),

@@ -101,7 +101,7 @@ def measure_longest_repeats(reading: EpisodeReading) -> Iterator[Measurement]:
         yield Measurement(name, float(joints.t[last] - joints.t[first]), at=float(y[first]))
 
 
-def measure_stuck_joints(reading: EpisodeReading) -> Iterator[Measurement]:
+def measure_joint_standstills(reading: EpisodeReading) -> Iterator[Measurement]:
     """Longest time (s) for which a joint's action moves while the joint repeats one reading."""
     joints = reading.joints
     action = reading.action
@@ -116,9 +116,11 @@ def measure_stuck_joints(reading: EpisodeReading) -> Iterator[Measurement]:
         least = IDLE_SPEED_HZ * width * joints.step_s * value_ranges(wanted[:, None])[0]
         moving = np.nan_to_num(np.abs(wanted[width:] - wanted[:-width])) > least
         y = joints.values[:, number]
-        stuck = [(float(moving[first:last].sum()), first, last) for first, last in equal_runs(y)]
-        rows, first, last = max(stuck, default=(0.0, 0, 0))
-        text = _stuck_text(joints, number, first, last, wanted)
+        standstills = [
+            (float(moving[first:last].sum()), first, last) for first, last in equal_runs(y)
+        ]
+        rows, first, last = max(standstills, default=(0.0, 0, 0))
+        text = _describe_standstill(joints, number, first, last, wanted)
         yield Measurement(name, rows * joints.step_s, None, text, at=float(y[first]))
 
 
@@ -131,7 +133,9 @@ def _moving_rows(joints: StoredNumbers) -> Array:
     return np.append(moving, moving[-1:])
 
 
-def _stuck_text(joints: StoredNumbers, number: int, first: int, last: int, wanted: Array) -> str:
+def _describe_standstill(
+    joints: StoredNumbers, number: int, first: int, last: int, wanted: Array
+) -> str:
     """What an action wanted (N,) that moves says of a joint that repeats its reading in rows first
     to last."""
     if joints.t[last] - joints.t[first] < SHORTEST_STUCK_S:

@@ -193,7 +193,7 @@ def change_table(name: str, change: Callable[[Any], list[Any] | None]) -> Callab
 
 
 def write_video(size: tuple[int, int] = drawn.SIZE, fps: int = drawn.FPS) -> Callable[[Path], object]:
-    """Write the last video anew, with images of another size or another rate."""
+    """Write the last video again, with images of another size or another rate."""
 
     def rewrite(folder: Path) -> None:
         path = sorted(folder.glob("videos/**/*.mp4"))[-1]

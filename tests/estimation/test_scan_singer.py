@@ -55,7 +55,7 @@ def test_filter_and_smoother_under_singers_model_are_the_textbooks(reference, li
 
 @pytest.mark.parametrize("method", ["filter", "smoother"])
 @pytest.mark.usefixtures("endless")
-def test_noise_is_learned_alike_by_both_ways(method):
+def test_both_ways_learn_the_same_noise(method):
     settings = EstimationSettings(method=method)
     drawn = draw(2, duration=10.0, model=Explored())
     features = muted(drawn.features, 3.0, 5.0, ("lift",)) if method == "filter" else drawn.features

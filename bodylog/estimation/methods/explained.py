@@ -79,8 +79,8 @@ def explained_estimate(
         rough = measure_rough_motion(problem, settings.method != "smoother")
         if rough is None or nees_if_white(kept, rough.variance) < LEAST_NEES:
             return kept
-        stuck = estimate_stick_slip(method, body, problem, beliefs, settings, rough)
-        return results.with_rough_motion(kept, rough.variance) if stuck is None else stuck
+        slipping = estimate_stick_slip(method, body, problem, beliefs, settings, rough)
+        return results.with_rough_motion(kept, rough.variance) if slipping is None else slipping
     std = FIRST_BEND if lasting is None else lasting.std
     try:
         made = _explain_estimate(

@@ -109,7 +109,7 @@ def estimate_stick_slip(
         found = join_beliefs(problem.timeline.t, found, after, slips)
     z = beliefs.z.copy()
     z[:, : len(body.joints)] = found.mean
-    stuck = replace(
+    explained = replace(
         beliefs,
         z=z,
         cov=found.cov,
@@ -119,7 +119,7 @@ def estimate_stick_slip(
         encoder_errors=found.errors,
         places=(),
     )
-    made = results.build_estimate(method, body, problem.evidence, problem.timeline, stuck)
+    made = results.build_estimate(method, body, problem.evidence, problem.timeline, explained)
     sizes = dict(zip(body.joints, slips.size.tolist(), strict=True))
     errors = {"play": {}, "lasting": None, "load": None, "late": {}, "gains": {}, "slips": sizes}
     each = ", ".join(f"{name} {np.rad2deg(size):.2g}°" for name, size in sizes.items())
