@@ -213,7 +213,8 @@ def _allowance_for_faults(
 
     What lasts for long would be an offset itself. Play and one load explain several offsets at
     once, and one encoder more that is off from the first reading on counts as one fault more. A
-    load is as simple as an offset of one encoder; the sizes of a displacement cost no evidence.
+    load is as simple as an offset of one encoder, if it is evident beside errors that last, and
+    must be evident beside the offsets if not; the sizes of a displacement cost no evidence.
     """
     joints = found.noise.joints
     passing = bool((joints.seconds[joints.learned] < DRIFTS_S).all())
@@ -222,7 +223,8 @@ def _allowance_for_faults(
     if (off := _count_from_start(problem, faults)) > 1:
         return moves + (off - 1) * EVIDENCE_THRESHOLD_NATS
     if "load" in gains and passing:
-        return moves
+        is_evident = gains["load"] > EVIDENCE_THRESHOLD_NATS
+        return moves if is_evident else moves - EVIDENCE_THRESHOLD_NATS
     return EVIDENCE_THRESHOLD_NATS if passing and "play" in gains and not cameras else -np.inf
 
 
