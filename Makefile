@@ -38,6 +38,7 @@ demo-bare: $(VENV)/installed
 
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check bodylog cli
 	$(BIN)/mypy --strict bodylog cli
 
 # Side by side, a worker with one thread of linear algebra per core: more of them would spin while they wait.

@@ -15,6 +15,7 @@ from ..robot import effector_poses
 from ..settings import EstimationSettings, Settings
 from ..types import (
     ALTERNATIVE_SEPARATOR,
+    HARDWARE_ERRORS,
     Estimate,
     Fault,
     FaultKind,
@@ -113,11 +114,13 @@ def compare_changes_with_faults(
 ) -> Estimate:
     """Add changes of joint zeros, cameras and markers to the estimate's faults.
 
-    Without effect for a body learned without a URDF, and with `bias = "off"`.
+    Without effect for a body learned without a URDF, with `bias = "off"`, and where the estimate
+    allows for a load, under which joints bend as if their zeros had changed.
     """
     from ..body.kinematic.model import can_show_changes
 
-    if settings.bias == "off" or not can_show_changes(body):
+    errors = found.settings.get(HARDWARE_ERRORS, {})
+    if settings.bias == "off" or not can_show_changes(body) or errors.get("load"):
         return found
     from ..body.kinematic import change
 

@@ -14,6 +14,10 @@ highlights and silhouettes move alike (0.5 to 1 px).
 """
 _LEAST_MOTION_PX = 0.05
 """Motion of a joint's corners by the error of its angle, below which that error is left out."""
+_LEAST_TOLD = 1e-5
+"""Share of an unknown's prior deviation below which what landmarks move it by is rounding. The zero
+of a first joint before a camera of unknown pose moved by 3e-6 of it.
+"""
 BLOCK_S = 2.0
 """Blocks of sandwich and jackknife: rows within this time, of one link or of all."""
 ZERO_FLOOR_PX = 1.0
@@ -57,10 +61,11 @@ def unknowns_covariance(fit: LandmarkFit) -> Array:
     flat = weighted.reshape(-1, weighted.shape[2])
     meat = flat.T @ flat + _shared_meat(fit, weighted) + _motion_meat(fit, weighted)
     modelled = inverse @ meat[part] @ inverse
-    scatter = inverse @ _block_meat(fit, scores)[part] @ inverse
-    # no landmark tells of an unknown whose variance is 0 here
-    std = np.sqrt(np.maximum(np.diag(modelled), 1e-30))
-    widen = np.maximum(np.sqrt(np.diag(scatter)) / std, 1.0)
+    # a norm, as the variance of an unknown that no landmark tells of may round to less than nothing
+    scatter = np.linalg.norm(_block_scores(fit, scores)[:, fit.free] @ inverse, axis=0)
+    least = _LEAST_TOLD * fit.model.prior[1][fit.free]
+    std = np.sqrt(np.maximum(np.diag(modelled), np.square(least)))
+    widen = np.maximum(scatter / std, 1.0)
     late = np.isin(np.flatnonzero(fit.free), np.r_[fit.model.of_delays])
     widen[late] = np.maximum(widen, _scatter_without_blocks(fit, weighted, scores) / std)[late]
     widen[_scattering_unknowns(fit)[fit.free]] *= SCATTER
@@ -118,12 +123,12 @@ def _motion_meat(fit: LandmarkFit, weighted: Array) -> Array:
     return result
 
 
-def _block_meat(fit: LandmarkFit, scores: Array) -> Array:
-    """Scatter (P,P) of the scores' sums over blocks."""
+def _block_scores(fit: LandmarkFit, scores: Array) -> Array:
+    """The scores' sums (G,P) over blocks of one link."""
     groups = _group_rows(fit, BLOCK_S)
     sums = np.zeros((int(groups.max()) + 1, scores.shape[1]))
     np.add.at(sums, groups, scores)
-    return np.asarray(sums.T @ sums)
+    return sums
 
 
 def _scatter_without_blocks(fit: LandmarkFit, weighted: Array, scores: Array) -> Array:

@@ -433,9 +433,20 @@ def _calibrate_camera(
         count = 0 if best is None else len(best.used)
         raise EvidenceError(
             f"{where}: the joints explain {count} of {part.count} moving corners; no arm is seen"
+            + suggest_camera_place(name, hint)
         )
     _require_belonging(name, films, best, part)
     return best, seen, part.count
+
+
+def suggest_camera_place(name: str, hint: "CameraHint") -> str:
+    """What helps to find an arm before a camera, "" the first, of which no place is known; nothing
+    where one is known.
+    """
+    if hint.pose is not None:
+        return ""
+    how = "a transform to its frame in the log" if name else "[camera] link and place in robot.toml"
+    return f"; if one is in view, {how} may find it"
 
 
 def number_placements(pictures: Sequence[Array | None], width: int) -> tuple[int, ...]:

@@ -18,6 +18,7 @@ from bodylog.estimation.factors.problem import FactorProblem, Noise, linearise
 from bodylog.estimation.factors.solve import filtered, predicted
 from bodylog.estimation.measurements.arm_errors import follow_slack
 from bodylog.estimation.measurements.records import Sighting
+from bodylog.motion import motion_covariance
 from bodylog.sim.hardware import add_play
 from tests.estimation.conftest import Arm, Linear, motion
 
@@ -75,7 +76,8 @@ def dense(problem, noise, linear, until):
     covs, moves = [start], []
     for gap in np.diff(times):
         move = block_diag(*[transition(joints, gap, j) for j in range(m)])
-        grown = joints.covariance(np.array([gap]))[:, :, 0]
+        unit = motion_covariance(joints.order, np.array([gap])).transpose(1, 2, 0)
+        grown = joints.covariance(np.array([gap]), unit)[:, :, 0]
         covs.append(move @ covs[-1] @ move.T + block_diag(*np.moveaxis(grown, -1, 0)))
         moves.append(move)
     size = m * p

@@ -19,10 +19,16 @@ from bodylog.kinematics.landmark_adjustment import (
     whiten_residuals,
 )
 from bodylog.kinematics.landmark_errors import unknowns_covariance
-from bodylog.kinematics.landmark_fit import LandmarkFit, choose_pieces, search_delay, staged_fit
+from bodylog.kinematics.landmark_fit import (
+    LandmarkFit,
+    build_model,
+    choose_pieces,
+    search_delay,
+    staged_fit,
+)
 from bodylog.kinematics.landmarks import LandmarkBelief, LandmarkModel, join_landmark_tracks
-from bodylog.kinematics.links import Space
-from tests.kinematics.landmark_arm import LENS, model, motion, seen, truth
+from bodylog.kinematics.links import FREE_LENS, Space
+from tests.kinematics.landmark_arm import ARM, JOINTS, LENS, model, motion, seen, truth
 
 
 def test_derivatives_are_those_of_differences():
@@ -103,6 +109,26 @@ def test_unknowns_that_no_landmark_shows_keep_their_priors():
     assert len(unseen)
     zeros = np.arange(built.rig.of_joints.start, built.rig.of_joints.stop)
     np.testing.assert_allclose(std[zeros[unseen]], built.prior[1][zeros[unseen]], rtol=1e-6)
+
+
+def test_first_joint_before_a_camera_of_unknown_pose_keeps_its_prior():
+    """A turned camera sees the same: what the landmarks tell of this zero rounds to a little more or less than nothing."""
+    plain = model([motion(3)])
+    space = Space(urdf.parse_urdf(ARM, "arm.urdf"), JOINTS, {}, np.radians(5.0))
+    anywhere = replace(plain.rig.cameras[0], doubt=np.concatenate([[300.0] * 3, [30.0] * 3, FREE_LENS]))
+    built = build_model(space, anywhere, plain.motions, np.radians(5.0))
+    phi = truth(built)
+    pan = built.rig.of_joints.start
+    for draw in range(12):
+        part, body = seen(built, phi, 31 + draw, pieces=60, noise=0.0)
+        places = np.array([built.bodies[b].centre + 0.05 for b in body])
+        rng = np.random.default_rng(draw)
+        uv = built.predict(phi, part, body, places).image
+        part = replace(part, uv=uv + 0.3 * rng.standard_normal(uv.shape))
+        landmarks = Landmarks(body, places)
+        reduced = reduce_normal(built, phi, part, landmarks)
+        fit = LandmarkFit(built, phi, np.ones(len(phi), bool), part, np.arange(part.count), landmarks, reduced)
+        assert np.sqrt(unknowns_covariance(fit)[pan, pan]) == pytest.approx(np.radians(5.0), rel=0.01)
 
 
 def smoothed_with_errors(real: JointCurve, error: CurveError, seed: int) -> JointCurve:

@@ -176,7 +176,7 @@ def test_images_that_show_no_such_arm_teach_nothing(run_cli, tmp_path, capsys):
     urdf.write_text(PAN_ONLY)
     assert run_cli("fit", REACH, "--urdf", urdf, "--config", config, "-o", out) == 65
     (line,) = capsys.readouterr().err.splitlines()
-    assert "reach.mcap" in line
+    assert "reach.mcap" in line and "no arm is seen; if one is in view, [camera] link and place" in line
     assert not out.exists()
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from bodylog.delays.findings import ExaminedDelays
 from bodylog.errors import ModelError
+from bodylog.kinematics.links import CameraHint
 from bodylog.settings import CameraSettings, KinematicsSettings, Settings
 from bodylog.surface import calibration as surface_calibration
 from bodylog.surface import findings as surface_findings
@@ -47,6 +48,13 @@ def test_motion_is_known_beyond_the_readings_of_a_slower_topic():
     motion = surface_calibration.smoothed_motion(joints, ("fast", "slow"))
     assert np.isfinite(motion.q).all()
     np.testing.assert_allclose(motion.at(np.array([1.0]))[0][0], [np.sin(1.0), np.cos(1.0)], atol=0.01)
+
+
+def test_place_of_a_camera_is_suggested_where_none_is_known():
+    placed = CameraHint("base", np.eye(4))
+    assert surface_calibration.suggest_camera_place("", placed) == ""
+    assert "[camera] link and place" in surface_calibration.suggest_camera_place("", CameraHint("base"))
+    assert "a transform to its frame" in surface_calibration.suggest_camera_place("side", CameraHint())
 
 
 def test_surface_of_a_rendered_arm_gives_delay_and_lens(worlds, run_cli, capsys):

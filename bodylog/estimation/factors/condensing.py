@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...motion import motion_covariance
 from ...types import Array
 from .encoder_error import JointNoise
 
@@ -23,8 +24,9 @@ class Readings:
     """Encoder readings about K knots at t (K,) s, as S steps in each of K−1 intervals.
 
     at_knot (K,M,R) rad and its weight (K,M) · between (S,K-1,M,R) rad, weight
-    (S,K-1,M): 0 for no reading · gaps (S+1,K-1) s: from the knot or reading before. A
-    weight is the inverse of a variance relative to the encoder's; believed (…): share
+    (S,K-1,M): 0 for no reading · gaps (S+1,K-1) s: from the knot or reading before · unit_motion
+    (o,o,S+1,K-1): covariance that angle and its derivatives gain over them for a process of
+    variance 1. A weight is the inverse of a variance relative to the encoder's; believed (…): share
     of a reading that is not taken for an outlier.
     """
 
@@ -34,6 +36,7 @@ class Readings:
     between: Array
     between_weight: Array
     gaps: Array
+    unit_motion: Array
     knot_believed: Array
     between_believed: Array
 
@@ -43,7 +46,8 @@ class PairFactors:
     """Factors ½ z'Gz − z'u c + ½ c'W c + logs on neighbouring
     states z = (x₀, x₁) of each joint, c = (1, −g).
 
-    info (I,M,2p,2p) · right (I,M,2p,R) · square (I,M,R,R) · logs (I,M).
+    info (2p,2p,I,M) · right (2p,R,I,M) · square (R,R,I,M) · logs (I,M): intervals and joints last,
+    where NumPy is fast for small states.
     """
 
     info: Array
@@ -53,13 +57,19 @@ class PairFactors:
 
 
 def place_readings(
-    t: Array, values: Array, relative: Array, believed: Array, knots: Array, near: float = 1e-9
+    t: Array,
+    values: Array,
+    relative: Array,
+    believed: Array,
+    knots: Array,
+    order: int,
+    near: float = 1e-9,
 ) -> Readings:
     """Distribute readings at t (N,) s over the knots
     (K,) s; those within `near` s of one are at it.
 
     values (N,M,R) rad, NaN in the first right-hand side where missing · relative (N,M): variance
-    over the encoder's · believed (N,M).
+    over the encoder's · believed (N,M) · order: that of the motion.
     """
     _, m, r = values.shape
     known = np.isfinite(values[..., 0])
@@ -93,63 +103,67 @@ def place_readings(
     between[step, interval] = values[rows]
     between_weight[step, interval] = weight[rows]
     between_believed[step, interval] = believed[rows]
+    gaps = np.diff(stamps, axis=0)
+    motion = motion_covariance(order, gaps.ravel()).reshape(*gaps.shape, order, order)
     return Readings(
         knots,
         at_knot,
         knot_weight,
         between,
         between_weight,
-        np.diff(stamps, axis=0),
+        gaps,
+        np.ascontiguousarray(np.moveaxis(motion, (-2, -1), (0, 1))),
         knot_believed,
         between_believed,
     )
 
 
 def condense(readings: Readings, noise: JointNoise) -> PairFactors:
-    """The factor of each interval and joint on the states at both its ends.
-
-    Arrays have the states first and intervals and
-    joints last, where NumPy is fast for small states.
-    """
+    """The factor of each interval and joint on the states at both its ends."""
     steps, count, m, r = readings.between.shape
     p = noise.states
     decays = np.exp(-readings.gaps[..., None] / noise.seconds)
-    gains = noise.covariance(readings.gaps)
-    reads = noise.reads.T[:, None, :]
+    gains = noise.covariance(readings.gaps, readings.unit_motion)
     values = np.ascontiguousarray(np.moveaxis(readings.between, -1, 1))
     known = readings.between_weight > 0.0
     var = noise.white / np.where(known, readings.between_weight, 1.0)
     logs = normalisation(var, readings.between_believed).sum(axis=0)
-    carry = np.broadcast_to(np.eye(p)[:, :, None, None], (p, p, count, m))
+    carry = np.zeros((p, p, count, m))
+    carry[np.arange(p), np.arange(p)] = 1.0
     shift = np.zeros((p, r, count, m))
     cov = np.zeros((p, p, count, m))
     info = np.zeros((p, p, count, m))
     right = np.zeros((p, r, count, m))
     square = np.zeros((r, r, count, m))
     for k in range(steps + 1):
-        ahead = (readings.gaps[k][:, None], decays[k])
-        carry = noise.advance(carry, *ahead)
-        shift = noise.advance(shift, *ahead)
-        cov = noise.advance(noise.advance(cov, *ahead).swapaxes(0, 1), *ahead) + gains[:, :, k]
+        for states in (carry, shift, cov, cov.swapaxes(0, 1)):
+            noise.advance(states, readings.gaps[k][:, None], decays[k])
+        cov += gains[:, :, k]
         if k == steps:
             break
-        seen = (reads[:, None] * carry).sum(axis=0)
-        spread = (cov * reads).sum(axis=1)
-        total = (reads * spread).sum(axis=0) + var[k]
+        seen = noise.read(carry)
+        spread = noise.read(cov)
+        total = noise.read(spread) + var[k]
         inverse = np.where(known[k], 1.0 / total, 0.0)
-        innovation = values[k] - (reads[:, None] * shift).sum(axis=0)
+        innovation = values[k] - noise.read(shift)
         weighed = inverse * seen
-        info = info + weighed[:, None] * seen
-        right = right + weighed[:, None] * innovation
-        square = square + inverse * innovation[:, None] * innovation
+        info += weighed[:, None] * seen
+        right += weighed[:, None] * innovation
+        _add_square(square, inverse * innovation, innovation)
         logs += np.where(known[k], 0.5 * np.log(total / var[k]), 0.0)
         gain = inverse * spread
-        carry = carry - gain[:, None] * seen
-        shift = shift + gain[:, None] * innovation
-        cov = cov - gain[:, None] * spread
-    parts = [np.moveaxis(part, (2, 3), (0, 1)) for part in (carry, shift, cov, info, right, square)]
-    carry, shift, cov, info, right, square = parts
+        carry -= gain[:, None] * seen
+        shift += gain[:, None] * innovation
+        cov -= gain[:, None] * spread
     return _pair_factors(carry, shift, cov, PairFactors(info, right, square, logs))
+
+
+def _add_square(square: Array, left: Array, right: Array) -> None:
+    """Add the product of left (R,I,M) and right (R,I,M), which is
+    symmetric, to the upper triangle of square (R,R,I,M).
+    """
+    for i, row in enumerate(left):
+        square[i, i:] += row * right[i:]
 
 
 def normalisation(var: Array, believed: Array) -> Array:
@@ -162,14 +176,54 @@ def normalisation(var: Array, believed: Array) -> Array:
 
 
 def _pair_factors(carry: Array, shift: Array, cov: Array, start: PairFactors) -> PairFactors:
-    """Join what is known of the first state with the second one's normal distribution given it."""
-    scale = np.sqrt(np.einsum("impp->imp", cov))
-    scaled = cov / (scale[..., None] * scale[..., None, :])
-    inverse = np.linalg.inv(scaled) / (scale[..., None] * scale[..., None, :])
-    inverse = 0.5 * (inverse + inverse.swapaxes(-1, -2))
-    pulled = carry.swapaxes(-1, -2) @ inverse
-    info = np.block([[start.info + pulled @ carry, -pulled], [-pulled.swapaxes(-1, -2), inverse]])
-    right = np.concatenate([start.right - pulled @ shift, inverse @ shift], axis=-2)
-    square = start.square + shift.swapaxes(-1, -2) @ inverse @ shift
-    logs = start.logs + 0.5 * np.linalg.slogdet(scaled)[1] + np.log(scale).sum(axis=-1)
-    return PairFactors(info, right, square, logs)
+    """Join what is known of the first state with the second one's normal distribution given it.
+    Of the square at the start, the upper triangle.
+    """
+    p, r = shift.shape[:2]
+    inverse, log_determinant = _invert_posdef(cov)
+    pulled = np.zeros(carry.shape)
+    pushed = np.zeros(shift.shape)
+    for row, column, moved in zip(inverse, carry, shift, strict=True):
+        pulled += column[:, None] * row
+        pushed += row[:, None] * moved
+    info = np.empty((2 * p, 2 * p, *cov.shape[2:]))
+    right = np.empty((2 * p, r, *cov.shape[2:]))
+    info[:p, :p] = start.info
+    right[:p] = start.right
+    square = start.square
+    for column, known, moved, leant in zip(
+        pulled.swapaxes(0, 1), carry, shift, pushed, strict=True
+    ):
+        info[:p, :p] += column[:, None] * known
+        right[:p] -= column[:, None] * moved
+        _add_square(square, leant, moved)
+    info[:p, p:] = -pulled
+    info[p:, :p] = -pulled.swapaxes(0, 1)
+    info[p:, p:] = inverse
+    right[p:] = pushed
+    for i in range(1, r):
+        square[i, :i] = square[:i, i]
+    return PairFactors(info, right, square, start.logs + 0.5 * log_determinant)
+
+
+def _invert_posdef(matrices: Array) -> tuple[Array, Array]:
+    """Inverses (p,p,…) and ln determinants (…) of positive definite matrices (p,p,…), by
+    elimination without pivoting, whose rounding does not depend on the states' units.
+
+    Of one that rounding leaves indefinite, ln |determinant|: the whole log's elimination refuses
+    it. LinAlgError if one is singular.
+    """
+    inverse = matrices.copy()
+    log_determinant = np.zeros(matrices.shape[2:])
+    for k in range(len(matrices)):
+        pivot = inverse[k, k].copy()
+        if (pivot == 0.0).any():
+            raise np.linalg.LinAlgError("the motion between two knots is singular")
+        log_determinant += np.log(np.abs(pivot))
+        column = inverse[:, k] / pivot
+        row = inverse[k].copy()
+        inverse -= column[:, None] * row
+        inverse[:, k] = -column
+        inverse[k] = row / pivot
+        inverse[k, k] = 1.0 / pivot
+    return 0.5 * (inverse + inverse.swapaxes(0, 1)), log_determinant

@@ -69,28 +69,29 @@ class JointNoise:
             var = np.column_stack([var, np.square(np.maximum(self.error, LEAST_STD))])
         return np.asarray(np.eye(self.states) / var[:, None, :])
 
-    def advance(self, states: Array, gap: Array, decay: Array) -> Array:
-        """Means or columns of states (p,…,I,M) after gaps
+    def read(self, states: Array) -> Array:
+        """What an encoder reads (…,I,M) of means or columns of states (p,…,I,M)."""
+        if self.error is None or self.at_link.all():
+            return np.asarray(states[0])
+        return np.asarray(states[0] + np.where(self.at_link, 0.0, states[self.order]))
+
+    def advance(self, states: Array, gap: Array, decay: Array) -> None:
+        """Move means or columns of states (p,…,I,M) in place by gaps
         (I,1) s, over which errors keep `decay` (I,M).
         """
-        moved = states.copy()
-        moved[0] += gap * states[1]
+        states[0] += gap * states[1]
         if self.order == 3:
-            moved[0] += 0.5 * gap * gap * states[2]
-            moved[1] += gap * states[2]
+            states[0] += 0.5 * gap * gap * states[2]
+            states[1] += gap * states[2]
         if self.error is not None:
-            moved[self.order] *= decay
-        return moved
+            states[self.order] *= decay
 
-    def covariance(self, gap: Array) -> Array:
-        """Covariances (p,p,…,M) that the state gains over gaps (…) s."""
+    def covariance(self, gap: Array, unit_motion: Array) -> Array:
+        """Covariances (p,p,…,M) that the state gains over gaps (…) s, over which
+        motion gains unit_motion (o,o,…) for a process of variance 1.
+        """
         found = np.zeros((self.states, self.states, *gap.shape, len(self.white)))
-        moved = motion.motion_covariance(self.order, gap.ravel()).reshape(
-            *gap.shape, self.order, self.order
-        )
-        found[: self.order, : self.order] = (
-            np.moveaxis(moved, (-2, -1), (0, 1))[..., None] * self.process
-        )
+        found[: self.order, : self.order] = unit_motion[..., None] * self.process
         if self.error is not None:
             var = np.square(np.maximum(self.error, LEAST_STD))
             found[self.order, self.order] = -var * np.expm1(-2.0 * gap[..., None] / self.seconds)

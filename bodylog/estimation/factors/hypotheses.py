@@ -93,7 +93,7 @@ def explain(
     is_of_counts: whether errors that last are those of whole counts · halves (M,) rad: half of
     each joint's play in the exploration · loads: columns of a load.
     """
-    white = _learn(problem, noise, step_s, rounds=2)
+    white = fit_white_noise(problem, noise, step_s)
     sides = [_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)]
     lasting = _best(sides)
     if (
@@ -140,6 +140,11 @@ def explain(
     if "load" in gains:
         found = mix_silent_groups(found, problem.columns)
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
+
+
+def fit_white_noise(problem: FactorProblem, noise: Noise, step_s: float) -> Learned:
+    """White noise alone by the evidence of a log; arguments as of `explain`."""
+    return _learn(problem, noise, step_s, rounds=2)
 
 
 def mix_silent_groups(found: Learned, columns: Sequence[Column]) -> Learned:

@@ -1,6 +1,6 @@
 """What links bend by as the posture alone decides: under a weight at the hand, or otherwise."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -30,6 +30,14 @@ class Load(Column):
         own = np.zeros(path.angles.shape)
         own[:, self.joint] = self.shape(path.angles)
         return own
+
+
+def bend_under_load(columns: Sequence[Column], sizes: Array, angles: Array) -> Array:
+    """How far joints bend (N,M) rad at angles (N,M), by those of the columns that are a load."""
+    rest = np.zeros(angles.shape)
+    path = Path(np.arange(len(angles)), angles, rest, angles, rest)
+    loads = ((c, size) for c, size in zip(columns, sizes, strict=True) if isinstance(c, Load))
+    return sum((size * column.moves_links(path) for column, size in loads), rest)
 
 
 def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:

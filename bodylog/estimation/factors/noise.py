@@ -56,8 +56,8 @@ class Learned:
 
 @dataclass(frozen=True, eq=False)
 class _Expected:
-    """Expectations by the posterior: of pairs z
-    (K-1,M,2p,2p), of z c' (K-1,M,2p,R) and of c c' (R,R).
+    """Expectations by the posterior, as pair factors are laid out: of pairs z
+    (2p,2p,K-1,M), of z c' (2p,R,K-1,M) and of c c' (R,R).
     """
 
     pairs: Array
@@ -247,6 +247,8 @@ def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
     pairs = cov + z[..., :, None] * z[..., None, :] + x @ sizes_cov @ x.swapaxes(-1, -2)
     with_columns = z[..., :, None] * c
     with_columns[..., 1:] += x @ sizes_cov
+    pairs = np.ascontiguousarray(np.moveaxis(pairs, (2, 3), (0, 1)))
+    with_columns = np.ascontiguousarray(np.moveaxis(with_columns, (2, 3), (0, 1)))
     return _Expected(pairs, with_columns, columns)
 
 
@@ -258,10 +260,10 @@ def _joint_costs(
     pairs: PairFactors,
 ) -> Array:
     """Expected cost (M,) of each joint's factors with this noise."""
-    cost = 0.5 * np.einsum("imps,imsp->m", pairs.info, expected.pairs)
-    cost -= np.einsum("impr,impr->m", pairs.right, expected.with_columns)
-    cost += 0.5 * np.einsum("imrq,qr->m", pairs.square, expected.columns)
-    cost += pairs.logs.sum(axis=0)
+    cost = 0.5 * (pairs.info * expected.pairs).sum(axis=(0, 1))
+    cost -= (pairs.right * expected.with_columns).sum(axis=(0, 1))
+    cost += 0.5 * (pairs.square * expected.columns[..., None, None]).sum(axis=(0, 1))
+    cost = (cost + pairs.logs).sum(axis=0)
     return np.asarray(
         cost + _knot_costs(linear, joints, beliefs) + _start_costs(linear, joints, expected)
     )
@@ -289,7 +291,7 @@ def _start_costs(linear: Linearised, joints: JointNoise, expected: _Expected) ->
         return np.zeros(len(joints.white))
     precision = joints.start_precision()[:, -1, -1]
     p = joints.states
-    return np.asarray(0.5 * (precision * expected.pairs[0, :, p - 1, p - 1] - np.log(precision)))
+    return np.asarray(0.5 * (precision * expected.pairs[p - 1, p - 1, 0] - np.log(precision)))
 
 
 def _group_slopes(linear: Linearised, beliefs: Smoothed) -> Array:

@@ -95,9 +95,9 @@ class FactorProblem:
         """Length S of the state at a knot: each joint's, then the model errors."""
         return len(self.start) * noise.joints.states + self.model_rows
 
-    def place(self, path: Path) -> Readings:
+    def place(self, path: Path, order: int) -> Readings:
         """The readings at and between the knots, with the change
-        of each by the columns as further right-hand sides.
+        of each by the columns as further right-hand sides. order: that of the motion.
         """
         moved = (
             np.stack([c.reads(self.t, path) for c in self.columns], axis=-1)
@@ -107,7 +107,7 @@ class FactorProblem:
         own = self.values[..., None]
         values = own if moved is None else np.concatenate([own, moved], axis=-1)
         believed = np.ones(self.values.shape) if self.believed is None else self.believed
-        return place_readings(self.t, values, self.relative, believed, self.knots)
+        return place_readings(self.t, values, self.relative, believed, self.knots, order)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +139,9 @@ def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
         rows.append(image_rows(images, here.links, noise.joints, 1.0, columns, first, size))
         first += images.values.shape[1]
     kappa = correlate_model_errors(problem.sightings, path.links)
-    return Linearised(problem, path, problem.place(path), tuple(rows), kappa, noise)
+    return Linearised(
+        problem, path, problem.place(path, noise.joints.order), tuple(rows), kappa, noise
+    )
 
 
 def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> Array:
@@ -174,8 +176,8 @@ def build_system(linear: Linearised) -> System:
     pair_right = np.zeros((count - 1, 2 * size, right_sides))
     for j in range(m):
         own = np.r_[j * p : (j + 1) * p, size + j * p : size + (j + 1) * p]
-        pair_info[:, own[:, None], own] = pairs.info[:, j]
-        pair_right[:, own] = pairs.right[:, j]
+        pair_info[:, own[:, None], own] = np.moveaxis(pairs.info[..., j], -1, 0)
+        pair_right[:, own] = np.moveaxis(pairs.right[..., j], -1, 0)
     logs_of_pairs = pairs.logs.sum(axis=1)
     # u₁ = κ u₀ + √(1 − κ²) ν
     fresh = 1.0 / (1.0 - np.square(linear.model_correlation))
@@ -195,7 +197,7 @@ def build_system(linear: Linearised) -> System:
         logs,
         pair_info,
         pair_right,
-        pairs.square.sum(axis=1),
+        np.moveaxis(pairs.square.sum(axis=-1), -1, 0),
         logs_of_pairs,
         means,
         precision,

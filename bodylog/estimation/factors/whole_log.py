@@ -17,8 +17,9 @@ from ..noise.quantisation import quantisation_variance
 from .columns import Column, EncoderShift
 from .encoder_error import LEAST_STD, JointNoise
 from .gauss_newton import Solution, path_of, solve
-from .hypotheses import FIRST_S, Explanation, explain, with_lasting
+from .hypotheses import FIRST_S, Explanation, explain, fit_white_noise, with_lasting
 from .images import ImageRows, Images
+from .noise import Learned
 from .problem import FactorProblem, LastingPrior, Noise
 from .robust import believed, image_span, left_out, outlier_nats
 from .solve import Marginals, filtered, predicted
@@ -91,8 +92,7 @@ class ExplainedLog:
 
     def with_white_noise(self) -> "ExplainedLog":
         """The same log by white noise alone."""
-        white = self.explanation.white
-        return replace(self, explanation=Explanation(self.fine.columns, white, white, 0.0, 0.0, {}))
+        return replace(self, explanation=_explain_by_noise(self.fine, self.explanation.white))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,17 +121,42 @@ def explain_log(
     if posed is None:
         return None
     fine, coarse, noise = posed
-    encoders = problem.evidence.encoders
-    assert encoders is not None  # of what is posed
+    encoders = _posed_encoders(problem)
     found = explain(
         coarse,
         replace(noise, prior=lasting),
-        float(np.median(np.diff(encoders.t))),
+        _usual_step(encoders),
         partial(_is_of_counts, encoders=encoders),
         halves,
         loads,
     )
     return ExplainedLog(fine, found, found.learned.nats + _outliers(coarse))
+
+
+def explain_by_white_noise(problem: FilterProblem) -> ExplainedLog | None:
+    """Explain a log by white noise alone; None where it has no readings or no images."""
+    posed = _pose_log(problem)
+    if posed is None:
+        return None
+    fine, coarse, noise = posed
+    white = fit_white_noise(coarse, noise, _usual_step(_posed_encoders(problem)))
+    return ExplainedLog(fine, _explain_by_noise(fine, white), white.nats + _outliers(coarse))
+
+
+def _explain_by_noise(problem: FactorProblem, white: Learned) -> Explanation:
+    """White noise as what explains a log."""
+    return Explanation(problem.columns, white, white, 0.0, 0.0, {})
+
+
+def _posed_encoders(problem: FilterProblem) -> Encoders:
+    """The encoders of a log that is posed: it has some."""
+    assert problem.evidence.encoders is not None
+    return problem.evidence.encoders
+
+
+def _usual_step(encoders: Encoders) -> float:
+    """The usual time (s) from one reading to the next."""
+    return float(np.median(np.diff(encoders.t)))
 
 
 def resembles_load(

@@ -138,13 +138,14 @@ def follow_slack(motors: Array, half: Array, noise: Array) -> Array:
     operator). noise (M,) rad: how far the motors' angles are known. A turn back within it counts
     for none, as noise alone would drag the link along.
     """
-    reach = half + noise
+    low = motors - (half + noise)
+    high = motors + (half + noise)
     links = motors[0]
     found = np.zeros(motors.shape)
-    for k, motor in enumerate(motors):
-        links = np.clip(links, motor - reach, motor + reach)
-        found[k] = links - motor
-    return np.clip(found / half, -1.0, 1.0)
+    for k in range(len(motors)):
+        links = np.minimum(np.maximum(links, low[k]), high[k])
+        found[k] = links
+    return np.clip((found - motors) / half, -1.0, 1.0)
 
 
 def read_slack(t: Array, readings: Array, half: Array) -> Array:

@@ -14,7 +14,7 @@ from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
 from ..factors.columns import Column, Play
 from ..factors.hypotheses import DRIFTS_S, Explanation
-from ..factors.load import FIRST_BEND, Load, load_columns, load_sentence
+from ..factors.load import FIRST_BEND, Load, bend_under_load, load_columns, load_sentence
 from ..factors.problem import ANY_ERRORS, LastingPrior
 from ..factors.whole_log import (
     ExplainedLog,
@@ -72,8 +72,8 @@ def explained_estimate(
         square = float(np.mean(np.square(halves)))
         square += np.exp(2.0 * prior.error[0]) if prior.known else 0.0
         lasting = LastingError(square**0.5, 0.0, 0.0)
-    # a load looks like an encoder that drifts
-    if lasting is None and not beliefs.faults:
+    # a load looks like an encoder that drifts, by less than counts as a fault, too
+    if lasting is None and not beliefs.faults and not has_offsets(problem, first):
         if settings.precision != "auto":
             return kept
         rough = measure_rough_motion(problem, settings.method != "smoother")
@@ -89,8 +89,7 @@ def explained_estimate(
     except np.linalg.LinAlgError as singular:
         made = f"their explanation has no solution ({singular})"
     if isinstance(made, Estimate):
-        takes_back = len(made.faults) < len(kept.faults)
-        return made if lasting is not None or takes_back else kept
+        return made
     return kept if lasting is None else with_lasting_error(kept, lasting, made)
 
 
@@ -126,6 +125,8 @@ def _explain_estimate(
     if simpler is not None:
         problem, found = simpler
         beliefs = replace(beliefs, faults=())
+    elif is_white:
+        return "encoder offsets explain the log better"
     else:
         why = reason_of_disagreement(problem, beliefs, found, causal)
         if why is not None:
@@ -311,10 +312,7 @@ def _describe_load(
     a weight at the hand, and the nats by which that wins.
     """
     learned = explanation.learned
-    moved = np.zeros(learned.path.angles.shape)
-    for column, size in zip(explanation.columns, learned.sizes.tolist(), strict=True):
-        if column in loads:
-            moved += size * column.moves_links(learned.path)
+    moved = bend_under_load(explanation.columns, learned.sizes, learned.path.angles)
     farthest = np.abs(moved).max(axis=0).tolist()
     return {
         "weight": loads[0].name == "payload",

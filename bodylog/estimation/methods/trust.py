@@ -14,8 +14,10 @@ from ...linear_algebra import project_covariance
 from ...motion import WHITE_JERK
 from ...settings import EstimationSettings
 from ...types import Array
+from ..factors.hypotheses import Explanation
+from ..factors.load import Load, bend_under_load
 from ..factors.robust import image_span, mixture_nats
-from ..factors.whole_log import ExplainedLog, SolvedLog, solve_log
+from ..factors.whole_log import ExplainedLog, SolvedLog, explain_by_white_noise, solve_log
 from ..inference.filter_log import filter_roughly
 from ..inference.problem import FilterProblem
 from ..measurements.records import Encoders
@@ -79,14 +81,45 @@ def reason_to_widen(
 def reason_of_disagreement(
     problem: FilterProblem, beliefs: Beliefs, found: ExplainedLog, causal: bool
 ) -> str | None:
-    """Why the solution with white noise is not that of the beliefs; None if it is."""
-    white = solve_log(problem, found.with_white_noise(), causal)
-    stated = np.einsum("emm->em", beliefs.cov)
-    apart = white.instants.angles - beliefs.z[:, : stated.shape[1]]
+    """Why the solution with white noise is not that of the beliefs; None if it is.
+
+    Where a load explains the log, white noise blames images or encoders for it, each engine others.
+    So both filter that log again, from readings of the links that bend under the load.
+    """
+    if any(isinstance(one, Load) for one in found.explanation.columns):
+        problem = _move_readings_to_links(problem, found.explanation)
+        problem = replace(problem, precision=tune_by_evidence(problem, whole=False)[0])
+        filtered = filter_roughly(problem)
+        angles = filtered.fold.unfold(filtered.trace.z)
+        cov = filtered.fold.unfold(filtered.trace.cov)
+        white = explain_by_white_noise(problem)
+        assert white is not None  # as the log with its load has an explanation
+        causal = True
+    else:
+        angles = beliefs.z
+        cov = beliefs.cov
+        white = found.with_white_noise()
+    m = len(problem.start)
+    solved = solve_log(problem, white, causal)
+    stated = np.einsum("emm->em", cov[:, :m, :m])
+    apart = solved.instants.angles - angles[:, :m]
     far = float(np.sqrt(np.mean(np.square(apart) / stated)))
     if far <= MOST_APART:
         return None
     return f"two solutions for white noise are {far:.2g} standard deviations apart"
+
+
+def _move_readings_to_links(problem: FilterProblem, explanation: Explanation) -> FilterProblem:
+    """The problem with readings of the links, which bend under the load that explains the log."""
+
+    def move(angles: Array) -> Array:
+        return angles + bend_under_load(explanation.columns, explanation.learned.sizes, angles)
+
+    encoders = problem.evidence.encoders
+    assert encoders is not None  # of what is explained
+    read = replace(encoders, values=move(encoders.values))
+    evidence = replace(problem.evidence, encoders=read)
+    return replace(problem, evidence=evidence, start=move(problem.start[None])[0])
 
 
 def reason_of_misfit(
@@ -115,13 +148,26 @@ class RoughMotion:
     nats: Array
 
 
+@dataclass(frozen=True, eq=False)
+class _ImageEvidence:
+    """What images say of motion that is not assumed, one row each: product (F,M) of the slope of
+    its nats by the angle, 1/rad, and the error of the reading before it, rad · weight (F,M) of a
+    variance in the product, 1/rad² · nats (F,) by the readings and images before it · the instants
+    at (F,).
+    """
+
+    product: Array
+    weight: Array
+    nats: Array
+    at: Array
+
+
 def measure_rough_motion(problem: FilterProblem, causal: bool) -> RoughMotion | None:
     """What joints do beside the motion that is assumed;
     None where a log shows no such thing.
 
-    The errors of an image and of the reading before it are independent. Where both lie on the same
-    side of what a filter expects of earlier ones, the joint itself was there: it sticks and slips.
-    Where a filter's innovations are not white, all noise of readings may be motion.
+    Where a filter's innovations are not white, all noise of readings may be motion; images show
+    what part of it is.
     causal: whether the problem's noise is that of a filter.
     """
     encoders = problem.evidence.encoders
@@ -134,12 +180,27 @@ def measure_rough_motion(problem: FilterProblem, causal: bool) -> RoughMotion | 
     x, cov, read = map(
         unfold, (solution.trace.prior, solution.trace.prior_cov, solution.trace.encoder_d)
     )
+    images = _compare_images_with_readings(problem, x, cov, read)
+    noise = problem.precision.encoder
+    coloured = _find_coloured(read[problem.timeline.encoders], encoders, noise)
+    variance = np.maximum(np.where(coloured, noise, 0.0), _measure_shared_motion(images))
+    if not variance.any():
+        return None
+    return RoughMotion(variance, images.nats, images.at, unfold(solution.trace.nats))
+
+
+def _compare_images_with_readings(
+    problem: FilterProblem, x: Array, cov: Array, read: Array
+) -> _ImageEvidence:
+    """The evidence of each image that has a reading before it.
+
+    x (E,M) and cov (E,M,M): what a filter expects at each instant · read (E,M): the errors of
+    readings from it, in standard deviations.
+    """
     line = problem.timeline
     noise = problem.precision.encoder
-    products = []
-    weights = []
-    nats = []
-    instants = []
+    joints = len(problem.start)
+    found = [(np.zeros((0, joints)), np.zeros((0, joints)), np.zeros(0), np.zeros(0, int))]
     for sighting, at in zip(problem.evidence.sightings, line.sightings, strict=True):
         if sighting.name == "touch" or sighting.cov is not None:
             continue
@@ -147,44 +208,41 @@ def measure_rough_motion(problem: FilterProblem, causal: bool) -> RoughMotion | 
         usable = (before >= 0) & np.isfinite(sighting.values).all(axis=1)
         rows = at[usable]
         earlier = line.encoders[before[usable]]
-        mean, jac, var = sighting.model.predict(x[rows])
-        scale = problem.precision.scale.get(sighting.name, 1.0)
-        spread = project_covariance(jac, cov[rows])
-        size = np.einsum("fdd->fd", spread) + var + scale * sighting.var[usable]
-        away = sighting.values[usable] - mean
-        there, near = _with_readings_there(x[rows], cov[rows], read[rows], noise)
-        mean_there, jac_there, _ = sighting.model.predict(there)
-        total = project_covariance(jac_there, near)
-        np.einsum("fdd->fd", total)[:] += var + scale * sighting.var[usable]
         seen = sighting.values[usable]
-        span = image_span(seen, sighting.var[usable])
-        nats.append(mixture_nats(seen - mean_there, total, span))
-        instants.append(rows)
-        off = np.clip(away / np.sqrt(size), -FAR_SIGMAS, FAR_SIGMAS)
+        var = problem.precision.scale.get(sighting.name, 1.0) * sighting.var[usable]
+        mean, jac, model_var = sighting.model.predict(x[rows])
+        size = np.einsum("fdd->fd", project_covariance(jac, cov[rows])) + model_var + var
+        off = np.clip((seen - mean) / np.sqrt(size), -FAR_SIGMAS, FAR_SIGMAS)
         stated = np.sqrt(noise + np.einsum("fmm->fm", cov[earlier]))
         pull = np.einsum("fdm,fd->fm", jac, off / np.sqrt(size))
-        products.append(pull * stated * np.clip(read[earlier], -FAR_SIGMAS, FAR_SIGMAS))
-        weights.append(np.einsum("fdm,fd->fm", np.square(jac), 1.0 / size))
-    variance = np.where(_find_coloured(read[line.encoders], encoders, noise), noise, 0.0)
-    both = np.concatenate(products) if products else np.zeros((0, len(problem.start)))
-    known = np.isfinite(both).all(axis=1)
-    both = both[known]
-    alike = both.sum() >= ROUGH_SIGMAS * np.sqrt(np.square(both).sum())
-    if len(both) >= FEWEST_IMAGES and alike:
-        weight = np.concatenate(weights)[known].sum(axis=0)
-        shown = np.isfinite(weight) & (weight > 0.0)
-        shared = np.maximum(both.sum(axis=0), 0.0)
-        shared = np.divide(shared, weight, out=np.zeros(len(weight)), where=shown)
-        variance = np.maximum(variance, shared)
-    if not variance.any():
-        return None
-    none = np.empty(0)
-    return RoughMotion(
-        variance,
-        np.concatenate(nats)[known] if nats else none,
-        np.concatenate(instants)[known] if instants else none.astype(int),
-        unfold(solution.trace.nats),
-    )
+        product = pull * stated * np.clip(read[earlier], -FAR_SIGMAS, FAR_SIGMAS)
+        weight = np.einsum("fdm,fd->fm", np.square(jac), 1.0 / size)
+        there, near = _with_readings_there(x[rows], cov[rows], read[rows], noise)
+        mean, jac, model_var = sighting.model.predict(there)
+        total = project_covariance(jac, near)
+        np.einsum("fdd->fd", total)[:] += model_var + var
+        nats = mixture_nats(seen - mean, total, image_span(seen, sighting.var[usable]))
+        found.append((product, weight, nats, rows))
+    product, weight, nats, rows = map(np.concatenate, zip(*found, strict=True))
+    known = np.isfinite(product).all(axis=1)
+    return _ImageEvidence(product[known], weight[known], nats[known], rows[known])
+
+
+def _measure_shared_motion(images: _ImageEvidence) -> Array:
+    """Variance (M,) rad² that errors of images share with those of readings, zero where the log
+    shows none.
+
+    The errors of an image and of the reading before it are independent. Where both lie on the same
+    side of what a filter expects of earlier ones, the joint itself was there: it sticks and slips.
+    """
+    product = images.product
+    alike = product.sum() >= ROUGH_SIGMAS * np.sqrt(np.square(product).sum())
+    if len(product) < FEWEST_IMAGES or not alike:
+        return np.zeros(product.shape[1])
+    weight = images.weight.sum(axis=0)
+    shown = np.isfinite(weight) & (weight > 0.0)
+    shared = np.maximum(product.sum(axis=0), 0.0)
+    return np.asarray(np.divide(shared, weight, out=np.zeros(len(weight)), where=shown))
 
 
 def _find_coloured(errors: Array, encoders: Encoders, noise: Array) -> Array:

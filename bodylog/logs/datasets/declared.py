@@ -75,8 +75,8 @@ def _kind_of_number(kind: Any) -> str:
 
 def compare_row_rate(t: Array, fps: float) -> Iterator[Finding]:
     """Rows at t (N,) s that are further apart, or less, than the declared rate says."""
-    step_s = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
-    if step_s > 0.0 and abs(step_s * fps - 1.0) > RATE_SHARE:
+    step_s = _find_other_step(t, fps)
+    if step_s is not None:
         text = f"timestamp: rows are {step_s:.4g} s apart ({1.0 / step_s:.3g} Hz)"
         yield Finding("warning", f"{text}, info.json says fps {fps:g}")
 
@@ -89,10 +89,16 @@ def compare_video(
     if declared is not None and declared != (film.width, film.height):
         text = f"{name}: info.json declares images of {declared[0]} x {declared[1]}"
         yield Finding("warning", f"{text}, the video has {film.width} x {film.height}")
-    step_s = float(np.median(np.diff(film.t))) if len(film.t) > 1 else 0.0
-    if step_s > 0.0 and abs(step_s * fps - 1.0) > RATE_SHARE:
+    step_s = _find_other_step(film.t, fps)
+    if step_s is not None:
         text = f"{name}: the video has {1.0 / step_s:.3g} frames a second"
         yield Finding("warning", f"{text}, info.json says fps {fps:g}")
+
+
+def _find_other_step(t: Array, fps: float) -> float | None:
+    """Median step (s) of t (N,) s; None where it is that of the rate fps, or zero."""
+    step_s = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
+    return step_s if step_s > 0.0 and abs(step_s * fps - 1.0) > RATE_SHARE else None
 
 
 def _declared_size(about: Mapping[str, Any]) -> tuple[int, int] | None:

@@ -122,6 +122,10 @@ def _read_lerobot_episode(
     where = parquet.find_row_runs(table, "episode_index", number, limits)
     if not where:
         raise LogError(f"{table}: no rows of episode {number}")
+    if number in known.repeated:
+        listing = EPISODES if known.one_file_each else EPISODE_TABLES
+        text = f"{listing} lists episode {number} more than once; its last entry is taken"
+        findings.append(Finding("warning", text))
     columns = parquet.list_column_types(table)
     needed = (*_STATE, *_ACTIONS)
     findings += compare_columns(known.features, columns, needed)

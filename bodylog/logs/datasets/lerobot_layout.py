@@ -3,6 +3,7 @@ meta/info.json, list of episodes, tables and videos.
 """
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -40,7 +41,7 @@ class DatasetLayout:
     """A dataset: its folder, info.json, features {name:
     declaration}, frames per second, and the episodes' rows.
 
-    `rows` {episode: its entry in the dataset's list}.
+    `rows` {episode: its entry in the dataset's list}, the last one of the `repeated` episodes.
     """
 
     folder: Path
@@ -48,6 +49,7 @@ class DatasetLayout:
     features: Mapping[str, Mapping[str, Any]]
     fps: float
     rows: Mapping[int, Mapping[str, Any]]
+    repeated: frozenset[int] = frozenset()
 
     @property
     def version(self) -> str:
@@ -172,8 +174,12 @@ def _read_cached_layout(folder: Path, *_: tuple[int, int]) -> DatasetLayout:
     known = {
         str(name): declared for name, declared in features.items() if isinstance(declared, dict)
     }
-    listed = _list_v3_episodes(folder) if version.startswith("v3") else _listed_v2(folder)
-    return DatasetLayout(folder, info, known, fps, listed)
+    listed = _list_v3_episodes(folder) if version.startswith("v3") else _list_v2_episodes(folder)
+    numbered = [row for row in listed if _is_index(row.get("episode_index"))]
+    times_listed = Counter(row["episode_index"] for row in numbered)
+    repeated = frozenset(number for number, times in times_listed.items() if times > 1)
+    rows = {row["episode_index"]: row for row in numbered}
+    return DatasetLayout(folder, info, known, fps, rows, repeated)
 
 
 def stored_statistics(layout: DatasetLayout) -> tuple[dict[int, Any], Any]:
@@ -210,22 +216,18 @@ def read_task_texts(layout: DatasetLayout) -> dict[int, str]:
     }
 
 
-def _listed_v2(folder: Path) -> dict[int, Mapping[str, Any]]:
+def _list_v2_episodes(folder: Path) -> Sequence[Mapping[str, Any]]:
     path = folder / EPISODES
     if not path.is_file():
         raise LogError(f"{path}: there is no such file; is the dataset downloaded completely?")
-    return {
-        row["episode_index"]: row
-        for row in _read_meta_json_lines(path)
-        if _is_index(row.get("episode_index"))
-    }
+    return _read_meta_json_lines(path)
 
 
 _COLUMNS = ("episode_index", "tasks", "length", "data/chunk_index", "data/file_index")
 
 
-def _list_v3_episodes(folder: Path) -> dict[int, Mapping[str, Any]]:
-    found: dict[int, Mapping[str, Any]] = {}
+def _list_v3_episodes(folder: Path) -> Sequence[Mapping[str, Any]]:
+    found = list[Mapping[str, Any]]()
     tables = _episode_tables(folder)
     if not tables:
         raise LogError(
@@ -239,10 +241,8 @@ def _list_v3_episodes(folder: Path) -> dict[int, Mapping[str, Any]]:
                 if name in _COLUMNS or name.startswith("videos/")
             ]
         columns = parquet.read_object_columns(path, names)
-        for cells in zip(*columns.values(), strict=True):
-            row = dict(zip(columns, cells, strict=True))
-            if _is_index(row.get("episode_index")):
-                found[row["episode_index"]] = row
+        rows = zip(*columns.values(), strict=True)
+        found += [dict(zip(columns, cells, strict=True)) for cells in rows]
     return found
 
 

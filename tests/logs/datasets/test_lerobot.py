@@ -78,6 +78,16 @@ def test_open_defaults_to_the_first_existing_episode(old, copied):
         logs.open(copied, episode=0)
 
 
+def test_open_names_an_episode_that_is_listed_twice(copied):
+    with (copied / "meta/episodes.jsonl").open("a") as listed:
+        listed.write('{"episode_index": 1, "length": 3}\n')
+    with logs.open(copied, episode=1) as log:
+        named = [one.text for one in log.findings if one.severity == "warning"]
+    assert any("episodes.jsonl lists episode 1 more than once; its last entry is taken" in one for one in named)
+    with logs.open(copied, episode=0) as log:
+        assert not any("more than once" in one.text for one in log.findings)
+
+
 def test_open_selects_an_episode_by_number(old, tmp_path):
     assert episodes.split_episode_name(Path(f"{old}#2")) == (old, 2) == episodes.split_episode_name(Path(f"{old}/#2"))
     assert episodes.split_episode_name(tmp_path / "set#2") == (tmp_path / "set#2", None)
