@@ -1,4 +1,6 @@
-"""The selected inverse of a block-tridiagonal matrix, in linear time, and forward substitution."""
+"""The selected inverse of a block-tridiagonal matrix, in linear time, forward substitution, and
+covariances of many small linear maps.
+"""
 
 import numpy as np
 
@@ -60,3 +62,12 @@ def forward_substituted(lower: Array, right: Array) -> Array:
     above = forward_substituted(lower[:half, :half], right[:half])
     below = forward_substituted(lower[half:, half:], right[half:] - lower[half:, :half] @ above)
     return np.concatenate([above, below])
+
+
+def project_covariance(jac: Array, cov: Array) -> Array:
+    """J P Jᵀ (F,D,D) of jac (F,D,M) and cov (F,M,M); with
+    frames last, products of small matrices are fast.
+    """
+    jac, cov = (np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in (jac, cov))
+    found = np.einsum("dkf,ekf->fde", np.einsum("dmf,mkf->dkf", jac, cov), jac)
+    return np.ascontiguousarray(found)

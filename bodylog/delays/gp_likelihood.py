@@ -15,11 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..estimation.inference.scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..estimation.measurements.arm_errors import (
     LEAST_PLAY,
-    PLAY_SIGMAS,
     PLAY_STD,
     ArmErrors,
     RowExposure,
@@ -253,7 +252,7 @@ class _Search:
         play = {
             name: (2.0 * float(sizes[p]), 2.0 * float(errors[p]))
             for name, p in zip(self.joints, self.play, strict=True)
-            if p in free and sizes[p] > PLAY_SIGMAS * errors[p]
+            if p in free and sizes[p] > SIGNIFICANT_SIGMA * errors[p]
         }
         return delays, ArmErrors(play, rows)
 

@@ -16,13 +16,11 @@ import numpy as np
 
 from ..estimation.factors.noise import LOG_SCALE, LONGEST_S
 from ..estimation.factors.problem import ANY_ERRORS
-from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..types import Array
 
 TIMES_S = (0.2, 1.0, 4.0)
 """Time constants that are tried first."""
-SCORE_SIGMAS = 3.0
-"""Standard deviations of the score from which the search begins."""
 SHORTEST_STEPS = 2.0
 """Steps between residuals that an error outlasts at least: shorter ones are noise of images."""
 FIRST_RAD = 1e-3
@@ -53,7 +51,7 @@ def measure_lasting_errors(tracks: Sequence[TrackResiduals]) -> tuple[Array, flo
     joints = tracks[0].slopes.shape[1]
     none = minimize(_cost, np.zeros(1), (tracks,), jac=True, method="L-BFGS-B")
     scores = [_score_error(tracks, float(np.exp(none.x[0])), seconds) for seconds in TIMES_S]
-    if max(scores) < SCORE_SIGMAS:
+    if max(scores) < SIGNIFICANT_SIGMA:
         return None
     step = max(float(np.median(np.diff(np.unique(one.t)))) for one in tracks)
     limits = [

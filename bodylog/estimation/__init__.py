@@ -77,11 +77,16 @@ def _estimate_with_corrected_times(
     def solve(sensed: Features, chosen: EstimationSettings) -> Estimate:
         return require_finite_estimate(METHODS[settings.method].estimate(sensed, body, chosen))
 
-    found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
+    def weigh_causes(sensed: Features) -> Features:
+        if settings.common_cause is None:
+            return sensed
+        return infer_common_causes(sensed, body, settings, settings.common_cause, solve)
+
+    found = solve(weigh_causes(timely.features), settings)
     left = found.settings.get(HARDWARE_ERRORS, {}).get("late", {})
     if (again := reconsider_delays(timely, features, body, delay, left)) is not None:
         timely = again
-        found = solve(infer_common_causes(timely.features, body, settings, solve), settings)
+        found = solve(weigh_causes(timely.features), settings)
     used = dict(found.settings)
     if timely.delays or learned_arm_errors(body).rows:
         found = restore_stamps(found, features)

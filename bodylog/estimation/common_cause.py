@@ -23,15 +23,17 @@ def infer_common_causes(
     features: Features,
     body: BodyModel,
     settings: EstimationSettings,
+    prior: float,
     solve: Callable[[Features, EstimationSettings], Estimate],
 ) -> Features:
     """The features with each pair's probability of a common
-    cause; unchanged without a prior or without touches.
+    cause; unchanged without touches.
 
+    prior: probability of a common cause before place is known ·
     solve: the estimate that is made without touch. UsageError where touch is the only sense, or the
     image's size, over which a hand of another cause is spread, is not known.
     """
-    if settings.common_cause is None or not features.synchrony or features.hand is None:
+    if not features.synchrony or features.hand is None:
         return features
     if features.picture_size is None:
         raise UsageError(
@@ -43,7 +45,7 @@ def infer_common_causes(
         replace(
             pair,
             common_cause=compute_common_cause_posterior(
-                settings.common_cause, *_compute_cause_densities(features, body, alone, pair)
+                prior, *_compute_cause_densities(features, body, alone, pair)
             ),
         )
         for pair in features.synchrony

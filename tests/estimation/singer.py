@@ -6,6 +6,8 @@ import numpy as np
 
 from bodylog.types import Array
 
+PLACES, WEIGHTS = np.polynomial.legendre.leggauss(8)
+
 
 @dataclass(frozen=True)
 class Singer:
@@ -27,9 +29,8 @@ class Singer:
 
     def covariance(self, gap: Array) -> Array:
         """The integral of what noise at each time has become, by Gauss and Legendre."""
-        places, weights = np.polynomial.legendre.leggauss(12)
         found = np.zeros((len(gap), 3, 3))
-        for place, weight in zip(0.5 + 0.5 * places, 0.5 * weights, strict=True):
+        for place, weight in zip(0.5 + 0.5 * PLACES, 0.5 * WEIGHTS, strict=True):
             column = self.transition(place * gap)[:, :, 2]
             found += (weight * gap)[:, None, None] * column[:, :, None] * column[:, None, :]
         return found

@@ -10,6 +10,8 @@ from bodylog.estimation import estimate_from_features
 from bodylog.estimation.live import LiveEstimator
 from bodylog.motion import MOTION_MODELS
 from bodylog.settings import EstimationSettings
+from bodylog.types import HARDWARE_ERRORS
+from tests.estimation import mechanisms
 from tests.estimation.conftest import JOINTS, Explored, draw
 from tests.estimation.singer import Singer
 from tests.estimation.spoilt_logs import muted
@@ -33,7 +35,7 @@ def endless(monkeypatch):
     monkeypatch.setitem(MOTION_MODELS, "endless", Singer(1e7))
 
 
-@pytest.mark.parametrize(("encoder_hz", "duration"), [(50.0, 8.0), (400.0, 12.0)])
+@pytest.mark.parametrize(("encoder_hz", "duration"), [(50.0, 8.0), (400.0, 6.0)])
 @pytest.mark.usefixtures("singer")
 def test_filter_and_smoother_under_singers_model_are_the_textbooks(reference, linear_model, encoder_hz, duration):
     drawn = draw(1, duration=duration, encoder_hz=encoder_hz, model=linear_model, hidden=(2.0, 3.0))
@@ -57,8 +59,8 @@ def test_filter_and_smoother_under_singers_model_are_the_textbooks(reference, li
 @pytest.mark.usefixtures("endless")
 def test_both_ways_learn_the_same_noise(method):
     settings = EstimationSettings(method=method)
-    drawn = draw(2, duration=10.0, model=Explored())
-    features = muted(drawn.features, 3.0, 5.0, ("lift",)) if method == "filter" else drawn.features
+    drawn = draw(2, duration=6.0, model=Explored())
+    features = muted(drawn.features, 2.0, 3.5, ("lift",)) if method == "filter" else drawn.features
     found, expected = (
         estimate_from_features(features, drawn.body, replace(settings, motion=name)) for name in ("endless", "white-jerk")
     )
@@ -80,6 +82,16 @@ def test_live_filter_moves_as_the_log_did():
     angles = {belief.t: belief.x for belief in beliefs}
     live_angles = np.array([angles[t] for t in batch.joints.t])
     np.testing.assert_allclose(live_angles, batch.joints.values, atol=1e-7)
+
+
+@pytest.mark.usefixtures("singer")
+def test_errors_that_last_widen_bars_as_they_are_explained_under_white_jerk_alone():
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    features = mechanisms.replayed(4, mechanisms.LASTING, mechanisms.Fault(), 10.0)
+    found = estimate_from_features(features, body, EstimationSettings(motion="singer"), "off")
+    assert found.settings["motion"] == "singer" and HARDWARE_ERRORS not in found.settings
+    (warning,) = (one.text for one in found.findings if "errors last" in one.text)
+    assert "motion is set to singer" in warning
 
 
 def test_motion_without_noise_or_outside_the_table_is_refused():

@@ -70,6 +70,8 @@ def test_few_images_of_something_else_make_no_misfit():
         (0.3, {}, None),
         (0.01, {}, "lift turns by 0.009 rad"),
         (0.3, {"bias": "on"}, "set to on"),
+        (0.3, {"motion": "white-jerk"}, None),
+        (0.3, {"motion": "singer"}, "motion is set to singer"),
         (0.3, {"sigma_vision": 1.0}, "variances are set"),
         (0.3, {"hardware_errors": "widen"}, 'type hardware_errors = "explain"'),
     ],

@@ -12,6 +12,7 @@ from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 from ..inference.problem import FilterProblem
 from ..measurements.records import Encoders, Sighting, unmix_rows
+from ..noise.lasting_error import MOST_COUNTS
 from ..noise.quantisation import quantisation_variance
 from .columns import Column, EncoderShift
 from .encoder_error import LEAST_STD, JointNoise
@@ -40,8 +41,6 @@ ORDER = 3
 """White jerk: white acceleration takes the noise of motors for motion."""
 MEDIAN_SQUARE = (0.455, 1.386, 2.366)
 """Medians of χ² with 1, 2 and 3 degrees of freedom."""
-MOST_COUNTS = 2.0
-"""Variances of whole counts up to which an error that lasts is that of the counts."""
 TURN = np.array([2.0 * np.pi])
 """rad: within what an outlier of an encoder may be."""
 USUAL_STD = 4e-3

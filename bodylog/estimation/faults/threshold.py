@@ -11,6 +11,9 @@ CERTAIN_SIGMA = 4.0
 """Standard deviations from zero of what is certainly not zero. With
 4.9, where an offset wins EVIDENCE_THRESHOLD_NATS, an encoder that
 drifts by 0.005 rad/s is named 3.75 s after its drift began, not 3.21 s."""
+SIGNIFICANT_SIGMA = 3.0
+"""Standard deviations from zero of what may be more than chance, which brings it once in 370 times:
+a delay, the difference of two, a joint's play, the score of an error that lasts."""
 MIN_DELAY_S = 1e-3
 """s: a camera's smaller delay is ignored; most cameras expose for longer."""
 PRIOR_STD_RAD = 0.3

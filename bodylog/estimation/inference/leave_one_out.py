@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...linear_algebra import project_covariance
 from ...types import Array
 from ..measurements.records import unmix_rows
 from .problem import FilterProblem
@@ -155,15 +156,6 @@ def _find_gated_frames(smooth: Smooth, at: Array, index: int) -> Array:
     assert information is not None
     first = information.shape[1] + (index - var.shape[1]) * var.shape[2]
     return np.asarray(pick(information[:, first], at) * pick(var[:, index, 0], at) < 1.0 - 1e-12)
-
-
-def project_covariance(jac: Array, cov: Array) -> Array:
-    """J P Jᵀ (F,D,D) of jac (F,D,M) and cov (F,M,M); with
-    frames last, products of small matrices are fast.
-    """
-    jac, cov = (np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in (jac, cov))
-    found = np.einsum("dkf,ekf->fde", np.einsum("dmf,mkf->dkf", jac, cov), jac)
-    return np.ascontiguousarray(found)
 
 
 def _removal_cost(d2: Array, log_size: Array) -> Array:

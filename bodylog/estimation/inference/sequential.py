@@ -140,11 +140,8 @@ class FilterStep:
 
 
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
-
-
 WEIGHTS /= WEIGHTS.sum()
-
-
+"""Gauss and Hermite's rule, exact to the ninth power along each axis of a belief."""
 PERSISTENCE = 10.0
 """Factor on the time for which the residual of a line lasts, by the belief.
 

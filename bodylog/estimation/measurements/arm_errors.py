@@ -24,8 +24,6 @@ NOISE_SIGMAS = 2.0
 """Standard deviations of a motor's angle that a turn back must exceed."""
 PLAY_STD = 0.01
 """rad: prior standard deviation of half a play, 1.1° of play."""
-PLAY_SIGMAS = 3.0
-"""Standard deviations from zero of a joint's play that is taken."""
 LEAST_PLAY = 5e-4
 """rad: half of a play that is assumed at least,
 so that noise of the angle does not turn the link.

@@ -25,9 +25,9 @@ from ..factors.whole_log import (
     solve_log,
 )
 from ..faults.moved_camera import restore_displacements
-from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..inference.problem import FilterProblem
-from ..measurements.arm_errors import PLAY_SIGMAS, learned_arm_errors
+from ..measurements.arm_errors import learned_arm_errors
 from ..noise.lasting_error import LastingError
 from . import results
 from .results import (
@@ -288,7 +288,7 @@ def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, A
     stds = np.sqrt(np.diag(learned.sizes_cov)).tolist()
     errors: dict[str, Any] = {"nats": explanation.nats, "play": {}, "lasting": None, "load": None}
     for column, size, std in zip(explanation.columns, sizes, stds, strict=True):
-        if isinstance(column, Play) and size > PLAY_SIGMAS * std:
+        if isinstance(column, Play) and size > SIGNIFICANT_SIGMA * std:
             errors["play"][names[column.joint]] = {"rad": 2.0 * size, "std": 2.0 * std}
     if loads := [one for one in explanation.columns if isinstance(one, Load)]:
         errors["load"] = _describe_load(loads, explanation, names)

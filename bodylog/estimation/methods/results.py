@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from ...body_model import BodyModel
+from ...linear_algebra import project_covariance
 from ...settings import EstimationSettings
 from ...types import LASTING_ERROR, Array, Estimate, Fault, Finding, Series
-from ..inference.leave_one_out import project_covariance
 from ..inference.problem import FilterProblem
 from ..measurements.long_arrays import find_finite_rows as seen_rows
 from ..measurements.posture import PostureModel

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...linear_algebra import project_covariance
 from ...motion import WHITE_JERK
 from ...settings import EstimationSettings
 from ...types import Array
@@ -18,7 +19,6 @@ from ..factors.load import Load, bend_under_load
 from ..factors.robust import image_span, mixture_nats
 from ..factors.whole_log import ExplainedLog, SolvedLog, explain_by_white_noise, solve_log
 from ..inference.filter_log import filter_roughly
-from ..inference.leave_one_out import project_covariance
 from ..inference.problem import FilterProblem
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence

@@ -13,16 +13,13 @@ from ...errors import ModelError, UsageError
 from ...settings import EstimationSettings
 from ...types import Estimate, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import repair_readings
-from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, SIGNIFICANT_SIGMA
 from ..measurements.arm_errors import ArmErrors, learned_arm_errors, shift_by_rows, with_links
 from ..measurements.gather import gather_measurements
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track import camera_of_track
 from .delay_profile import MAX_DELAY_S, Delay
 from .regression import measure_delay_by_regression
-
-INSIGNIFICANT_SIGMA = 3.0
-"""Standard errors below which a delay needs no other reason for not being applied."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +154,7 @@ def _reason_not_applied(residual: Delay, is_fixed: bool) -> str:
         return "the delay is given"
     if residual.doubt:
         return residual.doubt
-    if abs(residual.seconds) < INSIGNIFICANT_SIGMA * residual.std_error:
+    if abs(residual.seconds) < SIGNIFICANT_SIGMA * residual.std_error:
         return "it is not significant"
     if residual.nats <= EVIDENCE_THRESHOLD_NATS:
         return f"its evidence is {residual.nats:.1f} nats, of {EVIDENCE_THRESHOLD_NATS:g} needed"

@@ -15,6 +15,7 @@ import numpy as np
 
 from ...kinematics.calibration import CHI_SQUARE_MEDIANS
 from ...types import Array
+from ..faults.threshold import SIGNIFICANT_SIGMA
 from ..inference.scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Sighting
@@ -28,8 +29,6 @@ LEAST_WEIGHT_SHARE = 0.61
 0.72 for normal errors, 0.61 and more in 197 of 200 logs with a drifting encoder, 0.43 to 0.64 where
 a clock steps by 0.3 s. A log with play, sag and correlated errors has 0.58, too; its halves agree.
 """
-HALVES_APART = 3.0
-"""Standard deviations within which the delays of a log's halves are alike."""
 
 
 def measure_delay_by_regression(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
@@ -53,7 +52,7 @@ def measure_delay_by_regression(encoders: Encoders, seen: Sequence[Sighting]) ->
             delay, doubt="much of the log contradicts it, and half of the log shows no delay"
         )
     apart = abs(found[0].seconds - found[1].seconds)
-    if apart < HALVES_APART * np.hypot(found[0].std_error, found[1].std_error):
+    if apart < SIGNIFICANT_SIGMA * np.hypot(found[0].std_error, found[1].std_error):
         return replace(delay, std_error=max(delay.std_error, 0.5 * apart))
     each = " and ".join(f"{1e3 * one.seconds:.1f} ± {1e3 * one.std_error:.1f} ms" for one in found)
     return replace(delay, doubt=f"the halves of the log show {each}")
