@@ -169,23 +169,29 @@ def test_summary_begins_with_the_verdict_and_shows_what_a_report_does(tmp_path, 
 
 
 def test_killed_batch_resumes_to_the_same_bytes(tmp_path, mixed, robot, run_cli):
-    _killed_and_resumed(tmp_path, mixed, robot, run_cli, (0.9, 1.7))
+    def wait_for_part(process, out):
+        while process.poll() is None and not list(out.rglob(".*.part")):
+            time.sleep(0.005)
+
+    _killed_and_resumed(tmp_path, mixed, robot, run_cli, [wait_for_part])
 
 
 @pytest.mark.soak
 def test_batch_killed_twenty_times_resumes_to_the_same_bytes(tmp_path, mixed, robot, run_cli):
-    _killed_and_resumed(tmp_path, mixed, robot, run_cli, [0.2 + 0.2 * k for k in range(20)])
+    waits = [lambda *_, seconds=0.2 + 0.2 * k: time.sleep(seconds) for k in range(20)]
+    _killed_and_resumed(tmp_path, mixed, robot, run_cli, waits)
 
 
-def _killed_and_resumed(tmp_path, mixed, robot, run_cli, instants):
+def _killed_and_resumed(tmp_path, mixed, robot, run_cli, waits):
+    """The batch is killed after each wait, which is given its process and folder, and resumed."""
     typed = ["batch", str(mixed), "--body", str(robot / "body.npz"), "--jobs", "2", "--resume", "-o"]
     run_cli(*typed, tmp_path / "whole")
     whole = _tree(tmp_path / "whole")
-    for instant in instants:
-        out = tmp_path / f"killed{instant:.1f}"
+    for number, wait in enumerate(waits):
+        out = tmp_path / f"killed{number}"
         command = [sys.executable, "-m", "bodylog_cli", *typed, str(out)]
         process = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL)
-        time.sleep(instant)
+        wait(process, out)
         os.killpg(process.pid, signal.SIGKILL)
         process.wait()
         run_cli(*typed, out)

@@ -176,7 +176,10 @@ def test_large_encoder_step_is_a_step_and_no_drift(world, seed, method):
     assert error(found, drawn) < {"filter": 0.0075, "smoother": 0.004}[method]
 
 
-@pytest.mark.parametrize(("size", "silence"), [(0.1, 2.0), (0.1, 5.0), (1.0, 0.2)])
+@pytest.mark.parametrize(
+    ("size", "silence"),
+    [(0.1, 2.0), pytest.param(0.1, 5.0, marks=pytest.mark.soak), (1.0, 0.2)],
+)
 @pytest.mark.parametrize("seed", seeds(1, 6))
 def test_step_after_a_silence_of_all_encoders_is_named(world, seed, size, silence):
     drawn = world(9000 + seed, encoder_std=0.005)

@@ -10,6 +10,7 @@ from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.settings import EstimationSettings
 from tests.estimation.conftest import WHITE_MOTIONS, World, draw
 from tests.estimation.resting import Drawn, drawn
+from tests.seeds import seeds
 
 
 def shaken(seed: int) -> World:
@@ -44,11 +45,11 @@ QUANTISED = Drawn("slow", step=0.01, gaps=2)
 RESTING = Drawn("rest", noise=0.005, gaps=3)
 
 
-@pytest.mark.parametrize("seed", range(100, 103))
+@pytest.mark.parametrize("seed", seeds(1, 3))
 @pytest.mark.parametrize("how", [STICKING, QUANTISED, RESTING], ids=str)
 def test_joints_that_stick_or_rest_have_white_acceleration(how, seed):
     """A quantised encoder's least variance is no evidence for white jerk, nor are short gaps of a joint at rest."""
-    world = drawn(seed, how)
+    world = drawn(100 + seed, how)
     settings = estimate_from_features(world.features, world.body, EstimationSettings()).settings
     (jerk,) = [one for one in settings["hypotheses"] if one["name"] == "white jerk"]
     assert settings["motion"] == WHITE_MOTIONS[2] and jerk["nats"] < jerk["threshold"]

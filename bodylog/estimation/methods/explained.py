@@ -76,7 +76,7 @@ def explained_estimate(
     if lasting is None and not beliefs.faults and not has_offsets(problem, first):
         if settings.precision != "auto":
             return kept
-        rough = measure_rough_motion(problem, settings.method != "smoother")
+        rough = measure_rough_motion(problem, beliefs, settings.method != "smoother")
         if rough is None or nees_if_white(kept, rough.variance) < LEAST_NEES:
             return kept
         slipping = estimate_stick_slip(method, body, problem, beliefs, settings, rough)

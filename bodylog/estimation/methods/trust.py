@@ -162,31 +162,33 @@ class _ImageEvidence:
     at: Array
 
 
-def measure_rough_motion(problem: FilterProblem, causal: bool) -> RoughMotion | None:
+def measure_rough_motion(
+    problem: FilterProblem, beliefs: Beliefs, causal: bool
+) -> RoughMotion | None:
     """What joints do beside the motion that is assumed;
     None where a log shows no such thing.
 
     Where a filter's innovations are not white, all noise of readings may be motion; images show
     what part of it is.
-    causal: whether the problem's noise is that of a filter.
+    causal: whether problem and beliefs are those of a filter; a smoother's log is filtered here.
     """
     encoders = problem.evidence.encoders
     if encoders is None or problem.stepwise:
         return None
+    x, cov, read, nats = beliefs.before, beliefs.before_cov, beliefs.encoder_errors, beliefs.nats
     if not causal:  # a smoother's process is smaller
         problem = replace(problem, precision=tune_by_evidence(problem, whole=False)[0])
-    solution = filter_roughly(problem)
-    unfold = solution.fold.unfold
-    x, cov, read = map(
-        unfold, (solution.trace.prior, solution.trace.prior_cov, solution.trace.encoder_d)
-    )
+        solution = filter_roughly(problem)
+        trace = solution.trace
+        found = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
+        x, cov, read, nats = map(solution.fold.unfold, found)
     images = _compare_images_with_readings(problem, x, cov, read)
     noise = problem.precision.encoder
     coloured = _find_coloured(read[problem.timeline.encoders], encoders, noise)
     variance = np.maximum(np.where(coloured, noise, 0.0), _measure_shared_motion(images))
     if not variance.any():
         return None
-    return RoughMotion(variance, images.nats, images.at, unfold(solution.trace.nats))
+    return RoughMotion(variance, images.nats, images.at, nats)
 
 
 def _compare_images_with_readings(

@@ -15,9 +15,11 @@ error is larger than stated shows as the same: images cannot tell it from an err
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
+from ...linear_algebra import forward_substituted
 from ...types import Array
 from ..measurements.records import Encoders, Sighting, mix_rows
 from .correlated_noise import PIXEL_CORRELATION_PX, correlate_postures
@@ -76,11 +78,12 @@ class LastingError:
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
-    """Images against readings in one stretch of a log, as R rows.
+    """Images against readings in one stretch of a log, as R rows of F images.
 
-    residual (R,) · image, reading (R,R): covariance by their noise, independent · shared (R,R): by
-    both, if places and counts that are alike have the same error · model (R,R): by the body's error
-    · delayed (R,R): by a delay of DELAY_S · slopes (R,M), 0 for joints without readings · t (R,) s.
+    residual (R,) · image (R,): its variance by noise of images · reading (R,R): covariance by noise
+    of readings, independent · shared (R,R): by both, if places and counts that are alike have the
+    same error · model (R,R): by the body's error · delayed (R,R): by a delay of DELAY_S · slopes
+    (R,M), 0 for joints without readings · t (F,) s.
     """
 
     residual: Array
@@ -92,10 +95,33 @@ class Residuals:
     slopes: Array
     t: Array
 
+    def sound(self, factors: Array) -> Array:
+        """Covariance (R,R) without a lasting error, for factors
+        (3,) on the noise of images, of readings, and alike.
+        """
+        cov = factors[1] * self.reading
+        cov += factors[2] * self.shared
+        cov += self._beside_noise
+        np.einsum("rr->r", cov)[:] += factors[0] * self.image
+        return np.asarray(cov)
+
     def lasting(self, seconds: float) -> Array:
         """Covariance (R,R) by encoder errors of variance 1 rad² with this time constant."""
-        apart = np.abs(self.t[:, None] - self.t[None, :])
-        return np.asarray((self.slopes @ self.slopes.T) * np.exp(-apart / seconds))
+        rows = len(self.residual) // len(self.t)
+        decay = np.exp(-self._apart_s / seconds)
+        return np.asarray(self._alike * np.repeat(np.repeat(decay, rows, axis=1), rows, axis=0))
+
+    @cached_property
+    def _beside_noise(self) -> Array:
+        return self.model + self.delayed
+
+    @cached_property
+    def _alike(self) -> Array:
+        return np.asarray(self.slopes @ self.slopes.T)
+
+    @cached_property
+    def _apart_s(self) -> Array:
+        return np.asarray(np.abs(self.t[:, None] - self.t[None, :]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,25 +264,23 @@ def _build_piece_residuals(
     model = _image_error_covariance(near_posture, np.sqrt(model_var), rows)
     # images tell where a joint without readings is: along its slope they contradict nothing
     model += _project_joint_errors(unread, UNREAD_RAD**2 * single[..., None])
-    image = _image_error_covariance(single, np.sqrt(var), rows)
     reading = _project_joint_errors(jac, variance * single[..., None])
-    image_covariance = _image_error_covariance(
+    shared = _image_error_covariance(
         np.exp(-apart / PIXEL_CORRELATION_PX), np.sqrt(var), rows
     ) + _project_joint_errors(jac, variance * same_count)
     # a camera that exposes its rows one by one is later by a linear function of the row
     height = places[:, -1] - places[:, -1].mean()
     by_row = late * (height / max(float(np.abs(height).max()), 1e-12))[:, None]
     delayed = np.square(DELAY_S) * sum(np.outer(one.ravel(), one.ravel()) for one in (late, by_row))
-    t_rows = np.repeat(t, residual.shape[1])
     return Residuals(
         residual.ravel(),
-        image,
+        var.ravel(),
         reading,
-        image_covariance,
+        shared,
         model,
         delayed,
         jac.reshape(residual.size, -1),
-        t_rows,
+        t,
     )
 
 
@@ -277,14 +301,6 @@ def _image_error_covariance(near: Array, std: Array, rows: Array) -> Array:
     )
 
 
-def _sound_covariance(piece: Residuals, factors: Array) -> Array:
-    """Covariance (R,R) without a lasting error, for factors
-    (3,) on the noise of images, of readings, and alike.
-    """
-    noise = factors[0] * piece.image + factors[1] * piece.reading + factors[2] * piece.shared
-    return np.asarray(noise + piece.model + piece.delayed)
-
-
 def _score_lasting_error(pieces: Sequence[Residuals], factors: Array) -> tuple[float, float]:
     """The largest score for a lasting error, in its standard
     deviations, and the time constant (s) that has it.
@@ -294,11 +310,12 @@ def _score_lasting_error(pieces: Sequence[Residuals], factors: Array) -> tuple[f
     """
     scores = np.zeros((2, len(TIMES_S)))
     for piece in pieces:
-        root = _stable_cholesky(_sound_covariance(piece, factors))
-        white = np.linalg.solve(root, piece.residual)
+        root = np.linalg.cholesky(_stabilise(piece.sound(factors)))
+        white = forward_substituted(root, piece.residual[:, None])[:, 0]
         white = white / max(float(np.sqrt(np.mean(white * white))), 1e-12)
         for k, seconds in enumerate(TIMES_S):
-            shape = np.linalg.solve(root, np.linalg.solve(root, piece.lasting(seconds)).T)
+            shape = forward_substituted(root, piece.lasting(seconds))
+            shape = forward_substituted(root, shape.T)
             shape -= np.trace(shape) / len(shape) * np.eye(len(shape))
             scores[:, k] += white @ shape @ white, 2.0 * np.square(shape).sum()
     each = scores[0] / np.sqrt(np.maximum(scores[1], 1e-300))
@@ -352,19 +369,28 @@ def _residual_nats(
     pieces: Sequence[Residuals], factors: Array, std: float = 0.0, seconds: float = 1.0
 ) -> float:
     """−ln p of all residuals, for factors (3,) on noise, and a lasting error (rad, s)."""
+    from scipy.linalg.lapack import dpotrf, dtrtrs
+
     total = 0.0
     for piece in pieces:
-        cov = _sound_covariance(piece, factors)
-        root = _stable_cholesky(cov + std**2 * piece.lasting(seconds) if std else cov)
-        white = np.linalg.solve(root, piece.residual)
+        cov = piece.sound(factors)
+        if std:
+            cov += std**2 * piece.lasting(seconds)
+        # LAPACK has columns first: of a symmetric matrix the same one, without a copy
+        root, failed = dpotrf(_stabilise(cov).T, lower=1, clean=0, overwrite_a=1)
+        if failed:
+            raise np.linalg.LinAlgError("the covariance of an image's residuals is singular")
+        white, _ = dtrtrs(root, piece.residual, lower=1)
         total += float(0.5 * white @ white + np.log(np.diag(root)).sum())
     return total
 
 
-def _stable_cholesky(cov: Array) -> Array:
-    """The Cholesky factor of a covariance, with as much white noise as rounding needs."""
-    size = len(cov)
-    return np.linalg.cholesky(cov + _JITTER * np.trace(cov) / size * np.eye(size))
+def _stabilise(cov: Array) -> Array:
+    """A covariance (R,R) with as much white noise as the rounding of its Cholesky factor needs,
+    in place.
+    """
+    np.einsum("rr->r", cov)[:] += _JITTER * np.trace(cov) / len(cov)
+    return cov
 
 
 def _encoder_error_size(pieces: Sequence[Residuals]) -> float:
