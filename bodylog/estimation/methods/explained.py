@@ -187,7 +187,7 @@ def _explain_without_faults(
         simpler = explain_log(without, *known, loads)
         assert simpler is not None  # as the log with faults has one
         cameras = len(first.evidence.faults) - len(without.evidence.faults)
-        allowance = _allowance_for_faults(simpler, problem, faults, cameras)
+        allowance = _allowance_for_faults(simpler, found, problem, faults, cameras)
         if simpler.nats - found.nats <= allowance and (best is None or simpler.nats < best[1].nats):
             best = (without, simpler)
     return best
@@ -207,15 +207,20 @@ def _drop_faults(problem: FilterProblem, first: FilterProblem) -> Iterator[Filte
 
 
 def _allowance_for_faults(
-    found: ExplainedLog, problem: FilterProblem, faults: tuple[Fault, ...], cameras: int
+    found: ExplainedLog,
+    beside: ExplainedLog,
+    problem: FilterProblem,
+    faults: tuple[Fault, ...],
+    cameras: int,
 ) -> float:
     """Nats by which a log without encoder offsets and this number
     of moved cameras may be less likely than with them.
 
-    What lasts for long would be an offset itself. Play and one load explain several offsets at
-    once, and one encoder more that is off from the first reading on counts as one fault more. A
-    load is as simple as an offset of one encoder, if it is evident beside errors that last, and
-    must be evident beside the offsets if not; the sizes of a displacement cost no evidence.
+    beside: the log with them. What lasts for long would be an offset itself. Play, unless it is
+    there beside the offsets, too, and one load explain several offsets at once, and one encoder
+    more that is off from the first reading on counts as one fault more. A load is as simple as an
+    offset of one encoder, if it is evident beside errors that last, and must be evident beside the
+    offsets if not; the sizes of a displacement cost no evidence.
     """
     joints = found.noise.joints
     passing = bool((joints.seconds[joints.learned] < DRIFTS_S).all())
@@ -226,7 +231,9 @@ def _allowance_for_faults(
     if "load" in gains and passing:
         is_evident = gains["load"] > EVIDENCE_THRESHOLD_NATS
         return moves if is_evident else moves - EVIDENCE_THRESHOLD_NATS
-    return EVIDENCE_THRESHOLD_NATS if passing and "play" in gains and not cameras else -np.inf
+    if not (passing and "play" in gains) or cameras:
+        return -np.inf
+    return 0.0 if "play" in beside.explanation.gains else EVIDENCE_THRESHOLD_NATS
 
 
 def _count_from_start(problem: FilterProblem, faults: tuple[Fault, ...]) -> int:
