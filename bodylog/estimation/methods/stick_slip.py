@@ -36,6 +36,11 @@ FINER = (2.0, 1.4)
 MOST_HALVINGS = 8
 FEWEST_SLIPS = 10
 """Slips of which the size is known to a quarter."""
+MOST_SLIPPING = 0.4
+"""Share of the steps between readings in which a joint slips, from which it does not stick. Of 30
+joints of drawn logs that stick by 9 times the noise each has 0.11 to 0.37, and of 30 whose errors
+last 0.2 s 0.47 to 0.83.
+"""
 TURN = 2.0 * np.pi
 """rad: within what an outlier of an encoder may be."""
 SURE = 1e-9
@@ -92,7 +97,7 @@ def estimate_stick_slip(
     slips = learn_slips(encoders, problem.precision.encoder)
     t = problem.timeline.t
     early = range(int(np.searchsorted(t, t[0] + LEARNED_S, "right")))
-    if not _slips_often(encoders, slips):
+    if not _sticks_and_slips(encoders, slips):
         return None
     scales, first = _learn_image_noise(problem, slips, early)
     judged = rough.at < len(early)
@@ -134,12 +139,14 @@ def estimate_stick_slip(
     )
 
 
-def _slips_often(encoders: Encoders, slips: StickSlip) -> bool:
-    """Whether some joint has FEWEST_SLIPS steps of half the
-    size of its slips: an arm at rest stands still, too.
+def _sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
+    """Whether some joint has FEWEST_SLIPS steps of half the size of its slips, as an arm at rest
+    stands still, too, and stands still between them: errors that last make other steps each time.
     """
     steps = np.abs(np.diff(encoders.values, axis=0)) > 0.5 * slips.size
-    return bool((steps.sum(axis=0) >= FEWEST_SLIPS).any())
+    often = steps.sum(axis=0) >= FEWEST_SLIPS
+    slipping = -np.expm1(-slips.rate * float(np.median(np.diff(encoders.t))))
+    return bool((often & (slipping < MOST_SLIPPING)).any())
 
 
 def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
