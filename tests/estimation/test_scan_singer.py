@@ -94,8 +94,11 @@ def test_errors_that_last_widen_bars_as_they_are_explained_under_white_jerk_alon
     assert "motion is set to singer" in warning
 
 
-def test_motion_without_noise_or_outside_the_table_is_refused():
+def test_motion_without_noise_or_outside_the_table_or_of_another_order_is_refused(monkeypatch):
     drawn = draw(0, duration=2.0)
+    monkeypatch.setitem(MOTION_MODELS, "long", Singer(1.0, order=4))
+    with pytest.raises(UsageError, match="motion 'long' has 4 states a joint, possible: 2 or 3"):
+        estimate_from_features(drawn.features, drawn.body, replace(TYPED, motion="long"))
     with pytest.raises(UsageError, match="motion is 'constant', possible: white-acceleration, white-jerk"):
         estimate_from_features(drawn.features, drawn.body, replace(TYPED, motion="constant"))
     with pytest.raises(UsageError, match="needs process noise in rad²/s⁵"):

@@ -190,9 +190,14 @@ def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> Noise
 
 
 def require_motion_model(name: object, where: str) -> None:
-    """UsageError for a motion model that is not in the table."""
-    if name not in MOTION_MODELS:
-        raise UsageError(f"{where}: motion is {name!r}, possible: {', '.join(MOTION_MODELS)}")
+    """UsageError for a motion model that is not in the table, or of an order that the C lacks."""
+    orders = {known: model.order for known, model in MOTION_MODELS.items()}
+    if name not in orders:
+        raise UsageError(f"{where}: motion is {name!r}, possible: {', '.join(orders)}")
+    if orders[str(name)] not in PROCESS_UNITS:
+        raise UsageError(
+            f"{where}: motion {name!r} has {orders[str(name)]} states a joint, possible: 2 or 3"
+        )
 
 
 def _parse_positive_array(found: Mapping[str, Any], name: str, shape: tuple[int, ...]) -> Array:
