@@ -8,7 +8,6 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.noise.quantisation import dither_readings, shared_variance, step_size
 from bodylog.settings import EstimationSettings
-from tests.seeds import seeds
 
 
 def test_step_size_is_found_only_for_coarse_encoders():
@@ -46,7 +45,7 @@ def test_slow_readings_that_differ_share_none():
 
 @pytest.mark.parametrize("method", ["filter", "smoother"])
 @pytest.mark.parametrize(("step", "speed"), [(0.05, 0.15), (0.05, 0.5), (0.01, 0.15), (0.005, 0.05)])
-@pytest.mark.parametrize("seed", seeds(1, 2))
+@pytest.mark.parametrize("seed", [pytest.param(0, marks=pytest.mark.soak), 1])
 def test_error_bars_are_true_for_coarse_encoders(world, method, step, speed, seed):
     drawn = world(seed, duration=12.0, encoder_std=0.0, speed=speed)
     joints = drawn.features.joints

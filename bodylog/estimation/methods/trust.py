@@ -177,8 +177,9 @@ def measure_rough_motion(
         return None
     x, cov, read, nats = beliefs.before, beliefs.before_cov, beliefs.encoder_errors, beliefs.nats
     if not causal:  # a smoother's process is smaller
-        problem = replace(problem, precision=tune_by_evidence(problem, whole=False)[0])
-        solution = filter_roughly(problem)
+        precision, warm = tune_by_evidence(problem, whole=False)
+        problem = replace(problem, precision=precision)
+        solution = filter_roughly(problem, warm)
         trace = solution.trace
         found = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
         x, cov, read, nats = map(solution.fold.unfold, found)
