@@ -10,6 +10,7 @@ import numpy as np
 
 from bodylog.body_model import BodyModel
 from bodylog.delays.findings import middle_of_recording
+from bodylog.errors import EvidenceError
 from bodylog.kinematics.joint_motion import JointCurve
 from bodylog.kinematics.landmark_hypotheses import join_changes
 from bodylog.recording import recording
@@ -111,7 +112,7 @@ def held_out_error(number: int, learned: BodyModel) -> tuple[float, float]:
 
 
 def half_delays(number: int, learned: BodyModel) -> Array:
-    """Delay (s) and std of both halves (2,2) of an episode, by a body."""
+    """Delay (s) and std of both halves (2,2) of an episode, by a body; NaN of a half that shows too little of the arm."""
     assert learned.surface is not None
     read = episode(number)
     assert read.cameras.frames is not None
@@ -123,8 +124,12 @@ def half_delays(number: int, learned: BodyModel) -> Array:
             read, frames=lambda first=first: (one for one in read.cameras.frames() if (one.t < middle) == first)
         )
         motion = motion_of(number, learned.joints)
-        judged = estimate.judge_by_camera(Path(f"{G1}#{number}"), part, learned.surface, camera, motion)
-        found.append(judged.delay)
+        try:
+            judged = estimate.judge_by_camera(Path(f"{G1}#{number}"), part, learned.surface, camera, motion)
+        except EvidenceError:
+            found.append((np.nan, np.nan))
+        else:
+            found.append(judged.delay)
     return np.array(found)
 
 
