@@ -229,7 +229,7 @@ def _allowance_for_faults(
     there beside the offsets, too, and one load explain several offsets at once, and one encoder
     more that is off from the first reading on counts as one fault more. A load is as simple as an
     offset of one encoder, if it is evident beside errors that last; if not, it must be evident
-    beside offsets that are named. The sizes of a displacement cost no evidence.
+    beside offsets whose sizes are told. The sizes of a displacement cost no evidence.
     """
     joints = found.noise.joints
     passing = bool((joints.seconds[joints.learned] < DRIFTS_S).all())
@@ -238,7 +238,8 @@ def _allowance_for_faults(
     if (off := _count_from_start(problem, faults)) > 1:
         return moves + (off - 1) * EVIDENCE_THRESHOLD_NATS
     if "load" in gains and passing:
-        hides = bool(faults) and gains["load"] <= EVIDENCE_THRESHOLD_NATS
+        named = any(np.isfinite(fault.size) for fault in faults)
+        hides = named and gains["load"] <= EVIDENCE_THRESHOLD_NATS
         return moves - EVIDENCE_THRESHOLD_NATS if hides else moves
     if not (passing and "play" in gains) or cameras:
         return -np.inf
