@@ -136,5 +136,5 @@ def test_delay_of_an_episode_of_a_real_humanoid(episode):
     values = scores(found)
     std = 1e3 * values["std/delay/camera"]
     assert 1e3 * values["delay/camera"] == pytest.approx(G1_DELAYS_MS[episode], abs=2.0 * std)
-    assert std < 12.0
+    assert std < 0.5 * 1e3 / 15.1  # half an interval of its camera: else the episode tells nothing of it
     assert not [text for text in accused(found) if "zero" in text]
