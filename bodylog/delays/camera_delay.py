@@ -266,6 +266,11 @@ def _alternate_until_converged(explored: _Exploration) -> _Turn:
             if _misstated_bars(after) > _misstated_bars(turn):
                 break
         elif _held_out_error(after, judged) > least * _held_out_error(turn, judged):
+            if not turn.errors.has_all_of(turn.rest) and turn.rest.lasting:
+                # what looked like play or a row time may last instead
+                lasting = replace(turn.errors, lasting=dict(turn.rest.lasting))
+                after = learn_turn(turn.late, turn.own, lasting)
+                turn = min(turn, after, key=_misstated_bars)
             break
         turn = after
         started = started | set(surest)
@@ -288,6 +293,8 @@ def _add_measured_errors(own: ArmErrors, rest: ArmErrors) -> ArmErrors:
             rows[name] = more
         elif abs(more.seconds) > more.std:
             rows[name] = replace(before, seconds=before.seconds + more.seconds, std=more.std)
+    if not own.has_all_of(rest):
+        return ArmErrors(play, rows)  # a body learned without them takes them for what lasts
     same = _compare_lasting(own.lasting, rest.lasting)
     return ArmErrors(play, rows, dict(own.lasting if same else rest.lasting))
 

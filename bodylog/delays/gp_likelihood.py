@@ -263,17 +263,16 @@ def measure_arm_errors(
     """What is left of each camera's delay in each log, and the row times, play and errors
     that last which all logs share, as far as their evidence asks for them.
 
-    known: the errors that the body was learned with.
+    known: the errors that the body was learned with. What lasts is measured without play and row
+    times that the body was learned without: it stands for them where they do not hold.
     """
     search = _Search(logs, joints, known)
     if not search.curves:
         return [{} for _ in logs], ArmErrors()
     free, sizes, errors = search.choose_errors()
     delays, found = search.name_errors(free, sizes, errors)
-    # a body learned without the play or the row times that there are has errors of its own
-    if found.play.keys() == known.play.keys() and found.rows.keys() <= known.rows.keys():
-        found = replace(found, lasting=search.find_lasting(sizes))
-    return delays, found
+    without = sizes if known.has_all_of(found) else np.zeros(len(sizes))
+    return delays, replace(found, lasting=search.find_lasting(without))
 
 
 def _curves_of_log(number: int, log: ExploredLog) -> Iterator[_PriorCurve]:

@@ -70,6 +70,28 @@ def fitted(features):
     return camera_delay.learn_with_delays([features], Settings(), {}, None)
 
 
+def test_what_looks_like_play_and_is_none_is_learned_as_errors_that_last(monkeypatch):
+    """Errors of 2 s look like play now and then: the play that did not hold took them with it."""
+    lasting = dict.fromkeys(mechanisms.JOINTS, (2e-3, 2.0))
+    measured = iter([ArmErrors(dict.fromkeys(mechanisms.JOINTS, (0.05, 1e-4)), {}, lasting)])
+
+    def measure(logs, joints, known):
+        return [{} for _ in logs], next(measured, ArmErrors())
+
+    monkeypatch.setattr(camera_delay.gp_likelihood, "measure_arm_errors", measure)
+    found = fitted(explored(KINDS["correlated, 2 s"], duration=12.0))
+    assert learned_arm_errors(found.model).lasting == lasting
+    assert not learned_arm_errors(found.model).play
+
+
+@pytest.mark.soak
+def test_fit_learns_errors_that_last_where_play_was_tried_first():
+    found = fitted(explored(KINDS["correlated, 2 s"], seed=8701, duration=40.0))
+    errors = learned_arm_errors(found.model)
+    assert not errors.play and not errors.held_out
+    assert all(1.5e-3 < std < 2.5e-3 for std, _ in errors.lasting.values())
+
+
 def test_fit_learns_play_and_row_times_and_reports_no_delay_for_them():
     found = fitted(explored(LOOSE, ROW_S))
     errors = learned_arm_errors(found.model)

@@ -67,6 +67,10 @@ class ArmErrors:
     lasting: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     held_out: Mapping[str, float] = field(default_factory=dict)
 
+    def has_all_of(self, other: "ArmErrors") -> bool:
+        """Whether these have the same joints' play as others, and all of their row times."""
+        return self.play.keys() == other.play.keys() and other.rows.keys() <= self.rows.keys()
+
     def __bool__(self) -> bool:
         """Whether there are any."""
         return bool(self.play or self.rows or self.lasting or self.held_out)
