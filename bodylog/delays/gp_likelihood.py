@@ -263,16 +263,16 @@ def measure_arm_errors(
     """What is left of each camera's delay in each log, and the row times, play and errors
     that last which all logs share, as far as their evidence asks for them.
 
-    known: the errors that the body was learned with. What lasts is measured without play and row
-    times that the body was learned without: it stands for them where they do not hold.
+    known: the errors that the body was learned with. Errors that last are measured without new
+    play and row times, as the body was learned: they take their place where these do not hold.
     """
     search = _Search(logs, joints, known)
     if not search.curves:
         return [{} for _ in logs], ArmErrors()
     free, sizes, errors = search.choose_errors()
     delays, found = search.name_errors(free, sizes, errors)
-    without = sizes if known.has_all_of(found) else np.zeros(len(sizes))
-    return delays, replace(found, lasting=search.find_lasting(without))
+    as_learned = sizes if known.has_all_of(found) else np.zeros(len(sizes))
+    return delays, replace(found, lasting=search.find_lasting(as_learned))
 
 
 def _curves_of_log(number: int, log: ExploredLog) -> Iterator[_PriorCurve]:

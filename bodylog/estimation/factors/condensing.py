@@ -141,11 +141,11 @@ def condense(readings: Readings, noise: JointNoise) -> PairFactors:
         cov += gains[:, :, k]
         if k == steps:
             break
-        seen = noise.read(carry)
-        spread = noise.read(cov)
-        total = noise.read(spread) + var[k]
+        seen = noise.read_encoders(carry)
+        spread = noise.read_encoders(cov)
+        total = noise.read_encoders(spread) + var[k]
         inverse = np.where(known[k], 1.0 / total, 0.0)
-        innovation = values[k] - noise.read(shift)
+        innovation = values[k] - noise.read_encoders(shift)
         weighed = inverse * seen
         info += weighed[:, None] * seen
         right += weighed[:, None] * innovation

@@ -69,7 +69,7 @@ class JointNoise:
             var = np.column_stack([var, np.square(np.maximum(self.error, LEAST_STD))])
         return np.asarray(np.eye(self.states) / var[:, None, :])
 
-    def read(self, states: Array) -> Array:
+    def read_encoders(self, states: Array) -> Array:
         """What an encoder reads (…,I,M) of means or columns of states (p,…,I,M)."""
         if self.error is None or self.at_link.all():
             return np.asarray(states[0])

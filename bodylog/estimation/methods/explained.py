@@ -229,7 +229,7 @@ def _allowance_for_faults(
     there beside the offsets, too, and one load explain several offsets at once, and one encoder
     more that is off from the first reading on counts as one fault more. A load is as simple as an
     offset of one encoder, if it is evident beside errors that last; if not, it must be evident
-    beside offsets whose sizes are told. The sizes of a displacement cost no evidence.
+    beside offsets of known size. The sizes of a displacement cost no evidence.
     """
     joints = found.noise.joints
     passing = bool((joints.seconds[joints.learned] < DRIFTS_S).all())

@@ -175,7 +175,10 @@ def measure_rough_motion(
     encoders = problem.evidence.encoders
     if encoders is None or problem.stepwise:
         return None
-    x, cov, read, nats = beliefs.before, beliefs.before_cov, beliefs.encoder_errors, beliefs.nats
+    x = beliefs.before
+    cov = beliefs.before_cov
+    read = beliefs.encoder_errors
+    nats = beliefs.nats
     if not causal:  # a smoother's process is smaller
         precision, warm = tune_by_evidence(problem, whole=False)
         problem = replace(problem, precision=precision)

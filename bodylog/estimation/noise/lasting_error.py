@@ -95,7 +95,7 @@ class Residuals:
     slopes: Array
     t: Array
 
-    def sound(self, factors: Array) -> Array:
+    def sound_covariance(self, factors: Array) -> Array:
         """Covariance (R,R) without a lasting error, for factors
         (3,) on the noise of images, of readings, and alike.
         """
@@ -109,14 +109,16 @@ class Residuals:
         """Covariance (R,R) by encoder errors of variance 1 rad² with this time constant."""
         rows = len(self.residual) // len(self.t)
         decay = np.exp(-self._apart_s / seconds)
-        return np.asarray(self._alike * np.repeat(np.repeat(decay, rows, axis=1), rows, axis=0))
+        return np.asarray(
+            self._slope_products * np.repeat(np.repeat(decay, rows, axis=1), rows, axis=0)
+        )
 
     @cached_property
     def _beside_noise(self) -> Array:
         return self.model + self.delayed
 
     @cached_property
-    def _alike(self) -> Array:
+    def _slope_products(self) -> Array:
         return np.asarray(self.slopes @ self.slopes.T)
 
     @cached_property
@@ -310,7 +312,7 @@ def _score_lasting_error(pieces: Sequence[Residuals], factors: Array) -> tuple[f
     """
     scores = np.zeros((2, len(TIMES_S)))
     for piece in pieces:
-        root = np.linalg.cholesky(_stabilise(piece.sound(factors)))
+        root = np.linalg.cholesky(_stabilise(piece.sound_covariance(factors)))
         white = forward_substituted(root, piece.residual[:, None])[:, 0]
         white = white / max(float(np.sqrt(np.mean(white * white))), 1e-12)
         for k, seconds in enumerate(TIMES_S):
@@ -373,7 +375,7 @@ def _residual_nats(
 
     total = 0.0
     for piece in pieces:
-        cov = piece.sound(factors)
+        cov = piece.sound_covariance(factors)
         if std:
             cov += std**2 * piece.lasting(seconds)
         # LAPACK has columns first: of a symmetric matrix the same one, without a copy
