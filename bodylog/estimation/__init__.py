@@ -123,7 +123,7 @@ def check_estimation_settings(body: BodyModel, settings: EstimationSettings) -> 
         able = " or --method ".join(name for name, one in METHODS.items() if one.can.from_paper)
         raise UsageError(f"preset: 'paper' is not for {settings.method}; type --method {able}")
     if settings.motion != "auto":
-        noise_model.require_motion_model(settings.motion, "estimate")
+        noise_model.require_motion_model(settings.motion, "[estimate]", "auto")
     gather.choose_senses((), body, settings)
     noise_model.check_typed_variances(
         settings, body.joints, [name for name in body.senses if name != "encoders"]

@@ -99,7 +99,7 @@ def test_motion_without_noise_or_outside_the_table_or_of_another_order_is_refuse
     monkeypatch.setitem(MOTION_MODELS, "long", Singer(1.0, order=4))
     with pytest.raises(UsageError, match="motion 'long' has 4 states a joint, possible: 2 or 3"):
         estimate_from_features(drawn.features, drawn.body, replace(TYPED, motion="long"))
-    with pytest.raises(UsageError, match="motion is 'constant', possible: white-acceleration, white-jerk"):
+    with pytest.raises(UsageError, match="motion is 'constant'; possible: auto, white-acceleration, white-jerk"):
         estimate_from_features(drawn.features, drawn.body, replace(TYPED, motion="constant"))
     with pytest.raises(UsageError, match="needs process noise in rad²/s⁵"):
         estimate_from_features(drawn.features, drawn.body, replace(TYPED, motion="white-jerk", process=None))

@@ -189,11 +189,15 @@ def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> Noise
     return NoiseModel(encoder, process, None, scale, near, stated, motion=motion, moments=moments)
 
 
-def require_motion_model(name: object, where: str) -> None:
-    """UsageError for a motion model that is not in the table, or of an order that the C lacks."""
+def require_motion_model(name: object, where: str, *others: str) -> None:
+    """UsageError for a motion model that is not in the table, or of an order that the C lacks.
+
+    others: names that are possible there beside the table's.
+    """
     orders = {known: model.order for known, model in MOTION_MODELS.items()}
     if name not in orders:
-        raise UsageError(f"{where}: motion is {name!r}, possible: {', '.join(orders)}")
+        possible = ", ".join([*others, *orders])
+        raise UsageError(f"{where}: motion is {name!r}; possible: {possible}")
     if orders[str(name)] not in PROCESS_UNITS:
         raise UsageError(
             f"{where}: motion {name!r} has {orders[str(name)]} states a joint, possible: 2 or 3"
