@@ -17,7 +17,7 @@ from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
 from .load import FIRST_BEND
 from .noise import FEWEST_READINGS, Learned, learn_noise
-from .problem import FactorProblem, Noise
+from .problem import CHANGE, FactorProblem, Noise
 from .solve import column_nats
 
 FIRST_STD = 1e-3
@@ -103,18 +103,19 @@ def explain(
     ):
         return Explanation(problem.columns, white, white, 0.0, 0.0, {})
     gains: dict[str, float] = {}
-    play = tuple(Play("play", PLAY_STD, half, joint=j) for j, half in enumerate(halves.tolist()))
+    play = tuple(_list_plays(halves))
     late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
     loose = replace(problem, columns=(*problem.columns, *play))
     # a delay that was corrected for play hides the play: both are free where they are compared
     free = replace(problem, columns=(*loose.columns, *late))
     loosely = _best([_learn(free, one.noise, step_s, one.path) for one in sides])
-    if lasting.nats - loosely.nats > EVIDENCE_THRESHOLD_NATS:
+    least = -EVIDENCE_THRESHOLD_NATS if halves.any() else EVIDENCE_THRESHOLD_NATS
+    if lasting.nats - loosely.nats > least:
         delayed = _learn(
             replace(problem, columns=(*problem.columns, *late)), lasting.noise, step_s, lasting.path
         )
         gains["play"] = min(lasting.nats, delayed.nats) - loosely.nats
-    if gains.get("play", 0.0) > EVIDENCE_THRESHOLD_NATS:
+    if gains.get("play", -np.inf) > least:
         problem = loose
         lasting = _learn(loose, loosely.noise, step_s, loosely.path)
     else:
@@ -140,6 +141,14 @@ def explain(
     if "load" in gains:
         found = mix_silent_groups(found, problem.columns)
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
+
+
+def _list_plays(halves: Array) -> Iterator[Play]:
+    """Yield each joint's play: as in the exploration, which had halves (M,) rad, to about half of
+    its size.
+    """
+    for j, half in enumerate(halves.tolist()):
+        yield Play("play", CHANGE * half if half > 0.0 else PLAY_STD, half, joint=j)
 
 
 def fit_white_noise(problem: FactorProblem, noise: Noise, step_s: float) -> Learned:

@@ -16,6 +16,11 @@ from .encoder_error import JointNoise
 from .images import ImageRows, Images, correlate_model_errors, image_rows, place_images
 from .solve import System
 
+CHANGE = 0.5
+"""Standard deviation of ln σ and ln τ of a run's encoder errors about those of the exploration,
+and share of a joint's play by which that may differ from the exploration's.
+"""
+
 
 @dataclass(frozen=True)
 class LastingPrior:

@@ -15,7 +15,7 @@ from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
 from ..factors.columns import Column, Play
 from ..factors.hypotheses import DRIFTS_S, Explanation
 from ..factors.load import FIRST_BEND, Load, bend_under_load, load_columns, load_sentence
-from ..factors.problem import ANY_ERRORS, LastingPrior
+from ..factors.problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from ..factors.whole_log import (
     ExplainedLog,
     Instants,
@@ -48,8 +48,6 @@ without their own noise, and the model's variance (F,D).
 
 LIKE_OFFSETS = "offsets of encoders explain the log as well as a load does, or better"
 """Why a load that a log resembles is not taken out of its angles."""
-CHANGE = 0.5
-"""Standard deviation of ln σ and ln τ of a run's encoder errors about those of the exploration."""
 
 
 def explained_estimate(
@@ -225,14 +223,14 @@ def _allowance_for_faults(
     """Nats by which a log without encoder offsets and this number
     of moved cameras may be less likely than with them.
 
-    beside: the log with them. What lasts for long would be an offset itself. Play, unless it is
+    beside: the log with them. What lasts for long, or is several times the exploration's, would be
+    an offset itself. Play, unless it is
     there beside the offsets, too, and one load explain several offsets at once, and one encoder
     more that is off from the first reading on counts as one fault more. A load is as simple as an
     offset of one encoder, if it is evident beside errors that last; if not, it must be evident
     beside offsets of known size. The sizes of a displacement cost no evidence.
     """
-    joints = found.noise.joints
-    passing = bool((joints.seconds[joints.learned] < DRIFTS_S).all())
+    passing = _is_usual(found.noise)
     moves = cameras * EVIDENCE_THRESHOLD_NATS
     gains = found.explanation.gains
     if (off := _count_from_start(problem, faults)) > 1:
@@ -244,6 +242,17 @@ def _allowance_for_faults(
     if not (passing and "play" in gains) or cameras:
         return -np.inf
     return 0.0 if "play" in beside.explanation.gains else EVIDENCE_THRESHOLD_NATS
+
+
+def _is_usual(noise: Noise) -> bool:
+    """Whether encoders' errors last too short to imitate an offset, and are of a size that is
+    probable before the log.
+    """
+    joints = noise.joints
+    middle, std = noise.prior.error
+    assert joints.error is not None  # of a log that is explained
+    usual = joints.error <= np.exp(middle + SIGNIFICANT_SIGMA * std)
+    return bool((usual & (joints.seconds < DRIFTS_S))[joints.learned].all())
 
 
 def _count_from_start(problem: FilterProblem, faults: tuple[Fault, ...]) -> int:
