@@ -1,10 +1,10 @@
 """A moved camera: from some time on, everything it shows is displaced by the same pixels.
 
 Means of encoder readings predict positions. The residuals r (R,) px of a track's curve are normal
-with covariance C: noise, model error (correlated by posture), and wandering offsets of all
-encoders. A displacement Δ ~ N(0, σ²I) from the k-th mean on, with all k equally likely, adds ½
-bᵀA⁻¹b − ½ ln|σ²A| to ln p(r), where A = SᵀC⁻¹S + I/σ² and b = SᵀC⁻¹r. It must win against no
-displacement, encoders that wander, one that steps, and all wrong at first.
+with covariance C: noise, model error (correlated by posture), errors of encoders that last, and
+wandering offsets of all encoders. A displacement Δ ~ N(0, σ²I) from the k-th mean on, with all k
+equally likely, adds ½ bᵀA⁻¹b − ½ ln|σ²A| to ln p(r), where A = SᵀC⁻¹S + I/σ² and b = SᵀC⁻¹r. It
+must win against no displacement, encoders that wander, one that steps, and all wrong at first.
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,18 @@ from ...body_model import BodyModel, ForwardModel
 from ...linear_algebra import forward_substituted
 from ...types import TRACK_AXES, Array, Fault, FaultKind, Hypothesis
 from ..inference.tangents import OFFSET_STD
+from ..measurements.arm_errors import follow_links, learned_arm_errors
+from ..measurements.long_arrays import noise_variance
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.track import camera_of_track
-from ..measurements.track_curve import Curve, interpolate_curve, track_curve
+from ..measurements.track_curve import BLUNDER_MEDIANS, Curve, interpolate_curve, track_curve
 from .encoder_offset import RANDOM_WALKS
 from .threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
 TRACKED = tuple(axes for axes, _ in TRACK_AXES.values())
 """Outputs of tracks in images, and of points in space."""
+NO_ERRORS = (0.0, 1.0)
+"""σ (rad) and τ (s) of encoders without errors that last."""
 MAX_READING_MEANS = 160
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
 
@@ -96,10 +100,16 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     """Undo camera displacements in the tracks; the
     uncertainty of each is added to the model's variance.
 
+    The arm's play, and errors of its encoders that last, are those of its exploration.
     Without effect if encoders read another function of the angle.
     """
     if evidence.encoders is None or "encoders" in body.senses:
         return evidence
+    errors = learned_arm_errors(body)
+    encoders = _remove_blunders(evidence.encoders)
+    links = follow_links(encoders.t, encoders.values, body.joints, errors.play)
+    encoders = replace(encoders, values=links)
+    lasting = [errors.lasting.get(name, NO_ERRORS) for name in body.joints]
     sightings = list(evidence.sightings)
     faults = list[Fault]()
     hypotheses = list[Hypothesis]()
@@ -108,7 +118,7 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     ]
     for name in dict.fromkeys(camera_of_track(sightings[k].name) for k in tracks):
         own = [k for k in tracks if camera_of_track(sightings[k].name) == name]
-        for found in find_displacements(evidence.encoders, [sightings[k] for k in own]):
+        for found in find_displacements(encoders, [sightings[k] for k in own], lasting):
             hypotheses.append(
                 Hypothesis(
                     "camera moved",
@@ -124,6 +134,19 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
                     sightings[k] = subtract_displacement(sightings[k], found)
     found_in = replace(evidence, sightings=tuple(sightings), faults=(*evidence.faults, *faults))
     return replace(found_in, hypotheses=(*evidence.hypotheses, *hypotheses))
+
+
+def _remove_blunders(encoders: Encoders) -> Encoders:
+    """The encoders without single readings that are far from both neighbours: the mean of a few
+    readings would be off, and so would a link that they drag through its play.
+    """
+    y = encoders.values
+    near = np.stack([y[:-2], y[1:-1], y[2:]])
+    limit = np.maximum(BLUNDER_MEDIANS * np.sqrt(noise_variance(y)), OFFSET_STD)
+    off = np.abs(y[1:-1] - np.median(near, axis=0)) > limit
+    values = y.copy()
+    values[1:-1][off] = np.nan
+    return replace(encoders, values=values)
 
 
 def _displacement_fault(name: str, found: CameraDisplacement) -> Fault:
@@ -168,18 +191,20 @@ def _without_added_variance(model: ForwardModel) -> ForwardModel:
     return model
 
 
-def find_displacements(encoders: Encoders, seen: Sequence[Sighting]) -> list[CameraDisplacement]:
+def find_displacements(
+    encoders: Encoders, seen: Sequence[Sighting], lasting: Sequence[tuple[float, float]]
+) -> list[CameraDisplacement]:
     """Return the displacements of one camera's tracks that win EVIDENCE_THRESHOLD_NATS, by time, or
     else the most likely one.
 
-    Empty where too little is seen.
+    lasting: σ (rad) and τ (s) of each encoder's errors that last. Empty where too little is seen.
     """
     found = [
         (s, curve)
         for s in seen
         if (curve := track_curve(encoders, s, MAX_READING_MEANS // len(seen))) is not None
     ]
-    rows = _build_displacement_rows(found) if found else None
+    rows = _build_displacement_rows(found, np.array(lasting)) if found else None
     if rows is None or not len(rows.t):
         return []
     moves = _search_displacements(rows)
@@ -237,9 +262,13 @@ def _gain_over_encoders(rows: _DisplacementRows, moves: list[CameraDisplacement]
     )
 
 
-def _build_displacement_rows(found: Sequence[tuple[Sighting, Curve]]) -> _DisplacementRows:
+def _build_displacement_rows(
+    found: Sequence[tuple[Sighting, Curve]], lasting: Array
+) -> _DisplacementRows:
     """The tracks' curves beside the encoders, as rows whose
     covariance is that of a fixed camera and sound encoders.
+
+    lasting (M,2): σ (rad) and τ (s) of each encoder's errors that last.
     """
     parts = list[tuple[Array, ...]]()
     own = list[Array]()
@@ -269,6 +298,8 @@ def _build_displacement_rows(found: Sequence[tuple[Sighting, Curve]]) -> _Displa
     cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _offset_covariance(
         t, jac, RANDOM_WALKS[-1]
     )
+    for (std, seconds), lean in zip(lasting, jac.T, strict=True):
+        cov += np.outer(std * lean, std * lean) * np.exp(-np.abs(np.subtract.outer(t, t)) / seconds)
     # smaller delays are left
     cov += MIN_DELAY_S**2 * np.outer(speed, speed)
     for end, block in zip(np.cumsum([len(block) for block in own]).tolist(), own, strict=True):

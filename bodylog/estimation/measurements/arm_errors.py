@@ -2,7 +2,7 @@
 links, errors of encoders that last, and rows of pictures that are exposed in turn.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from math import isfinite
 from typing import Any
@@ -174,11 +174,22 @@ def _fill_gaps(t: Array, column: Array) -> Array:
 def with_links(features: Features, play: Mapping[str, tuple[float, float]]) -> Features:
     """The features with joints where the links are, in place of the motors that encoders read."""
     joints = features.joints
-    loose = [] if joints is None else [name for name in joints.names if name in play]
-    if joints is None or not loose or len(joints.t) < 2:
+    if joints is None:
         return features
-    columns = [joints.names.index(name) for name in loose]
-    half = np.array([0.5 * play[name][0] for name in loose])
-    values = joints.values.copy()
-    values[:, columns] += half * read_slack(joints.t, joints.values[:, columns], half)
+    values = follow_links(joints.t, joints.values, joints.names, play)
     return replace(features, joints=replace(joints, values=values))
+
+
+def follow_links(
+    t: Array, readings: Array, names: Sequence[str], play: Mapping[str, tuple[float, float]]
+) -> Array:
+    """Where the links of the named joints are (N,M) rad, by the readings
+    (N,M) rad at t (N,) s of their motors, NaN where these are missing.
+    """
+    columns = [j for j, name in enumerate(names) if name in play]
+    if not columns or len(t) < 2:
+        return readings
+    half = np.array([0.5 * play[names[j]][0] for j in columns])
+    links = readings.copy()
+    links[:, columns] += half * read_slack(t, readings[:, columns], half)
+    return links
