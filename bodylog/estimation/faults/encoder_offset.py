@@ -92,14 +92,84 @@ def find_likeliest_step(
         return None
     cost, more, std = lowest
     size += more
-    prior = float(
-        0.5 * (np.log1p((PRIOR_STD_RAD / std) ** 2) + (size / PRIOR_STD_RAD) ** 2)
-        + (np.log(len(t)) if row else 0.0)
-    )
+    prior = _price_size_and_time(size, std, len(t) if row else 1)
     kind = FaultKind.JUMPING if row else FaultKind.DRIFTING
     name = problem.evidence.joints[joint]
     fault = Fault("encoders", name, kind, float(t[row]), size, problem.evidence.unit, std)
     return OffsetHypothesis(without(row, size), cost + prior, fault, prior)
+
+
+def find_likeliest_ramp(
+    problem: FilterProblem, wandering: FilterProblem, joint: int, solved: Solution
+) -> OffsetHypothesis | None:
+    """The most likely steady drift of one joint's encoder from some time on, beside a slow random
+    walk, given the problem without and with a `wandering` offset of it.
+
+    A random walk is as likely before it begins as later, so one that is slow enough for the sound
+    readings trails a steady drift. None where the log determines no drift.
+    """
+    encoders = problem.evidence.encoders
+    assert encoders is not None
+    y = encoders.values[:, joint]
+    t = encoders.t
+    slow = _with_walk(problem, joint, RANDOM_WALKS[1])
+
+    def without(since: float, size: float) -> FilterProblem:
+        return _with_readings(slow, joint, y - size * _rise(t, since))
+
+    def nats(since: float, size: float) -> float:
+        return total_free_energy(filter_roughly(without(since, size), solved))
+
+    followed = filter_roughly(wandering, solved)
+    angles = followed.fold.unfold(followed.trace.z[:, joint])
+    fitted = _fit_ramp(t, y - angles[problem.timeline.encoders])
+    if fitted is None:
+        return None
+    late, size = fitted
+    slope = size / (t[-1] - late)
+    earliest = t[0] + MAX_MEMORY_S
+    begins = np.unique(np.maximum(late - np.array(TRAILING_S), earliest)).tolist()
+    since = min(begins, key=lambda one: nats(one, slope * (t[-1] - one)))
+    size = slope * (t[-1] - since)
+    lowest = _fit_parabola_minimum(
+        [nats(since, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
+    )
+    if lowest is None:
+        return None
+    cost, more, std = lowest
+    size += more
+    name = problem.evidence.joints[joint]
+    fault = Fault(
+        "encoders", name, FaultKind.DRIFTING, since, float(size), problem.evidence.unit, std
+    )
+    prior = _price_size_and_time(size, std, len(t))
+    return OffsetHypothesis(without(since, size), cost + prior, fault, prior)
+
+
+def _rise(t: Array, since: float) -> Array:
+    """What a drift since a time has become at t (N,) s, over what it is at the end."""
+    return np.asarray(np.maximum(t - since, 0.0) / (t[-1] - since))
+
+
+def _fit_ramp(t: Array, off: Array) -> tuple[float, float] | None:
+    """Since when residuals (N,) at t (N,) s, NaN where missing, rise most steadily from 0, and how
+    far until the end; None where the log is too short.
+    """
+    begins = np.linspace(t[0] + MAX_MEMORY_S, t[-1] - MAX_MEMORY_S, RAMPS)
+    known = np.isfinite(off)
+    if t[-1] - t[0] <= 2.0 * MAX_MEMORY_S or not known.any():
+        return None
+    rises = np.array([_rise(t, one)[known] for one in begins])
+    square = np.square(rises).sum(axis=1)
+    product = rises @ off[known]
+    best = int((np.square(product) / square).argmax())
+    return float(begins[best]), float(product[best] / square[best])
+
+
+def _price_size_and_time(size: float, std: float, times: int) -> float:
+    """Nats that a size with this standard error and one of so many times cost."""
+    far = np.log1p((PRIOR_STD_RAD / std) ** 2) + (size / PRIOR_STD_RAD) ** 2
+    return float(0.5 * far + np.log(times))
 
 
 def _fit_parabola_minimum(nats: Sequence[float]) -> tuple[float, float, float] | None:
@@ -132,6 +202,10 @@ def _fit_two_levels(off: Array) -> tuple[int, float]:
     return row, float(level[row])
 
 
+RAMPS = 64
+"""Times tried at which a steady drift may begin."""
+TRAILING_S = (0.0, 0.25, 0.5, 1.0, 1.5)
+"""s by which a filter may show a drift late."""
 RANDOM_WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
 """rad²/s: random-walk variances tried; the last one
 is a constant offset, as of a joint homed differently.
@@ -422,7 +496,8 @@ def _best_offset_hypothesis(
     walks = (_with_walk(allowed, joint, walk) for walk in RANDOM_WALKS)
     best = min((OffsetHypothesis(one, cost(one)) for one in walks), key=lambda way: way.nats)
     step = find_likeliest_step(allowed, best.problem, joint, solved)
-    way = step if step is not None and step.nats < best.nats else best
+    ramp = find_likeliest_ramp(allowed, best.problem, joint, solved)
+    way = min((one for one in (best, step, ramp) if one is not None), key=lambda one: one.nats)
     # against no offset it counts with the problem's noise:
     # less of it makes an offset of a poor body's errors
     found = replace(
