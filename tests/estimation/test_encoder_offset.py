@@ -224,6 +224,25 @@ def test_drift_has_a_size_with_its_error(world):
     assert fault.kind == "drifting" and abs(fault.size - 0.16) < 4.0 * fault.std < 0.05
 
 
+@pytest.mark.parametrize("seed", [20, 21])
+def test_a_steady_drift_is_not_trailed_and_error_bars_hold(world, seed):
+    drawn = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)
+    joints = drawn.features.joints
+    pan = np.array(joints.names) == "pan"
+    values = joints.values + np.outer(0.02 * np.clip(joints.t - 8.0, 0.0, None), pan)
+    found = estimate_from_features(
+        replace(drawn.features, joints=replace(joints, values=values)),
+        drawn.body,
+        EstimationSettings(),
+    )
+    (fault,) = found.faults
+    assert abs(fault.since - 8.0) < 0.5 and abs(fault.size - 0.16) < 0.01
+    # a random walk alone errs by 1.35 times as much as on a sound log
+    assert error(found, drawn, 8.0) < 1.2 * error(
+        estimate_from_features(drawn.features, drawn.body, EstimationSettings()), drawn, 8.0
+    )
+
+
 def test_offset_score_of_encoders_far_surer_than_images_is_not_rounding():
     pull, weight = np.array([[2e16, 0.0]]), np.array([[1e16, 0.0]])
     seen = np.zeros((1, 2, 3))

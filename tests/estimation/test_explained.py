@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
+from bodylog.estimation.factors.encoder_error import JointNoise
+from bodylog.estimation.factors.problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from bodylog.estimation.faults.moved_camera import restore_displacements
 from bodylog.estimation.methods import explained
 from bodylog.estimation.methods.filtering import build_filter_problem
@@ -119,3 +121,17 @@ def test_a_log_whose_explanation_has_no_solution_gets_wider_error_bars_and_the_r
     assert HARDWARE_ERRORS not in found.settings
     assert LASTING_ERROR in found.settings
     assert any("no solution (singular matrix)" in one.text for one in found.findings)
+
+
+@pytest.mark.parametrize(
+    ("std", "seconds", "usual"), [(3e-3, 2.0, True), (6e-3, 2.0, False), (1e-3, 9.0, False)]
+)
+def test_errors_many_times_the_explorations_stand_for_no_offset(std, seconds, usual):
+    prior = LastingPrior((float(np.log(1e-3)), CHANGE), (0.0, CHANGE), True)
+    all_of_them = np.ones(3, bool)
+    error = np.array([1e-3, std, 1e-3])
+    joints = JointNoise(
+        3, np.full(3, 1e-6), np.ones(3), error, np.full(3, seconds), ~all_of_them, all_of_them
+    )
+    assert explained._is_usual(Noise(joints, (1.0,), prior=prior)) is usual
+    assert explained._is_usual(Noise(joints, (1.0,), prior=ANY_ERRORS)) is (seconds < 5.0)

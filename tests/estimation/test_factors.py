@@ -11,12 +11,12 @@ from bodylog.estimation.factors import robust
 from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, Path
 from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
-from bodylog.estimation.factors.hypotheses import SILENT_STD, mix_silent_groups
+from bodylog.estimation.factors.hypotheses import SILENT_STD, _list_plays, mix_silent_groups
 from bodylog.estimation.factors.images import correlate_model_errors
 from bodylog.estimation.factors.noise import Learned, _cost, _to_vector
 from bodylog.estimation.factors.problem import FactorProblem, Noise, linearise
 from bodylog.estimation.factors.solve import filtered, predicted
-from bodylog.estimation.measurements.arm_errors import follow_slack
+from bodylog.estimation.measurements.arm_errors import PLAY_STD, follow_slack
 from bodylog.estimation.measurements.records import Sighting
 from bodylog.motion import motion_covariance
 from bodylog.sim.hardware import add_play
@@ -263,6 +263,12 @@ def test_links_follow_their_motors_through_the_play():
         half = np.full(3, 4e-3)
         slack = follow_slack(motors, half, np.zeros(3))
         assert np.allclose(motors + slack * half, add_play(motors, 8e-3), atol=1e-12)
+
+
+def test_play_of_the_exploration_is_expected_to_half_of_its_size():
+    known, unknown = _list_plays(np.array([2e-3, 0.0]))
+    assert (known.mean, known.std, known.joint) == (2e-3, 1e-3, 0)
+    assert (unknown.mean, unknown.std, unknown.joint) == (0.0, PLAY_STD, 1)
 
 
 def test_noise_of_an_angle_does_not_drag_the_link():

@@ -9,7 +9,12 @@ from bodylog.estimation import estimate_from_features
 from bodylog.estimation.faults.moved_camera import detect_moved_camera
 from bodylog.estimation.faults.screening import screen_measurements
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
+from bodylog.estimation.measurements.arm_errors import ArmErrors
+from bodylog.estimation.measurements.gather import gather_measurements
 from bodylog.settings import EstimationSettings
+from bodylog.sim.hardware import Hardware
+from tests.estimation.conftest import JOINTS
+from tests.estimation.mechanisms import Fault, Mechanism, replayed
 from tests.estimation.moved_cameras import MOVED, cameras, moved
 from tests.estimation.resting import MOTIONS, Drawn, drawn, judged
 from tests.seeds import seeds
@@ -156,3 +161,25 @@ def test_evidence_for_a_moved_camera_is_reported():
     assert [(one["name"], one["chosen"], one["threshold"]) for one in cameras] == [
         ("camera late", False, EVIDENCE_THRESHOLD_NATS), ("camera moved", False, EVIDENCE_THRESHOLD_NATS),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("seed", [7721, 7722, 7724])
+def test_a_moved_camera_is_found_once_beside_the_play_and_the_outliers_of_the_arm(world, seed):
+    arm = Mechanism(5e-4, Hardware(play=8e-3, correlated=1e-3, outliers=1e-3))
+    features = replayed(seed, arm, Fault(), reaches=seed % 2 == 1)
+    errors = ArmErrors(
+        play={name: (8e-3, 5e-4) for name in JOINTS},
+        lasting={name: (1e-3, 1.0) for name in JOINTS},
+    )
+    sound = world(0, duration=1.0).body
+    body = replace(sound, provenance={**sound.provenance, **errors.as_provenance()})
+
+    def find_moves(seen):
+        evidence = gather_measurements(seen, body, EstimationSettings())
+        return detect_moved_camera(evidence, body).faults
+
+    track = features.tracks["effector"]
+    off = track.values + np.array([4.0, 0.0]) * (track.t >= 8.0)[:, None]
+    (fault,) = find_moves(replace(features, tracks={"effector": replace(track, values=off)}))
+    assert abs(fault.since - 8.0) < 0.2 and abs(fault.size - 4.0) < 0.8
+    assert not find_moves(features)
