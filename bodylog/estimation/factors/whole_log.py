@@ -11,6 +11,7 @@ import numpy as np
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 from ..inference.problem import FilterProblem
+from ..inference.tangents import OFFSET_STD
 from ..measurements.records import Encoders, Sighting, unmix_rows
 from ..noise.lasting_error import MOST_COUNTS
 from ..noise.quantisation import quantisation_variance
@@ -323,8 +324,8 @@ def _part(sighting: Sighting, rows: Array) -> Sighting:
 
 
 def _first_noise(problem: FilterProblem, sights: int) -> Noise:
-    """White noise with which the search begins; a joint
-    whose offset was found has it as a walk of its encoder.
+    """White noise with which the search begins; a joint whose offset was found has it as a walk of
+    its encoder: what is left of it where it was taken out of the readings, or all of it.
     """
     precision = problem.precision
     m = len(problem.start)
@@ -333,8 +334,10 @@ def _first_noise(problem: FilterProblem, sights: int) -> Noise:
         process = np.clip(precision.learned[ORDER - 2].process, 1e-2, 1e3)
     drift = np.zeros(m) if precision.drift is None else precision.drift
     walks = drift > 0.0
-    seconds = np.where(walks, 2.0 * PRIOR_STD_RAD**2 / np.where(walks, drift, 1.0), FIRST_S)
-    error = np.where(walks, PRIOR_STD_RAD, LEAST_STD) if walks.any() else None
+    far = np.full(m, PRIOR_STD_RAD)
+    far[[step.joint for step in _repaired_steps(problem)]] = OFFSET_STD
+    seconds = np.where(walks, 2.0 * far**2 / np.where(walks, drift, 1.0), FIRST_S)
+    error = np.where(walks, far, LEAST_STD) if walks.any() else None
     joints = JointNoise(
         ORDER, precision.encoder, process, error, seconds, np.zeros(m, bool), np.zeros(m, bool)
     )
