@@ -14,7 +14,7 @@ from bodylog.estimation import estimate_from_features
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import FaultKind
 from tests.estimation import mechanisms
-from tests.estimation.mechanisms import REALISTIC, SOUND, Fault
+from tests.estimation.mechanisms import REALISTIC, SOUND, Fault, errors_and_nees, links_of
 
 LOGS = 10
 SEEDS = range(7700, 7700 + LOGS)
@@ -72,11 +72,18 @@ def learned(arm):
     return camera_delay.learn_with_delays([features], Settings(), {}, None).model
 
 
+@cache
+def estimate_log(arm, name, seed):
+    """The estimate of a log with a fault."""
+    fault, spoil, _ = KINDS[name]
+    features = spoil(mechanisms.replayed(seed, ARMS[arm], fault, reaches=seed % 2 == 1))
+    return estimate_from_features(features, learned(arm), EstimationSettings())
+
+
 def judge_log(arm, name, seed):
     """Whether a log's fault, and nothing else, is found."""
-    fault, spoil, wrong = KINDS[name]
-    features = spoil(mechanisms.replayed(seed, ARMS[arm], fault, reaches=seed % 2 == 1))
-    found = estimate_from_features(features, learned(arm), EstimationSettings())
+    _, spoil, wrong = KINDS[name]
+    found = estimate_log(arm, name, seed)
     late = found.settings.get("delay", {})
     if spoil is make_late:
         std = found.settings.get("delay_std", {}).get("camera", 0.0)
@@ -91,3 +98,17 @@ def judge_log(arm, name, seed):
 @pytest.mark.parametrize("name", KINDS)
 def test_faults_of_real_arms_are_found_alone_as_on_sound_ones(arm, name):
     assert sum(judge_log(arm, name, seed) for seed in SEEDS) >= LEAST
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", KINDS)
+def test_error_bars_beside_faults_of_real_arms_hold(name):
+    arm = "all errors, mild"
+    nees = [
+        errors_and_nees(
+            estimate_log(arm, name, seed),
+            links_of(seed, ARMS[arm], KINDS[name][0], reaches=seed % 2 == 1),
+        )[1]
+        for seed in SEEDS
+    ]
+    assert sum(one < 2.0 for one in nees) >= LEAST
