@@ -81,7 +81,7 @@ def test_estimate_names_only_the_drifting_encoder(tmp_path, capsys, run_cli, arm
     out = tmp_path / "out.mcap"
     found = _json(capsys, run_cli, "estimate", arm / "drift.mcap", "--body", arm_body, "-o", out)["faults"]
     assert [(fault["name"], fault["kind"]) for fault in found] == [("shoulder_pan_joint", "drifting")]
-    assert 8 <= found[0]["since"] <= 11.6 and abs(found[0]["size"]) == pytest.approx(0.3, abs=0.02)
+    assert abs(found[0]["since"] - 8.0) < 0.5 and abs(found[0]["size"]) == pytest.approx(0.3, abs=0.02)
     assert _json(capsys, run_cli, "evaluate", out)["faults"] == found
     for log in ATTAINABLE:
         assert not _json(capsys, run_cli, "estimate", arm / log, "--body", arm_body, "-o", out)["faults"]

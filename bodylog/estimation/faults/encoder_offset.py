@@ -35,14 +35,17 @@ from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 
 
 class OffsetHypothesis(NamedTuple):
-    """A problem with one more offset, its cost (nats), and
-    if it is a step the fault and what size and time cost.
+    """A problem with one more offset, its cost (nats), and if it is a step or a steady drift the
+    fault and what size and time cost.
+
+    name: offset, which is a random walk, step or drift.
     """
 
     problem: FilterProblem
     nats: float
     fault: Fault | None = None
     prior: float = 0.0
+    name: str = "offset"
 
 
 def total_free_energy(solution: Solution) -> float:
@@ -96,7 +99,7 @@ def find_likeliest_step(
     kind = FaultKind.JUMPING if row else FaultKind.DRIFTING
     name = problem.evidence.joints[joint]
     fault = Fault("encoders", name, kind, float(t[row]), size, problem.evidence.unit, std)
-    return OffsetHypothesis(without(row, size), cost + prior, fault, prior)
+    return OffsetHypothesis(without(row, size), cost + prior, fault, prior, "step")
 
 
 def find_likeliest_ramp(
@@ -143,7 +146,7 @@ def find_likeliest_ramp(
         "encoders", name, FaultKind.DRIFTING, since, float(size), problem.evidence.unit, std
     )
     prior = _price_size_and_time(size, std, len(t))
-    return OffsetHypothesis(without(since, size), cost + prior, fault, prior)
+    return OffsetHypothesis(without(since, size), cost + prior, fault, prior, "drift")
 
 
 def _rise(t: Array, since: float) -> Array:
@@ -377,10 +380,7 @@ def choose_encoder_offsets(
         # walk: a larger one follows errors of the body model
         near = sorted(_list_near_optimal_joints({j: way.nats for j, way in ways.items()}))
         joint = min(near, key=lambda j: (_list_random_walks(ways[j].problem)[j], ways[j].nats))
-        compared = [
-            ("step" if way.fault else "offset", j, nats - way.nats, j == joint)
-            for j, way in ways.items()
-        ]
+        compared = [(way.name, j, nats - way.nats, j == joint) for j, way in ways.items()]
         found = _add_hypotheses(_with_offset_hypothesis(ways[joint], joint, near), compared)
         nats = ways[joint].nats
         # once one offset is modelled, another may show
@@ -486,7 +486,7 @@ def _best_offset_hypothesis(
     cost: Callable[[FilterProblem], float],
     tuned: Callable[[FilterProblem], FilterProblem],
 ) -> OffsetHypothesis:
-    """The best random walk of one joint's offset, or its step where that costs less.
+    """The best random walk of one joint's offset, or its step or steady drift where that costs less.
 
     These are compared with noise `tuned` with the offset: the problem's own has absorbed it.
     """
