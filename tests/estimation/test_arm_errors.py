@@ -10,7 +10,8 @@ from bodylog.delays import camera_delay
 from bodylog.errors import ModelError
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors.columns import Path
-from bodylog.estimation.factors.load import load_columns, load_sentence
+from bodylog.estimation.factors.images import place_images
+from bodylog.estimation.factors.load import StillLoad, count_groups, load_columns, load_sentence
 from bodylog.estimation.measurements.arm_errors import (
     ARM_ERRORS,
     ArmErrors,
@@ -19,6 +20,7 @@ from bodylog.estimation.measurements.arm_errors import (
     read_slack,
     shift_by_rows,
 )
+from bodylog.estimation.measurements.records import Sighting
 from bodylog.evaluation.scores import truth_at_times
 from bodylog.kinematics import chain, urdf
 from bodylog.settings import EstimationSettings, Settings
@@ -239,6 +241,34 @@ def test_a_load_with_a_urdf_bends_joints_by_the_levers_of_the_hand():
     path = Path(np.arange(len(q)), q, q, q, q)
     for one in columns:
         assert np.abs(one.moves_links(path)).max() == pytest.approx(1.0)
+
+
+def test_a_load_bends_joints_that_stood_still_and_may_carry_the_marker():
+    q = np.random.default_rng(5).uniform(-1.0, 1.0, (50, 2))
+    slopes = np.array([[[0.3, 0.0], [0.0, 40.0]]])
+
+    def show(x):
+        lever = np.column_stack([np.zeros(len(x)), 0.2 * np.sin(x[:, 0])])
+        return np.repeat(slopes, len(x), axis=0), lever
+
+    seen = SimpleNamespace(
+        hand_levers=lambda x: np.cos(x), still_joints=("roll", "wrist"), show_still_joints=show
+    )
+    columns = load_columns(SimpleNamespace(senses={"effector": seen}), q)
+    # an axis that stands upright carries nothing
+    assert [one.joint_name for one in columns if isinstance(one, StillLoad)] == ["wrist"]
+    assert count_groups(columns) == 3
+    wrist = columns[-1]
+    t = np.arange(50.0)
+    rest = np.zeros(q.shape)
+    path = Path(t, q, rest, q, rest)
+    for model, size in ((seen, 40.0), (SimpleNamespace(), 0.0)):
+        sighting = Sighting("effector", model, t, np.zeros((50, 2)), np.ones((50, 2)), t)
+        images = place_images(sighting, t, nearest=True)
+        shown = wrist.displaces(images, path)
+        sinks = -np.sin(q[:, 0]) / np.abs(np.sin(q[:, 0])).max()
+        np.testing.assert_allclose(shown, size * np.outer(sinks, [0.0, 1.0]), atol=1e-9)
+        assert not wrist.moves_images(images, path).any()
 
 
 def judge_log(kind, seed):

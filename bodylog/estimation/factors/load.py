@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from ...body_model import BodyModel
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from .columns import Column, Path
+from .images import Images
 
 FIRST_BEND = 5e-3
 """rad of what a joint bends by, with which the search begins."""
@@ -32,6 +33,35 @@ class Load(Column):
         return own
 
 
+@runtime_checkable
+class _Carried(Protocol):
+    """A model of a marker that joints may carry which stood still in the exploration."""
+
+    @property
+    def still_joints(self) -> tuple[str, ...]: ...
+
+    def show_still_joints(self, x: Array) -> tuple[Array, Array]: ...
+
+
+@dataclass(frozen=True)
+class StillLoad(Column):
+    """What a joint bends by that stood still in the exploration, rad (or m) where it bends most:
+    it carries the marker, so images show it, but no angle of the log tells it.
+    """
+
+    joint_name: str = ""
+    longest: float = 1.0
+
+    def displaces(self, images: Images, path: Path) -> Array:
+        """By what the joint sinks, of a marker that it may carry."""
+        model = images.sighting.model
+        if not isinstance(model, _Carried) or self.joint_name not in model.still_joints:
+            return super().displaces(images, path)
+        shown, levers = model.show_still_joints(path.at_images(images).links)
+        r = model.still_joints.index(self.joint_name)
+        return np.asarray(-shown[..., r] * levers[:, r, None] / self.longest)
+
+
 def bend_under_load(columns: Sequence[Column], sizes: Array, angles: Array) -> Array:
     """How far joints bend (N,M) rad at angles (N,M), by those of the columns that are a load."""
     rest = np.zeros(angles.shape)
@@ -40,7 +70,7 @@ def bend_under_load(columns: Sequence[Column], sizes: Array, angles: Array) -> A
     return sum((size * column.moves_links(path) for column, size in loads), rest)
 
 
-def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
+def load_columns(body: BodyModel, readings: Array) -> tuple[Column, ...]:
     """A load's columns for readings (N,M) rad: by the levers of the
     hand where a URDF tells them, else any linear function of the posture.
     """
@@ -48,7 +78,14 @@ def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
     if not len(known):
         return ()
     levers = find_hand_levers(body, known)
-    return tuple(_bend_linearly(known) if levers is None else _bend_by_levers(levers, known))
+    if levers is None:
+        return tuple(_bend_linearly(known))
+    return (*_bend_by_levers(levers, known), *_bend_still_joints(body, known))
+
+
+def count_groups(loads: Sequence[Column]) -> int:
+    """Number of groups of a load's columns."""
+    return 1 + max((one.group for one in loads if one.group is not None), default=-1)
 
 
 def find_hand_levers(body: BodyModel, known: Array) -> Callable[[Array], Array] | None:
@@ -71,6 +108,20 @@ def _bend_by_levers(levers: Callable[[Array], Array], known: Array) -> Iterator[
             return np.asarray(-levers(angles)[:, j] / longest[j])
 
         yield Load("payload", 1.0, group=j, joint=j, shape=sink)
+
+
+def _bend_still_joints(body: BodyModel, known: Array) -> Iterator[StillLoad]:
+    """Yield how each joint that stood still and may carry the hand sinks."""
+    longest = dict[str, float]()
+    for sense in body.senses.values():
+        if isinstance(sense, _Carried):
+            most = np.abs(sense.show_still_joints(known)[1]).max(axis=0).tolist()
+            for name, lever in zip(sense.still_joints, most, strict=True):
+                longest[name] = max(longest.get(name, 0.0), lever)
+    far = LEAST_LEVER * max(longest.values(), default=0.0)
+    carrying = [(name, lever) for name, lever in longest.items() if lever > far]
+    for g, (name, lever) in enumerate(carrying, known.shape[1]):
+        yield StillLoad("payload", 1.0, group=g, joint_name=name, longest=lever)
 
 
 def _bend_linearly(known: Array) -> Iterator[Load]:
