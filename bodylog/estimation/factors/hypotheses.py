@@ -156,7 +156,8 @@ def mix_silent_groups(found: Learned, columns: Sequence[Column]) -> Learned:
     """
     groups = found.noise.groups
     means = np.array([column.mean for column in columns])
-    sets = [one for count in range(3) for one in combinations(range(len(groups)), count)]
+    most = min(2, len(groups) - 1)
+    sets = [one for count in range(most + 1) for one in combinations(range(len(groups)), count)]
     nats = np.empty(len(sets))
     sizes = np.empty((len(sets), len(columns)))
     covs = np.empty((len(sets), len(columns), len(columns)))

@@ -1,7 +1,7 @@
 """What links bend by as the posture alone decides: under a weight at the hand, or otherwise."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -16,15 +16,25 @@ FIRST_BEND = 5e-3
 """rad of what a joint bends by, with which the search begins."""
 LEAST_LEVER = 1e-3
 """Share of the longest lever below which a joint carries nothing."""
+COMPLIANCE_SPREAD = 1.0
+"""Standard deviation of a joint's compliance, in shares of what all joints have alike: those of
+one arm differ by factors of up to five, and of the simulated one by none.
+"""
 
 
 @dataclass(frozen=True)
 class Load(Column):
-    """What a joint bends by, rad: a shape of the posture, (K,M) rad -> (K,), times the size."""
+    """What links bend by as the posture alone decides, rad."""
+
+    bends: bool = True
+
+
+@dataclass(frozen=True)
+class PostureLoad(Load):
+    """What a joint bends by: any shape of the posture, (K,M) rad -> (K,), times the size."""
 
     joint: int = 0
     shape: Callable[[Array], Array] = np.ones_like
-    bends: bool = True
 
     def moves_links(self, path: Path) -> Array:
         """The shape at the angles, for this joint."""
@@ -44,22 +54,35 @@ class _Carried(Protocol):
 
 
 @dataclass(frozen=True)
-class StillLoad(Column):
-    """What a joint bends by that stood still in the exploration, rad (or m) where it bends most:
-    it carries the marker, so images show it, but no angle of the log tells it.
+class Payload(Load):
+    """What these joints sink by under a weight at the hand, rad (or m), each by its lever over the
+    longest of all, m.
+
+    levers: of the hand (K,M), m per rad, at angles (K,M) · joints: of the log · still: names of
+    others, which stood still in the exploration and may carry the marker: images show what these
+    sink by, but no angle of the log tells it.
     """
 
-    joint_name: str = ""
+    levers: Callable[[Array], Array] = np.zeros_like
     longest: float = 1.0
+    joints: tuple[int, ...] = ()
+    still: tuple[str, ...] = ()
+
+    def moves_links(self, path: Path) -> Array:
+        """Minus the levers at the angles, for these joints."""
+        own = np.zeros(path.angles.shape)
+        carrying = list(self.joints)
+        own[:, carrying] = -self.levers(path.angles)[:, carrying] / self.longest
+        return own
 
     def displaces(self, images: Images, path: Path) -> Array:
-        """By what the joint sinks, of a marker that it may carry."""
+        """What images of a marker show of the others."""
         model = images.sighting.model
-        if not isinstance(model, _Carried) or self.joint_name not in model.still_joints:
+        if not (self.still and isinstance(model, _Carried)):
             return super().displaces(images, path)
         shown, levers = model.show_still_joints(path.at_images(images).links)
-        r = model.still_joints.index(self.joint_name)
-        return np.asarray(-shown[..., r] * levers[:, r, None] / self.longest)
+        sinks = np.array([name in self.still for name in model.still_joints])
+        return np.asarray(-(shown * levers[:, None] * sinks).sum(axis=-1) / self.longest)
 
 
 def bend_under_load(columns: Sequence[Column], sizes: Array, angles: Array) -> Array:
@@ -80,7 +103,7 @@ def load_columns(body: BodyModel, readings: Array) -> tuple[Column, ...]:
     levers = find_hand_levers(body, known)
     if levers is None:
         return tuple(_bend_linearly(known))
-    return (*_bend_by_levers(levers, known), *_bend_still_joints(body, known))
+    return tuple(_bend_by_levers(levers, _still_levers(body, known), known))
 
 
 def count_groups(loads: Sequence[Column]) -> int:
@@ -99,29 +122,34 @@ def find_hand_levers(body: BodyModel, known: Array) -> Callable[[Array], Array] 
     return None
 
 
-def _bend_by_levers(levers: Callable[[Array], Array], known: Array) -> Iterator[Load]:
-    """Yield how each joint that carries the hand sinks: by its size where the lever is longest."""
-    longest = np.abs(levers(known)).max(axis=0)
-    for j in np.flatnonzero(longest > LEAST_LEVER * longest.max()).tolist():
+def _bend_by_levers(
+    levers: Callable[[Array], Array], still: Mapping[str, float], known: Array
+) -> Iterator[Payload]:
+    """Yield how all joints that carry the hand sink alike, and how each does more than that.
 
-        def sink(angles: Array, j: int = j) -> Array:
-            return np.asarray(-levers(angles)[:, j] / longest[j])
+    still: longest lever, m, of each joint that stood still.
+    """
+    own = np.abs(levers(known)).max(axis=0)
+    longest = max(float(own.max()), *still.values(), 0.0)
+    joints = tuple(np.flatnonzero(own > LEAST_LEVER * longest).tolist())
+    others = tuple(name for name, lever in still.items() if lever > LEAST_LEVER * longest)
+    alike = Payload("payload", 1.0, group=0, levers=levers, longest=longest)
+    yield replace(alike, joints=joints, still=others)
+    for j in joints:
+        yield replace(alike, std=COMPLIANCE_SPREAD, joints=(j,))
+    for name in others:
+        yield replace(alike, std=COMPLIANCE_SPREAD, still=(name,))
 
-        yield Load("payload", 1.0, group=j, joint=j, shape=sink)
 
-
-def _bend_still_joints(body: BodyModel, known: Array) -> Iterator[StillLoad]:
-    """Yield how each joint that stood still and may carry the hand sinks."""
+def _still_levers(body: BodyModel, known: Array) -> dict[str, float]:
+    """The longest lever, m, of each joint that stood still and may carry the hand."""
     longest = dict[str, float]()
     for sense in body.senses.values():
         if isinstance(sense, _Carried):
             most = np.abs(sense.show_still_joints(known)[1]).max(axis=0).tolist()
             for name, lever in zip(sense.still_joints, most, strict=True):
                 longest[name] = max(longest.get(name, 0.0), lever)
-    far = LEAST_LEVER * max(longest.values(), default=0.0)
-    carrying = [(name, lever) for name, lever in longest.items() if lever > far]
-    for g, (name, lever) in enumerate(carrying, known.shape[1]):
-        yield StillLoad("payload", 1.0, group=g, joint_name=name, longest=lever)
+    return longest
 
 
 def _bend_linearly(known: Array) -> Iterator[Load]:
@@ -130,13 +158,13 @@ def _bend_linearly(known: Array) -> Iterator[Load]:
     """
     middle = known.mean(axis=0)
     for j in range(known.shape[1]):
-        yield Load("posture", 1.0, group=j, joint=j, shape=_keep_constant)
+        yield PostureLoad("posture", 1.0, group=j, joint=j, shape=_keep_constant)
         for other in range(known.shape[1]):
 
             def lean(angles: Array, other: int = other) -> Array:
                 return np.asarray(angles[:, other] - middle[other])
 
-            yield Load("posture", 1.0, group=j, joint=j, shape=lean)
+            yield PostureLoad("posture", 1.0, group=j, joint=j, shape=lean)
 
 
 def _keep_constant(angles: Array) -> Array:
