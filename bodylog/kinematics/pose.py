@@ -3,7 +3,7 @@ covariance: forward kinematics of angles and unknowns.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,12 +24,22 @@ class Base:
 
     chain: from the root to the thing's link · tool (4,4): a frame on that link, named `link`, that
     gives a point marker its orientation · camera: whether the thing is the camera's optical frame.
+    hand: the chain from the root to the tool, with the rig's joints and then those that stood still
+    below the camera's link, at `still` (R,) rad or m; None
+    where there are none, and of a camera.
     """
 
     chain: Chain
     tool: Array
     link: str
     camera: bool = False
+    hand: Chain | None = None
+    still: Array = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def still_joints(self) -> tuple[str, ...]:
+        """Names (R,) of the joints that stood still."""
+        return () if self.hand is None else self.hand.joints[len(self.chain.joints) :]
 
 
 def find_base(robot: Robot, rig: Rig, theta: Array, still: Mapping[str, float]) -> Base | None:
@@ -41,14 +51,27 @@ def find_base(robot: Robot, rig: Rig, theta: Array, still: Mapping[str, float]) 
     for link, camera in ((rig.carriers[0].link, False), (rig.cameras[0].link, True)):
         chain = space.chain(robot.root, link)
         if len(chain.column):
+            if camera:
+                return Base(chain, np.eye(4), link, camera)
             place = rig.carrier_pose(0, theta)[:3, 3]
-            tool, name = (
-                (np.eye(4), link)
-                if camera
-                else _nearest_tool_frame(robot, link, place, rig.joints, still)
-            )
-            return Base(chain, tool, name, camera)
+            tool, name = _nearest_tool_frame(robot, link, place, rig.joints, still)
+            hand = _chain_to_hand(robot, rig, name, still)
+            rests = np.array([still.get(one, 0.0) for one in hand.joints[len(rig.joints) :]])
+            base = Base(chain, tool, name)
+            return replace(base, hand=hand, still=rests) if len(rests) else base
     return None
+
+
+def _chain_to_hand(robot: Robot, rig: Rig, tool: str, still: Mapping[str, float]) -> Chain:
+    """The chain from the root to a tool by the rig's joints,
+    and by those that stood still below the camera's link.
+    """
+    whole = chain_between(robot, robot.root, tool)
+    with_camera = chain_between(robot, robot.root, rig.cameras[0].link).joints
+    others = [one for one in whole.joints if one not in rig.joints]
+    held = {one: still.get(one, 0.0) for one in others if one in with_camera}
+    further = [one for one in others if one not in with_camera]
+    return whole.holding(held).over((*rig.joints, *further))
 
 
 def _nearest_tool_frame(
@@ -101,6 +124,25 @@ def rise_in_base(base: Base, rig: Rig, theta: Array, q: Array) -> Array:
     poses = base.chain.at(rig.angles(theta, q))
     place = poses.place + poses.rotation @ _place_thing_on_link(base, rig, theta)[:3, 3]
     return np.asarray(base.chain.slopes(poses, place[:, None])[:, 0, 2])
+
+
+def bend_still_joints(base: Base, rig: Rig, theta: Array, q: Array) -> tuple[Array, Array]:
+    """How the marker's first point moves with each joint that stood still, on the marker's link
+    (N,3,R), and how far it rises with it (N,R): m per rad or per m, at q (N,M), for theta (P,).
+
+    Whether such a joint is between the link and the marker,
+    or beyond both, is not known: here all are between.
+    """
+    assert base.hand is not None  # of a marker
+    angles = rig.angles(theta, q)
+    link = base.chain.at(angles)
+    on_link = _place_thing_on_link(base, rig, theta)
+    point = on_link[:3, :3] @ rig.sights[0].points[0] + on_link[:3, 3]
+    place = link.place + link.rotation @ point
+    every = np.concatenate([angles, np.broadcast_to(base.still, (len(q), len(base.still)))], axis=1)
+    poses = base.hand.at(every)
+    slopes = base.hand.slopes(poses, place[:, None])[:, 0, :, len(rig.joints) :]
+    return link.rotation.swapaxes(1, 2) @ slopes, slopes[:, 2]
 
 
 def _on_link(base: Base, rig: Rig, theta: Array) -> tuple[Array, Array]:

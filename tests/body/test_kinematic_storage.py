@@ -44,14 +44,14 @@ def _large(array):
     array[...] = 1e30
 
 
-@pytest.mark.parametrize("field", ["chain", "camera", "marker", "base", "base_tool"])
+@pytest.mark.parametrize("field", ["chain", "camera", "marker", "base", "base_tool", "hand"])
 @pytest.mark.parametrize("change", [_scaled, _mirrored, _far, _sheared, _last_row])
 def test_load_refuses_matrices_that_are_no_poses(kinematic, tmp_path, field, change):
     with pytest.raises(ModelError, match=rf"field effector/{field}: found .*, possible: (a rotation|at most)"):
         storage.load_body(_changed(kinematic, tmp_path / "x.npz", field, change))
 
 
-@pytest.mark.parametrize("field", ["theta", "lens", "points", "steps", "base_steps"])
+@pytest.mark.parametrize("field", ["theta", "lens", "points", "steps", "base_steps", "hand_steps", "still"])
 def test_load_refuses_numbers_that_no_camera_has(kinematic, tmp_path, field):
     with pytest.raises(ModelError, match=f"field effector/{field}: found "):
         storage.load_body(_changed(kinematic, tmp_path / "x.npz", field, _large))
@@ -59,6 +59,22 @@ def test_load_refuses_numbers_that_no_camera_has(kinematic, tmp_path, field):
 
 def test_load_reads_a_learned_body(kinematic, tmp_path):
     storage.load_body(_changed(kinematic, tmp_path / "x.npz", "chain", lambda array: None))
+
+
+def test_joints_that_stood_still_come_back(kinematic, tmp_path):
+    body = storage.load_body(kinematic)
+    sense = body.senses["effector"]
+    assert sense.still_joints[0] == "wrist_1_joint"
+    storage.save(body, tmp_path / "again.npz")
+    again = storage.load_body(tmp_path / "again.npz").senses["effector"]
+    assert again.still_joints == sense.still_joints
+    x = sense.samples[:3]
+    for one, other in zip(again.show_still_joints(x), sense.show_still_joints(x), strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert np.abs(one).max() > 0.01
+    alone = replace(sense, base=replace(sense.base, hand=None, still=np.zeros(0)))
+    storage.save(replace(body, senses={**body.senses, "effector": alone}), tmp_path / "alone.npz")
+    assert storage.load_body(tmp_path / "alone.npz").senses["effector"].still_joints == ()
 
 
 def test_zeros_of_resting_joints_come_back_and_need_rigid_steps(kinematic, tmp_path):

@@ -10,7 +10,8 @@ from bodylog.delays import camera_delay
 from bodylog.errors import ModelError
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors.columns import Path
-from bodylog.estimation.factors.load import load_columns, load_sentence
+from bodylog.estimation.factors.images import place_images
+from bodylog.estimation.factors.load import count_groups, load_columns, load_sentence
 from bodylog.estimation.measurements.arm_errors import (
     ARM_ERRORS,
     ArmErrors,
@@ -19,6 +20,7 @@ from bodylog.estimation.measurements.arm_errors import (
     read_slack,
     shift_by_rows,
 )
+from bodylog.estimation.measurements.records import Sighting
 from bodylog.evaluation.scores import truth_at_times
 from bodylog.kinematics import chain, urdf
 from bodylog.settings import EstimationSettings, Settings
@@ -233,12 +235,51 @@ def test_a_load_with_a_urdf_bends_joints_by_the_levers_of_the_hand():
 
     sense = SimpleNamespace(hand_levers=levers)
     q = np.random.default_rng(5).uniform(-1.0, 1.0, (50, len(arm.joints)))
-    columns = load_columns(SimpleNamespace(senses={"effector": sense}), q)
-    assert {one.name for one in columns} == {"payload"}
-    assert 0 not in {one.joint for one in columns}  # the first axis stands upright
+    alike, *each = load_columns(SimpleNamespace(senses={"effector": sense}), q)
+    assert {one.name for one in (alike, *each)} == {"payload"}
+    carrying = [one.joints[0] for one in each]
+    assert 0 not in carrying  # the first axis stands upright
     path = Path(np.arange(len(q)), q, q, q, q)
-    for one in columns:
-        assert np.abs(one.moves_links(path)).max() == pytest.approx(1.0)
+    bends = alike.moves_links(path)
+    assert np.abs(bends).max() == pytest.approx(1.0)
+    ratio = bends[:, carrying] / levers(q)[:, carrying]
+    np.testing.assert_allclose(ratio, ratio[0, 0], atol=1e-9)  # one compliance for all
+    np.testing.assert_allclose(sum(one.moves_links(path) for one in each), bends, atol=1e-9)
+
+
+def test_a_load_bends_joints_that_stood_still_and_may_carry_the_marker():
+    q = np.random.default_rng(5).uniform(-1.0, 1.0, (50, 2))
+    slopes = np.array([[[0.3, 0.0], [0.0, 40.0]]])
+
+    def show(x):
+        lever = np.column_stack([np.zeros(len(x)), 0.2 * np.sin(x[:, 0])])
+        return np.repeat(slopes, len(x), axis=0), lever
+
+    seen = SimpleNamespace(
+        hand_levers=lambda x: 0.5 * np.cos(x), still_joints=("roll", "wrist"), show_still_joints=show
+    )
+    alike, *each = load_columns(SimpleNamespace(senses={"effector": seen}), q)
+    # an axis that stands upright carries nothing
+    assert [(one.joints, one.still) for one in (alike, *each)] == [
+        ((0, 1), ("wrist",)),
+        ((0,), ()),
+        ((1,), ()),
+        ((), ("wrist",)),
+    ]
+    assert count_groups((alike, *each)) == 1
+    t = np.arange(50.0)
+    rest = np.zeros(q.shape)
+    path = Path(t, q, rest, q, rest)
+    longest = 0.5 * np.cos(q).max()
+    for model, size in ((seen, 40.0), (SimpleNamespace(), 0.0)):
+        sighting = Sighting("effector", model, t, np.zeros((50, 2)), np.ones((50, 2)), t)
+        images = place_images(sighting, t, nearest=True)
+        sinks = -0.2 * np.sin(q[:, 0]) / longest
+        for one in (alike, each[-1]):
+            shown = one.displaces(images, path)
+            np.testing.assert_allclose(shown, size * np.outer(sinks, [0.0, 1.0]), atol=1e-9)
+        assert not each[-1].moves_images(images, path).any()
+        assert not each[0].displaces(images, path).any()
 
 
 def judge_log(kind, seed):

@@ -1,12 +1,16 @@
 """A thing's pose in the robot's base, its covariance, and its scores."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from bodylog.evaluation import poses as figures
 from bodylog.evaluation.truth import load_poses
 from bodylog.kinematics import urdf
-from bodylog.kinematics.pose import find_base, pose_in_base, rise_in_base
+from bodylog.kinematics.chain import chain_between
+from bodylog.kinematics.pose import bend_still_joints, find_base, pose_in_base, rise_in_base
+from bodylog.kinematics.rig import Sight
 from bodylog.kinematics.rotations import (
     quaternions_from_rotations,
     rotation_from_vector,
@@ -65,12 +69,42 @@ def test_a_marker_rises_as_its_place_in_the_base_does():
     assert (np.abs(found).max(axis=0) > 1e-3).sum() >= 2
 
 
+def test_a_joint_that_stood_still_moves_a_marker_that_it_may_carry():
+    robot, whole = urdf.parse_urdf(ARM, "arm"), robots.rig()
+    joints, still = robots.JOINTS[:3], {"wrist": 0.4}
+    to_fore = chain_between(robot, "base", "fore").over(joints)
+    rig = replace(
+        whole,
+        carriers=(replace(whole.carriers[0], link="fore"),),
+        sights=(Sight("point", 0, 0, to_fore),),
+        joints=joints,
+        doubt=whole.doubt[:3],
+    )
+    theta, q = robots.truth(whole, OFFSETS)[:-1], robots.angles(5)[:, :3]
+    base = find_base(robot, rig, theta, still)
+    assert base.still_joints == ("wrist",)
+    moved, rise = bend_still_joints(base, rig, theta, q)
+    angles = q + theta[rig.of_joints]
+    fore = to_fore.at(angles)
+    place = fore.place + fore.rotation @ rig.carrier_pose(0, theta)[:3, 3]
+    to_tool = chain_between(robot, "base", "tool").over(robots.JOINTS)
+    rests, above, below = (
+        to_tool.at(np.column_stack([angles, np.full(5, still["wrist"] + way)]))
+        for way in (0.0, STEP, -STEP)
+    )
+    on_tool = np.einsum("nji,nj->ni", rests.rotation, place - rests.place)
+    ends = [one.place + np.einsum("nij,nj->ni", one.rotation, on_tool) for one in (above, below)]
+    expected = (ends[0] - ends[1]) / (2 * STEP)
+    np.testing.assert_allclose(rise[:, 0], expected[:, 2], atol=1e-8)
+    np.testing.assert_allclose(
+        np.einsum("nij,nj->ni", fore.rotation, moved[..., 0]), expected, atol=1e-8
+    )
+    assert np.linalg.norm(expected, axis=1).min() > 0.01
+    moving = find_base(robot, whole, robots.truth(whole, OFFSETS), {})
+    assert moving.hand is None and moving.still_joints == ()
+
+
 def test_posed_takes_a_moving_camera_as_the_effector():
-    from dataclasses import replace
-
-    from bodylog.kinematics.chain import chain_between
-    from bodylog.kinematics.rig import Sight
-
     robot, rig = urdf.parse_urdf(ARM, "arm"), robots.rig()
     chain = chain_between(robot, "tool", "base").over(robots.JOINTS)
     swapped = replace(

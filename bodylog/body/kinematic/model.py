@@ -11,7 +11,7 @@ import numpy as np
 from ...body_model import UNUSED_URDF, BodyModel
 from ...errors import ModelError
 from ...kinematics.instant import Instant, compile_predictor
-from ...kinematics.pose import Base, rise_in_base
+from ...kinematics.pose import Base, bend_still_joints, rise_in_base
 from ...kinematics.rig import Rig, RigPrediction, Sight
 from ...types import Array
 from ..gp.model import GP, se_kernel
@@ -131,6 +131,21 @@ class KinematicGP(GP):
         if self.base is None or self.base.camera:
             return None
         return rise_in_base(self.base, self.rig, self.theta, x)
+
+    @property
+    def still_joints(self) -> tuple[str, ...]:
+        """Names (R,) of joints that stood still in the exploration and may carry the marker."""
+        return () if self.base is None else self.base.still_joints
+
+    def show_still_joints(self, x: Array) -> tuple[Array, Array]:
+        """What each joint that stood still moves the marker's image by (N,D,R), px per rad or m,
+        and how far the marker rises with it (N,R), m, at x (N,M) rad.
+        """
+        if self.base is None or self.base.hand is None:
+            return np.zeros((len(x), len(self.drift), 0)), np.zeros((len(x), 0))
+        moved, rise = bend_still_joints(self.base, self.rig, self.theta, x)
+        first = self.rig.of_carrier(0).start
+        return self.design(x)[:, :, first : first + 3] @ moved, rise
 
     @property
     def offsets(self) -> tuple[Array, Array]:

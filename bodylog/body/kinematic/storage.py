@@ -32,6 +32,9 @@ BASE = {"base": "x44", "base_steps": "y4", "base_tool": "44"}
 """Arrays of a model with a base: x steps and one, y steps."""
 RESTING = {"resting": "k44"}
 """The array of a model in which joints that stood still have zeros."""
+HAND = {"hand": "z44", "hand_steps": "w4", "still": "e"}
+"""Arrays of a base with a chain to the hand: z steps and one, w steps, e joints that stood still."""
+_STILL = "still_joints"
 _BASE_NAMES = ("base_start", "base_end", "base_tool", "base_thing")
 _SCALED = "scales"
 _RESTED = "resting"
@@ -59,6 +62,12 @@ def kinematic_arrays(model: KinematicGP) -> dict[str, Array]:
             "base_tool": base.tool,
         }
     )
+    if base is not None and base.hand is not None:
+        carried |= {
+            "hand": base.hand.fixed,
+            "hand_steps": _chain_step_array(base.hand),
+            "still": base.still,
+        }
     rested = {} if model.resting is None else {_RESTED: model.resting}
     lens = {} if rig.cameras[0].tracks_space else {"lens": rig.cameras[0].lens}
     return (
@@ -101,6 +110,8 @@ def kinematic_names(model: KinematicGP) -> dict[str, str]:
     if base is not None:
         texts = (base.chain.start, base.chain.end, base.link, _THINGS[base.camera])
         carried = dict(zip(_BASE_NAMES, texts, strict=True))
+        if base.hand is not None:
+            carried[_STILL] = "\n".join(base.still_joints)
     there = {_SCALED: len(rig.scale_doubt) > 0, _RESTED: model.resting is not None}
     marks = {name: word for name, word in _MARKS.items() if there[name]}
     return dict(zip(_NAMES, values, strict=True)) | carried | marks
@@ -116,6 +127,7 @@ def kinematic_shapes(header: Mapping[str, Any], outputs: Sequence[str]) -> dict[
     """
     rested = RESTING if _RESTED in header else {}
     shapes = SHAPES | (BASE if _BASE_NAMES[0] in header else {}) | rested
+    shapes |= HAND if _STILL in header else {}
     return {field: shape for field, shape in shapes.items() if field != "lens" or len(outputs) == 2}
 
 
@@ -206,7 +218,17 @@ def _build_base(
     for field in ("base", "base_tool"):
         insist_rigid(found[field], field)
     chain = _build_chain(start, end, joints, found["base"], found["base_steps"], "base_steps")
-    return Base(chain, found["base_tool"], link, thing == _THINGS[1])
+    base = Base(chain, found["base_tool"], link, thing == _THINGS[1])
+    if _STILL not in header:
+        return base
+    insist_rigid(found["hand"], "hand")
+    still = found["still"]
+    further = tuple(header[_STILL].split("\n"))
+    insist_sound(len(further) == len(still), "still", len(still), f"{len(further)} numbers")
+    insist_sound((np.abs(still) <= _LARGEST).all(), "still", still, f"at most {_LARGEST:g}")
+    every = (*joints, *further)
+    hand = _build_chain(start, link, every, found["hand"], found["hand_steps"], "hand_steps")
+    return replace(base, hand=hand, still=still)
 
 
 def check_kinematic_names(header: Any) -> dict[str, str]:
@@ -229,7 +251,10 @@ def check_kinematic_names(header: Any) -> dict[str, str]:
         raise ValueError(
             f"kinematics: found {str(header)[:80]}, possible: texts for {', '.join(_BASE_NAMES)}"
         )
-    return {name: header[name] for name in (*_NAMES, *_BASE_NAMES)} | marks
+    if _STILL in header and not isinstance(header[_STILL], str):
+        raise ValueError(f"kinematics.{_STILL}: found {str(header[_STILL])[:80]}, possible: a text")
+    names = (*_NAMES, *_BASE_NAMES, *((_STILL,) if _STILL in header else ()))
+    return {name: header[name] for name in names} | marks
 
 
 def insist_rigid(poses: Array, field: str) -> None:

@@ -66,6 +66,10 @@ class Column:
         """What a unit moves the links by (F,M) rad, as images show them."""
         return self.moves_links(path.at_images(images))
 
+    def displaces(self, images: "Images", path: Path) -> Array:
+        """What a unit displaces images by beside moving links (F,D), in the unit of their sense."""
+        return np.zeros(images.values.shape)
+
     def reads(self, t: Array, path: Path) -> Array:
         """What a unit changes in readings (N,M) at t (N,) s, rad."""
         return np.zeros((len(t), path.angles.shape[1]))

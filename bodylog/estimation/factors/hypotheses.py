@@ -15,7 +15,7 @@ from ..measurements.track import camera_of_track
 from .columns import Column, Delay, Path, Play
 from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
-from .load import FIRST_BEND
+from .load import FIRST_BEND, count_groups
 from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import CHANGE, FactorProblem, Noise
 from .solve import column_nats
@@ -122,7 +122,7 @@ def explain(
         gains.clear()
     if loads:
         loaded = replace(problem, columns=(*problem.columns, *loads))
-        groups = (FIRST_BEND,) * len(problem.start)
+        groups = (FIRST_BEND,) * count_groups(loads)
         each = [replace(one, groups=groups) for one in _lasting(white.noise)]
         bents = [_learn(loaded, one, step_s, lasting.path) for one in each]
         bent = _best(bents)
@@ -165,7 +165,8 @@ def mix_silent_groups(found: Learned, columns: Sequence[Column]) -> Learned:
     """
     groups = found.noise.groups
     means = np.array([column.mean for column in columns])
-    sets = [one for count in range(3) for one in combinations(range(len(groups)), count)]
+    most = min(2, len(groups) - 1)
+    sets = [one for count in range(most + 1) for one in combinations(range(len(groups)), count)]
     nats = np.empty(len(sets))
     sizes = np.empty((len(sets), len(columns)))
     covs = np.empty((len(sets), len(columns), len(columns)))

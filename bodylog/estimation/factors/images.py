@@ -82,13 +82,15 @@ def image_rows(
     noise: JointNoise,
     scale: float,
     columns: Array,
+    displaced: Array,
     first: int,
     size: int,
 ) -> ImageRows:
     """Rows of images, linearised at the links' angles (F,M) rad.
 
-    columns (F,M,C): what each column of the border moves a link by · first, size:
-    place of this sense's model error in a state, and the state's length S.
+    columns (F,M,C): what each column of the border moves a link by · displaced (F,D,C): what
+    it displaces the sense's own rows by beside · first, size: place of this sense's model error in
+    a state, and the state's length S.
     """
     mean, jac, model_var = mix_rows(images.mix, images.sighting.model.predict(links))
     count, rows, joints = jac.shape
@@ -98,7 +100,8 @@ def image_rows(
     slopes[..., :width] = (jac[..., None] * stands[:, None]).reshape(count, rows, width)
     slopes[:, np.arange(rows), first + np.arange(rows)] = np.sqrt(np.maximum(model_var, 0.0))
     read = images.values - mean + np.einsum("fdm,fm->fd", jac, links)
-    moved = np.einsum("fdm,fmc->fdc", jac, columns)
+    own = displaced if images.mix is None else images.mix @ displaced
+    moved = np.einsum("fdm,fmc->fdc", jac, columns) + own
     return ImageRows(
         slopes, np.concatenate([read[..., None], moved], axis=-1), scale * images.var, jac
     )

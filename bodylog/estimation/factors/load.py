@@ -1,8 +1,8 @@
 """What links bend by as the posture alone decides: under a weight at the hand, or otherwise."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -10,26 +10,79 @@ from ...body_model import BodyModel
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from .columns import Column, Path
+from .images import Images
 
 FIRST_BEND = 5e-3
 """rad of what a joint bends by, with which the search begins."""
 LEAST_LEVER = 1e-3
 """Share of the longest lever below which a joint carries nothing."""
+COMPLIANCE_SPREAD = 1.0
+"""Standard deviation of a joint's compliance, in shares of what all joints have alike: those of
+one arm differ by factors of up to five, and of the simulated one by none.
+"""
 
 
 @dataclass(frozen=True)
 class Load(Column):
-    """What a joint bends by, rad: a shape of the posture, (K,M) rad -> (K,), times the size."""
+    """What links bend by as the posture alone decides, rad."""
+
+    bends: bool = True
+
+
+@dataclass(frozen=True)
+class PostureLoad(Load):
+    """What a joint bends by: any shape of the posture, (K,M) rad -> (K,), times the size."""
 
     joint: int = 0
     shape: Callable[[Array], Array] = np.ones_like
-    bends: bool = True
 
     def moves_links(self, path: Path) -> Array:
         """The shape at the angles, for this joint."""
         own = np.zeros(path.angles.shape)
         own[:, self.joint] = self.shape(path.angles)
         return own
+
+
+@runtime_checkable
+class _Carried(Protocol):
+    """A model of a marker that joints may carry which stood still in the exploration."""
+
+    @property
+    def still_joints(self) -> tuple[str, ...]: ...
+
+    def show_still_joints(self, x: Array) -> tuple[Array, Array]: ...
+
+
+@dataclass(frozen=True)
+class Payload(Load):
+    """What these joints sink by under a weight at the hand, rad (or m), each by its lever over the
+    longest of all, m.
+
+    levers: of the hand (K,M), m per rad, at angles (K,M) · joints: of the log · still: names of
+    others, which stood still in the exploration and may carry the marker: images show what these
+    sink by, but no angle of the log tells it.
+    """
+
+    levers: Callable[[Array], Array] = np.zeros_like
+    longest: float = 1.0
+    joints: tuple[int, ...] = ()
+    still: tuple[str, ...] = ()
+
+    def moves_links(self, path: Path) -> Array:
+        """Minus the levers at the angles, for these joints."""
+        own = np.zeros(path.angles.shape)
+        carrying = list(self.joints)
+        own[:, carrying] = -self.levers(path.angles)[:, carrying] / self.longest
+        return own
+
+    def displaces(self, images: Images, path: Path) -> Array:
+        """What images of a marker show of the others."""
+        model = images.sighting.model
+        if not (self.still and isinstance(model, _Carried)):
+            return super().displaces(images, path)
+        shown, levers = model.show_still_joints(path.at_images(images).links)
+        sinks = np.array([name in self.still for name in model.still_joints])
+        return np.asarray(-(shown * levers[:, None] * sinks).sum(axis=-1) / self.longest)
 
 
 def bend_under_load(columns: Sequence[Column], sizes: Array, angles: Array) -> Array:
@@ -40,7 +93,7 @@ def bend_under_load(columns: Sequence[Column], sizes: Array, angles: Array) -> A
     return sum((size * column.moves_links(path) for column, size in loads), rest)
 
 
-def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
+def load_columns(body: BodyModel, readings: Array) -> tuple[Column, ...]:
     """A load's columns for readings (N,M) rad: by the levers of the
     hand where a URDF tells them, else any linear function of the posture.
     """
@@ -48,7 +101,14 @@ def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
     if not len(known):
         return ()
     levers = find_hand_levers(body, known)
-    return tuple(_bend_linearly(known) if levers is None else _bend_by_levers(levers, known))
+    if levers is None:
+        return tuple(_bend_linearly(known))
+    return tuple(_bend_by_levers(levers, _still_levers(body, known), known))
+
+
+def count_groups(loads: Sequence[Column]) -> int:
+    """Number of groups of a load's columns."""
+    return 1 + max((one.group for one in loads if one.group is not None), default=-1)
 
 
 def find_hand_levers(body: BodyModel, known: Array) -> Callable[[Array], Array] | None:
@@ -62,15 +122,34 @@ def find_hand_levers(body: BodyModel, known: Array) -> Callable[[Array], Array] 
     return None
 
 
-def _bend_by_levers(levers: Callable[[Array], Array], known: Array) -> Iterator[Load]:
-    """Yield how each joint that carries the hand sinks: by its size where the lever is longest."""
-    longest = np.abs(levers(known)).max(axis=0)
-    for j in np.flatnonzero(longest > LEAST_LEVER * longest.max()).tolist():
+def _bend_by_levers(
+    levers: Callable[[Array], Array], still: Mapping[str, float], known: Array
+) -> Iterator[Payload]:
+    """Yield how all joints that carry the hand sink alike, and how each does more than that.
 
-        def sink(angles: Array, j: int = j) -> Array:
-            return np.asarray(-levers(angles)[:, j] / longest[j])
+    still: longest lever, m, of each joint that stood still.
+    """
+    own = np.abs(levers(known)).max(axis=0)
+    longest = max(float(own.max()), *still.values(), 0.0)
+    joints = tuple(np.flatnonzero(own > LEAST_LEVER * longest).tolist())
+    others = tuple(name for name, lever in still.items() if lever > LEAST_LEVER * longest)
+    alike = Payload("payload", 1.0, group=0, levers=levers, longest=longest)
+    yield replace(alike, joints=joints, still=others)
+    for j in joints:
+        yield replace(alike, std=COMPLIANCE_SPREAD, joints=(j,))
+    for name in others:
+        yield replace(alike, std=COMPLIANCE_SPREAD, still=(name,))
 
-        yield Load("payload", 1.0, group=j, joint=j, shape=sink)
+
+def _still_levers(body: BodyModel, known: Array) -> dict[str, float]:
+    """The longest lever, m, of each joint that stood still and may carry the hand."""
+    longest = dict[str, float]()
+    for sense in body.senses.values():
+        if isinstance(sense, _Carried):
+            most = np.abs(sense.show_still_joints(known)[1]).max(axis=0).tolist()
+            for name, lever in zip(sense.still_joints, most, strict=True):
+                longest[name] = max(longest.get(name, 0.0), lever)
+    return longest
 
 
 def _bend_linearly(known: Array) -> Iterator[Load]:
@@ -79,13 +158,13 @@ def _bend_linearly(known: Array) -> Iterator[Load]:
     """
     middle = known.mean(axis=0)
     for j in range(known.shape[1]):
-        yield Load("posture", 1.0, group=j, joint=j, shape=_keep_constant)
+        yield PostureLoad("posture", 1.0, group=j, joint=j, shape=_keep_constant)
         for other in range(known.shape[1]):
 
             def lean(angles: Array, other: int = other) -> Array:
                 return np.asarray(angles[:, other] - middle[other])
 
-            yield Load("posture", 1.0, group=j, joint=j, shape=lean)
+            yield PostureLoad("posture", 1.0, group=j, joint=j, shape=lean)
 
 
 def _keep_constant(angles: Array) -> Array:

@@ -141,7 +141,7 @@ def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
     for images in problem.images:
         here = path.at_images(images)
         columns = columns_of_images(problem, images, path)
-        rows.append(image_rows(images, here.links, noise.joints, 1.0, columns, first, size))
+        rows.append(image_rows(images, here.links, noise.joints, 1.0, *columns, first, size))
         first += images.values.shape[1]
     kappa = correlate_model_errors(problem.sightings, path.links)
     return Linearised(
@@ -149,12 +149,16 @@ def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
     )
 
 
-def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> Array:
-    """What the columns move links by (F,M,C), as images show them."""
+def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> tuple[Array, Array]:
+    """What the columns move links by (F,M,C), as images show
+    them, and what they displace images by beside (F,D,C).
+    """
     links = np.zeros((len(images.frames), len(problem.start), len(problem.columns)))
+    displaced = np.zeros((*images.values.shape, len(problem.columns)))
     for c, column in enumerate(problem.columns):
         links[..., c] = column.moves_images(images, path)
-    return links
+        displaced[..., c] = column.displaces(images, path)
+    return links, displaced
 
 
 def build_system(linear: Linearised) -> System:

@@ -20,6 +20,7 @@ from .encoder_error import LEAST_STD, JointNoise
 from .gauss_newton import Solution, path_of, solve
 from .hypotheses import FIRST_S, Explanation, explain, fit_white_noise, with_lasting
 from .images import ImageRows, Images
+from .load import count_groups
 from .noise import Learned
 from .problem import FactorProblem, LastingPrior, Noise
 from .robust import believed, image_span, left_out, outlier_nats
@@ -175,7 +176,7 @@ def resembles_load(
         if posed is None:
             return False
         _, coarse, noise = posed
-        wide = replace(noise, groups=(WIDE_BEND,) * len(one.start))
+        wide = replace(noise, groups=(WIDE_BEND,) * count_groups(columns))
         solved = solve(replace(coarse, columns=(*coarse.columns, *columns)), wide, rounds=WEIGHING)
         costs.append(solved.nats + _outliers(coarse))
     return costs[1] - costs[0] < EVIDENCE_THRESHOLD_NATS
