@@ -9,14 +9,13 @@ what the columns of the border change in it.
 """
 
 from dataclasses import dataclass
+from math import tau
 
 import numpy as np
 
 from ...motion import motion_covariance
 from ...types import Array
 from .encoder_error import JointNoise
-
-LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,9 +169,7 @@ def normalisation(var: Array, believed: Array) -> Array:
     """½ ln 2πR of each reading as far as it is
     believed, where its variance is var = R / believed.
     """
-    return np.asarray(
-        0.5 * believed * (LOG_2PI + np.log(var * np.where(believed > 0.0, believed, 1.0)))
-    )
+    return np.asarray(0.5 * believed * np.log(tau * var * np.where(believed > 0.0, believed, 1.0)))
 
 
 def _pair_factors(carry: Array, shift: Array, cov: Array, start: PairFactors) -> PairFactors:

@@ -7,14 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
+from ..inference.scan import ROUGHLY_CONVERGED_MOVE
 from ..measurements.arm_errors import LEAST_PLAY, NOISE_SIGMAS, follow_slack
 from .columns import Path, Play
 from .problem import FactorProblem, Linearised, Noise, build_system, linearise
 from .solve import Eliminated, Marginals, System, eliminate, filtered, smoothed
 
 ROUNDS = 12
-SETTLED = 1e-3
-"""Standard deviations of the angles that a round may move and be the last."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +95,7 @@ def solve(
             :, : noise.joints.states * len(problem.start) : noise.joints.states
         ]
         moved = np.square(after.links - path.links) / var
-        if np.sqrt(moved.max()) < SETTLED:
+        if np.sqrt(moved.max()) < ROUGHLY_CONVERGED_MOVE:
             break
         path = after
     return Solution(linear, system, eliminated, beliefs)

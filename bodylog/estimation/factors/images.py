@@ -19,11 +19,7 @@ from ...types import Array
 from ..measurements.records import Sighting, mix_rows
 from ..noise.correlated_noise import correlation_length
 from .encoder_error import JointNoise
-
-MOST_ALIKE = 1.0 - 1e-6
-"""Most correlation of a model's errors from knot to
-knot: at rest it would be 1, which has no inverse.
-"""
+from .robust import LEAST_SHARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,4 +114,5 @@ def correlate_model_errors(sightings: Sequence[Sighting], links: Array) -> Array
         for one in sightings
     ]
     both = np.concatenate(found, axis=1) if found else np.zeros((len(step), 0))
-    return np.minimum(both, MOST_ALIKE)
+    # at rest it would be 1, which has no inverse
+    return np.minimum(both, 1.0 - LEAST_SHARE)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
+from ..noise.lasting_error import LONGEST_S
 from .columns import Path
 from .condensing import PairFactors, condense, normalisation
 from .encoder_error import JointNoise
@@ -25,7 +26,6 @@ LOG_GROUP = (float(np.log(5e-3)), 1.5)
 """The same of ln σ of what links bend by (rad): 0.25 to 100 mrad."""
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
-LONGEST_S = 60.0
 STEP = 2e-4
 """Change of a logarithm in differences: slopes are off
 by up to 0.1 nats by curvature, and by 0.01 by rounding.

@@ -5,13 +5,14 @@ noise that is assumed, and the columns of its border.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import tau
 
 import numpy as np
 
 from ...types import Array
 from ..measurements.records import Sighting
 from .columns import Column, Path
-from .condensing import LOG_2PI, Readings, condense, normalisation, place_readings
+from .condensing import Readings, condense, normalisation, place_readings
 from .encoder_error import JointNoise
 from .images import ImageRows, Images, correlate_model_errors, image_rows, place_images
 from .solve import System
@@ -260,5 +261,5 @@ def _add_images(
     np.add.at(info, images.knots, rows.slopes.swapaxes(1, 2) @ weighted)
     np.add.at(right, images.knots, weighted.swapaxes(1, 2) @ rows.right)
     np.add.at(square, images.knots, rows.right.swapaxes(1, 2) @ (weight[..., None] * rows.right))
-    own = 0.5 * images.believed[:, None] * (LOG_2PI + np.log(scale * rows.var))
+    own = 0.5 * images.believed[:, None] * np.log(tau * scale * rows.var)
     np.add.at(logs, images.knots, own.sum(axis=1))

@@ -28,10 +28,10 @@ LEAST_PLAY = 5e-4
 """rad: half of a play that is assumed at least,
 so that noise of the angle does not turn the link.
 """
-MOST_HELD_OUT = 1.5
-"""Squared held-out errors of a track over their stated variance from which error bars are doubted.
-Of 40 drawn sound explorations (docs/learning.md) the most had 1.27; where encoders' errors last and
-are taken for noise of images, it was 2.1 to 2.6.
+LEAST_NEES = 1.5
+"""Mean squared error over the stated variance from which error bars are worth a warning: 2σ then
+covers 90 %. Of held-out images of 40 drawn sound explorations (docs/learning.md) the most had 1.27;
+where encoders' errors last and are taken for noise of images, it was 2.1 to 2.6.
 """
 MOST_OF_STEP = 0.45
 """Largest shift of an image by its row, in steps of the
@@ -59,7 +59,7 @@ class ArmErrors:
     other, and {camera: RowExposure} of its pictures.
 
     lasting {joint: (σ rad, τ s)}: an Ornstein–Uhlenbeck error of the encoder · held_out {track}:
-    squared held-out errors over their stated variance, where these are more than MOST_HELD_OUT.
+    squared held-out errors over their stated variance, where these are more than LEAST_NEES.
     """
 
     play: Mapping[str, tuple[float, float]] = field(default_factory=dict)

@@ -13,6 +13,7 @@ from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Features, Finding
 from ..measurements.gather import list_unread_joints
 from ..measurements.records import Evidence
+from ..noise.noise_model import PAPER_VARIANCES
 from . import results
 from .algorithm1 import (
     DIVERGENCE_RAD,
@@ -23,9 +24,6 @@ from .algorithm1 import (
 )
 from .contract import Method
 from .grid import TRIED_GAINS, GridProblem, beliefs_at_instants, build_grid_problem
-
-SIGMA_T = 1.0
-"""σ_t, which is not printed: as σ_x and σ_p."""
 
 
 def estimate_by_predictive_coding(
@@ -89,7 +87,8 @@ def _evaluate_senses(plan: GridProblem, k: int, x: Array) -> SensedErrors:
     if plan.touch is not None:
         felt, slope = plan.touch.pull(k, x[0])
         off = np.append(off, felt)
-        variance = np.append(variance, SIGMA_T)
+        # σ_t is not printed: as σ_x and σ_p
+        variance = np.append(variance, PAPER_VARIANCES[0])
         jac = np.vstack([jac, slope])
     return SensedErrors(off[None], jac[None], variance[None])
 
