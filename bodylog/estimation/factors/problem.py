@@ -5,7 +5,6 @@ noise that is assumed, and the columns of its border.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import tau
 
 import numpy as np
 
@@ -170,9 +169,25 @@ def build_system(linear: Linearised) -> System:
     square = np.zeros((count, right_sides, right_sides))
     logs = np.zeros(count)
     _add_start(info, right, square, logs, problem, joints)
-    _add_readings_at_knots(info, right, square, logs, linear.readings, joints)
+
+    def add(
+        at: Array, rows: Array, read: Array, var: Array, weight: Array, believed: Array
+    ) -> None:
+        """Add rows (F,D,S) on the states at knots, with right sides read (F,D,R)."""
+        precision = (weight / var)[..., None]
+        weighted = (rows * precision).swapaxes(1, 2)
+        np.add.at(info, at, weighted @ rows)
+        np.add.at(right, at, weighted @ read)
+        np.add.at(square, at, read.swapaxes(1, 2) @ (precision * read))
+        var = var / np.where(weight > 0.0, weight, 1.0)
+        np.add.at(logs, at, normalisation(var, believed).sum(axis=1))
+
+    own = linear.readings
+    read_rows = joints.reads(size)[None]
+    add(np.arange(count), read_rows, own.at_knot, joints.white, own.knot_weight, own.knot_believed)
     for images, rows, scale in zip(problem.images, linear.rows, noise.scales, strict=True):
-        _add_images(info, right, square, logs, images, rows, scale)
+        share = images.believed[:, None]
+        add(images.knots, rows.slopes, rows.right, scale * rows.var, share, share)
     pair_info = np.zeros((count - 1, 2 * size, 2 * size))
     pair_right = np.zeros((count - 1, 2 * size, right_sides))
     for j in range(m):
@@ -228,38 +243,3 @@ def _add_start(
         logs[0] -= 0.5 * np.log(np.diag(precision)).sum()
     rest = np.arange(len(problem.start) * p, info.shape[1])
     info[0, rest, rest] += 1.0
-
-
-def _add_readings_at_knots(
-    info: Array, right: Array, square: Array, logs: Array, readings: Readings, joints: JointNoise
-) -> None:
-    """Readings that are at a knot."""
-    p = joints.states
-    weight = readings.knot_weight / joints.white
-    for j, row in enumerate(joints.reads):
-        own = slice(j * p, (j + 1) * p)
-        info[:, own, own] += weight[:, j, None, None] * np.outer(row, row)
-        read = readings.at_knot[:, j]
-        right[:, own] += (weight[:, j, None] * row)[..., None] * read[:, None]
-        square += weight[:, j, None, None] * read[:, :, None] * read[:, None, :]
-    var = joints.white / np.where(readings.knot_weight > 0.0, readings.knot_weight, 1.0)
-    logs += normalisation(var, readings.knot_believed).sum(axis=1)
-
-
-def _add_images(
-    info: Array,
-    right: Array,
-    square: Array,
-    logs: Array,
-    images: Images,
-    rows: ImageRows,
-    scale: float,
-) -> None:
-    """Images at their knots."""
-    weight = images.believed[:, None] / (scale * rows.var)
-    weighted = rows.slopes * weight[..., None]
-    np.add.at(info, images.knots, rows.slopes.swapaxes(1, 2) @ weighted)
-    np.add.at(right, images.knots, weighted.swapaxes(1, 2) @ rows.right)
-    np.add.at(square, images.knots, rows.right.swapaxes(1, 2) @ (weight[..., None] * rows.right))
-    own = 0.5 * images.believed[:, None] * np.log(tau * scale * rows.var)
-    np.add.at(logs, images.knots, own.sum(axis=1))
