@@ -2,6 +2,7 @@
 the smoothed path, the filter about the filtered one.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from ...types import Array
 from ..inference.scan import ROUGHLY_CONVERGED_MOVE
 from ..measurements.arm_errors import LEAST_PLAY, NOISE_SIGMAS, follow_slack
+from ..measurements.records import interpolate_values
 from .columns import Path, Play
 from .problem import FactorProblem, Linearised, Noise, build_system, linearise
 from .solve import Eliminated, Marginals, System, eliminate, filtered, smoothed
@@ -33,26 +35,21 @@ class Solution:
 
 def initial_path(problem: FactorProblem) -> Path:
     """The readings at the knots, the start where there are none."""
-    angles = np.repeat(problem.start[None], len(problem.knots), axis=0)
-    for j, column in enumerate(problem.values.T):
-        known = np.isfinite(column)
-        if known.any():
-            angles[:, j] = np.interp(problem.knots, problem.t[known], column[known])
+    read = interpolate_values(problem.t, problem.values, problem.knots)
+    angles = np.where(np.isfinite(read), read, problem.start)
     rates = (
         np.gradient(angles, problem.knots, axis=0) if len(angles) > 1 else np.zeros(angles.shape)
     )
     noise = 2.0 * np.full(len(problem.start), 1e-3)
-    return Path(
-        problem.knots, angles, rates, angles, follow_slack(angles, _halves(problem, None), noise)
-    )
+    halves = _halves(problem, [column.mean for column in problem.columns])
+    return Path(problem.knots, angles, rates, angles, follow_slack(angles, halves, noise))
 
 
-def _halves(problem: FactorProblem, sizes: Array | None) -> Array:
-    """Half of each joint's play (M,) rad, by the columns' sizes, or their means."""
+def _halves(problem: FactorProblem, sizes: Iterable[float]) -> Array:
+    """Half of each joint's play (M,) rad, by the columns' sizes."""
     half = np.full(len(problem.start), LEAST_PLAY)
-    for c, column in enumerate(problem.columns):
+    for column, size in zip(problem.columns, sizes, strict=True):
         if isinstance(column, Play):
-            size = column.mean if sizes is None else float(sizes[c])
             half[column.joint] = max(size, LEAST_PLAY)
     return half
 
@@ -68,7 +65,7 @@ def path_of(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
     )
     var = np.einsum("kss->ks", beliefs.cov)[:, : m * p : p]
     unsure = NOISE_SIGMAS * np.sqrt(np.median(var, axis=0))
-    slack = follow_slack(angles, _halves(problem, beliefs.sizes[-1]), unsure)
+    slack = follow_slack(angles, _halves(problem, beliefs.sizes[-1].tolist()), unsure)
     path = Path(problem.knots, angles, joints[..., 1], links, slack)
     for c, column in enumerate(problem.columns):
         if column.bends:

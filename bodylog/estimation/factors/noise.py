@@ -196,11 +196,9 @@ def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
     columns[1:, 1:] += sizes_cov
     shared = beliefs.shared[:, : m * p].reshape(len(beliefs.mean), m, p, len(sizes))
     mean = beliefs.mean[:, : m * p].reshape(-1, m, p)
-    own = np.stack(
-        [beliefs.cov[:, j * p : (j + 1) * p, j * p : (j + 1) * p] for j in range(m)], axis=1
-    )
-    next_to = np.stack(
-        [beliefs.between[:, j * p : (j + 1) * p, j * p : (j + 1) * p] for j in range(m)], axis=1
+    own, next_to = (
+        np.einsum("kapaq->kapq", cov[:, : m * p, : m * p].reshape(-1, m, p, m, p))
+        for cov in (beliefs.cov, beliefs.between)
     )
     z = np.concatenate([mean[:-1], mean[1:]], axis=-1)
     x = np.concatenate([shared[:-1], shared[1:]], axis=-2)

@@ -13,6 +13,7 @@ from ...body_model import BodyModel
 from ...errors import ModelError
 from ...types import Array, Features, Finding, Series
 from .long_arrays import find_finite_rows, median_step, noise_variance
+from .records import interpolate_values
 
 ARM_ERRORS = "arm_errors"
 """In a body's provenance: the errors that it was learned with."""
@@ -156,19 +157,13 @@ def read_slack(t: Array, readings: Array, half: Array) -> Array:
     """Where links lie within their play (N,M), −1 … 1, by the
     readings (N,M) rad at t (N,) s of their motors.
     """
-    motors = np.column_stack([_fill_gaps(t, column) for column in readings.T])
+    motors = np.nan_to_num(interpolate_values(t, readings, t))
     width = max(int(SMOOTH_S / median_step(t)) | 1, 1)
     ends = ((width // 2, width // 2), (0, 0))
     sums = np.cumsum(np.pad(np.pad(motors, ends, "edge"), ((1, 0), (0, 0))), axis=0)
     smooth = (sums[width:] - sums[:-width]) / width
     noise = NOISE_SIGMAS * np.sqrt(noise_variance(motors) / width)
     return follow_slack(smooth, half, noise)
-
-
-def _fill_gaps(t: Array, column: Array) -> Array:
-    """A joint's readings (N,) with missing ones drawn between their neighbours."""
-    known = np.isfinite(column)
-    return np.asarray(np.interp(t, t[known], column[known]) if known.any() else np.zeros(len(t)))
 
 
 def with_links(features: Features, play: Mapping[str, tuple[float, float]]) -> Features:
