@@ -30,12 +30,11 @@ STEP = 2e-4
 """Change of a logarithm in differences: slopes are off
 by up to 0.1 nats by curvature, and by 0.01 by rounding.
 """
-ROUNDS = 3
-"""Times at most that the log is linearised again about what the last noise gives."""
 FLAT_NATS = 0.2
 """Gain of a step of the search that is its last: hypotheses are compared to NATS."""
 _SPAN = 1e4
-"""Factor by which variances may differ from those with which the search begins."""
+"""Factor by which variances may differ from those with which the search begins: exact readings
+would let theirs fall for ever."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,12 +65,13 @@ class _Expected:
 
 
 def learn_noise(
-    problem: FactorProblem, noise: Noise, path: Path, step_s: float, rounds: int = ROUNDS
+    problem: FactorProblem, noise: Noise, path: Path, step_s: float, rounds: int
 ) -> Learned:
-    """The most probable noise, from `noise` on; step_s: the encoders' usual step."""
+    """The most probable noise, from `noise` on; step_s: the encoders' usual step · rounds: times
+    that the log is linearised about what the last noise gives.
+    """
     from scipy.optimize import minimize
 
-    nats = np.inf
     _, unit, least, most, mean, std = _tabulate_parameters(problem, noise, step_s).T
     for _ in range(rounds):
         linear = linearise(problem, path, noise)
@@ -97,11 +97,9 @@ def learn_noise(
         eliminated = eliminate(system)
         beliefs = smoothed(system, eliminated)
         path = path_of(problem, noise, beliefs)
-        settled = abs(nats - found.fun) < FLAT_NATS
-        nats = float(found.fun)
-        if settled:
-            break
-    return Learned(noise, path, nats, beliefs.sizes[0], beliefs.sizes_cov[0], eliminated.schur)
+    return Learned(
+        noise, path, float(found.fun), beliefs.sizes[0], beliefs.sizes_cov[0], eliminated.schur
+    )
 
 
 def _errors(joints: JointNoise) -> Array:

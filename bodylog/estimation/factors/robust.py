@@ -14,7 +14,8 @@ import numpy as np
 from ...types import Array
 
 OUTLIERS = 1e-2
-"""Share ε of measurements that are outliers before the log."""
+"""Share ε of measurements that are outliers before the log: one in a hundred, as of the filter's
+FLAT_COST_NATS."""
 LEAST_SHARE = 1e-6
 """Least share that counts, so that variances stay finite, and matrices of what is nearly alike keep
 their inverses."""
