@@ -83,10 +83,10 @@ class GridProblem:
         return s, sigma
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """g (R,), J (R,M) and the models' own variances (R,) of all senses at x (M,)."""
-        none = np.empty((1, 0)), np.empty((1, 0, len(x))), np.empty((1, 0))
-        parts = zip(none, *(sense.predict(x[None]) for sense in self.senses), strict=True)
-        g, jac, own = (np.concatenate(part, axis=1)[0] for part in parts)
+        """g (N,R), J (N,R,M) and the models' own variances (N,R) of all senses at x (N,M)."""
+        none = x[:, :0], np.empty((len(x), 0, x.shape[1])), x[:, :0]
+        parts = zip(none, *(sense.predict(x) for sense in self.senses), strict=True)
+        g, jac, own = (np.concatenate(part, axis=1) for part in parts)
         return g, jac, own
 
 
