@@ -18,11 +18,15 @@ from .records import interpolate_values
 ARM_ERRORS = "arm_errors"
 """In a body's provenance: the errors that it was learned with."""
 SMOOTH_S = 0.05
-"""s over which readings are averaged before links are
-derived from them: arms hardly turn back within it.
+"""s over which readings are averaged before links are derived from them: arms hardly turn back
+within it. Links of 24 drawn logs with 8 mrad of play, smooth or reaches, with 0.2 or 1 mrad of
+noise, are off by 0.37, 0.21, 0.16, 0.14 and 0.28 mrad with 0.01, 0.02, 0.05, 0.1 and 0.2 s; with
+0.1 s those of reaches with 0.2 mrad of noise by 0.12 in place of 0.06.
 """
 NOISE_SIGMAS = 2.0
-"""Standard deviations of a motor's angle that a turn back must exceed."""
+"""Standard deviations of a motor's angle that a turn back must exceed. With 0, 1, 2, 3 and 4 the
+same links are off by 0.36, 0.23, 0.16, 0.17 and 0.22 mrad.
+"""
 PLAY_STD = 0.01
 """rad: prior standard deviation of half a play, 1.1° of play."""
 LEAST_PLAY = 5e-4
