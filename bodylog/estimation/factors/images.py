@@ -44,14 +44,11 @@ class Images:
 class ImageRows:
     """Images as rows on the state of their knots: slopes
     (F,D,S) · right (F,D,R) · var (F,D) of their noise.
-
-    jac (F,D,M): slopes by the link's angles.
     """
 
     slopes: Array
     right: Array
     var: Array
-    jac: Array
 
 
 def place_images(sighting: Sighting, knots: Array, nearest: bool) -> Images:
@@ -73,13 +70,7 @@ def place_images(sighting: Sighting, knots: Array, nearest: bool) -> Images:
 
 
 def image_rows(
-    images: Images,
-    links: Array,
-    noise: JointNoise,
-    scale: float,
-    columns: Array,
-    first: int,
-    size: int,
+    images: Images, links: Array, noise: JointNoise, columns: Array, first: int, size: int
 ) -> ImageRows:
     """Rows of images, linearised at the links' angles (F,M) rad.
 
@@ -95,9 +86,7 @@ def image_rows(
     slopes[:, np.arange(rows), first + np.arange(rows)] = np.sqrt(np.maximum(model_var, 0.0))
     read = images.values - mean + np.einsum("fdm,fm->fd", jac, links)
     moved = np.einsum("fdm,fmc->fdc", jac, columns)
-    return ImageRows(
-        slopes, np.concatenate([read[..., None], moved], axis=-1), scale * images.var, jac
-    )
+    return ImageRows(slopes, np.concatenate([read[..., None], moved], axis=-1), images.var)
 
 
 def correlate_model_errors(sightings: Sequence[Sighting], links: Array) -> Array:

@@ -92,7 +92,7 @@ def learn_noise(
             options={"maxiter": 30, "ftol": FLAT_NATS / max(abs(first.nats), 1.0)},
         )
         noise = _from_vector(found.x * unit, noise)
-        linear = linear.with_noise(noise)
+        linear = replace(linear, noise=noise)
         system = build_system(linear)
         eliminated = eliminate(system)
         beliefs = smoothed(system, eliminated)
@@ -156,7 +156,7 @@ def _from_vector(p: Array, like: Noise) -> Noise:
 
 def _cost(linear: Linearised, p: Array) -> tuple[float, Array]:
     """−ln p of the log for noise of these logarithms, and its gradient (P,)."""
-    posed = linear.with_noise(_from_vector(p, linear.noise))
+    posed = replace(linear, noise=_from_vector(p, linear.noise))
     system = build_system(posed)
     eliminated = eliminate(system)
     beliefs = smoothed(system, eliminated)

@@ -99,13 +99,8 @@ class FactorProblem:
         """The readings at and between the knots, with the change
         of each by the columns as further right-hand sides. order: that of the motion.
         """
-        moved = (
-            np.stack([c.reads(self.t, path) for c in self.columns], axis=-1)
-            if self.columns
-            else None
-        )
-        own = self.values[..., None]
-        values = own if moved is None else np.concatenate([own, moved], axis=-1)
+        moved = (column.reads(self.t, path) for column in self.columns)
+        values = np.stack([self.values, *moved], axis=-1)
         believed = np.ones(self.values.shape) if self.believed is None else self.believed
         return place_readings(self.t, values, self.relative, believed, self.knots, order)
 
@@ -123,10 +118,6 @@ class Linearised:
     model_correlation: Array
     noise: Noise
 
-    def with_noise(self, noise: Noise) -> "Linearised":
-        """The same with other noise; where errors are and which there are stays."""
-        return replace(self, noise=noise)
-
 
 def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
     """The problem about a path of angles (K,M), rates (K,M) and links (K,M)."""
@@ -135,21 +126,15 @@ def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
     first = size - problem.model_rows
     for images in problem.images:
         here = path.at_images(images)
-        columns = columns_of_images(problem, images, path)
-        rows.append(image_rows(images, here.links, noise.joints, 1.0, columns, first, size))
+        columns = np.zeros((*here.links.shape, len(problem.columns)))
+        for c, column in enumerate(problem.columns):
+            columns[..., c] = column.moves_images(images, path)
+        rows.append(image_rows(images, here.links, noise.joints, columns, first, size))
         first += images.values.shape[1]
     kappa = correlate_model_errors(problem.sightings, path.links)
     return Linearised(
         problem, path, problem.place(path, noise.joints.order), tuple(rows), kappa, noise
     )
-
-
-def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> Array:
-    """What the columns move links by (F,M,C), as images show them."""
-    links = np.zeros((len(images.frames), len(problem.start), len(problem.columns)))
-    for c, column in enumerate(problem.columns):
-        links[..., c] = column.moves_images(images, path)
-    return links
 
 
 def build_system(linear: Linearised) -> System:
