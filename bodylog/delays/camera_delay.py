@@ -15,7 +15,7 @@ from ..body.senses import encoder_function
 from ..body_model import BodyModel, ForwardModel
 from ..errors import EvidenceError
 from ..estimation.faults.threshold import MIN_DELAY_S
-from ..estimation.measurements.arm_errors import MOST_HELD_OUT, ArmErrors, learned_arm_errors
+from ..estimation.measurements.arm_errors import LEAST_NEES, ArmErrors, learned_arm_errors
 from ..estimation.measurements.track import camera_of_track
 from ..estimation.timing import correction
 from ..estimation.timing.delay_profile import Delay
@@ -373,7 +373,7 @@ def _misstated_tracks(scores: Iterable[Score]) -> dict[str, float]:
     {track}, where these are too large for sound ones.
     """
     named = ((one.name.partition("nis/held_out/"), one.value) for one in scores)
-    return {track: value for (_, found, track), value in named if found and value > MOST_HELD_OUT}
+    return {track: value for (_, found, track), value in named if found and value > LEAST_NEES}
 
 
 def _remaining_errors(

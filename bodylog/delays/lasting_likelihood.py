@@ -14,9 +14,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimation.factors.noise import LOG_SCALE, LONGEST_S
+from ..estimation.factors.noise import LOG_SCALE
 from ..estimation.factors.problem import ANY_ERRORS
 from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
+from ..estimation.noise.lasting_error import LONGEST_S
 from ..types import Array
 
 TIMES_S = (0.2, 1.0, 4.0)

@@ -16,6 +16,7 @@ from ..errors import UsageError
 from ..settings import EstimationSettings
 from ..types import Array, Estimate, Features, Synchrony
 from .measurements.long_arrays import find_finite_rows as rows_seen
+from .measurements.records import interpolate_values
 from .measurements.touch import place_of_cell
 
 
@@ -105,7 +106,7 @@ def _read_belief_at(alone: Estimate, joints: tuple[str, ...], t: Array) -> tuple
     covariance (M,M) rad² in the middle of these.
     """
     columns = [alone.joints.names.index(name) for name in joints]
-    x = np.column_stack([np.interp(t, alone.joints.t, alone.joints.values[:, k]) for k in columns])
+    x = interpolate_values(alone.joints.t, alone.joints.values[:, columns], t)
     middle = int(np.argmin(np.abs(alone.joints.t - np.median(t))))
     return x, alone.cov[middle][np.ix_(columns, columns)]
 

@@ -46,6 +46,7 @@ from .faults.threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, PRIOR_STD_
 from .inference.scan import GATE_SIGMA
 from .inference.tangents import OFFSET_STD
 from .measurements.long_arrays import find_finite_rows as seen_rows
+from .measurements.posture import PostureModel
 from .measurements.records import Encoders, Evidence, Sighting
 from .measurements.timeline import merge_clocks
 from .noise import noise_model
@@ -55,7 +56,8 @@ from .noise import noise_model
 class StillPoses:
     """P poses: t (P,) s · source_ns · readings y (P,R), NaN if missing, with variances var (P,R).
 
-    The first M rows are encoders, rad; those of each sighting follow, px. The prior of an angle is
+    The first M rows are encoders, rad, which read as a sighting of the angles themselves; those of
+    the other senses follow, px. The prior of an angle is
     `centre` (M,) with std `span` (M,) rad: the range in which the body's tracks were learned, or
     else the range of encoder readings.
     """
@@ -64,13 +66,10 @@ class StillPoses:
     source_ns: Array
     y: Array
     var: Array
-    sightings: tuple[Sighting, ...]
+    senses: tuple[Sighting, ...]
+    rows: tuple[slice, ...]
     centre: Array
     span: Array
-
-    def rows(self) -> list[slice]:
-        """The rows of each sighting."""
-        return _sighting_columns(len(self.centre), self.sightings)
 
     def encoded(self, variance: Array, offset: Array) -> "StillPoses":
         """The same with encoders of `variance` (M,) rad², their `offset` (M,) rad subtracted."""
@@ -91,10 +90,7 @@ class StillPoses:
         """Predict at x (P,M) rad: readings (P,R) ·
         Jacobian (P,R,M) · the model's variance (P,R).
         """
-        encoders = x, np.broadcast_to(np.eye(x.shape[1]), (*x.shape, x.shape[1])), np.zeros(x.shape)
-        parts = zip(
-            encoders, *(sighting.model.predict(x) for sighting in self.sightings), strict=True
-        )
+        parts = zip(*(sense.model.predict(x) for sense in self.senses), strict=True)
         g, jac, var = (np.concatenate(part, axis=1) for part in parts)
         return g, jac, var
 
@@ -119,19 +115,25 @@ def collect_pose_readings(
     encoders: Encoders | None, sightings: Sequence[Sighting], body: BodyModel
 ) -> StillPoses:
     """Collect the readings of every pose, by time."""
-    read = () if encoders is None else (encoders,)
-    columns = _sighting_columns(len(body.joints), sightings)
-    t = merge_clocks(*(sense.t for sense in (*sightings, *read)))
-    width = columns[-1].stop if columns else len(body.joints)
-    y = np.full((len(t), width), np.nan)
-    var = np.ones((len(t), width))
+    none = np.empty((0, len(body.joints)))
+    read = encoders or Encoders(none[:, 0], none, none[:, 0].astype(np.int64))
+    angles = PostureModel(body.joints)
+    own = Sighting(
+        "encoders", angles, read.t, read.values, np.ones_like(read.values), read.source_ns
+    )
+    senses = (own, *sightings)
+    ends = np.cumsum([0, *(sense.values.shape[1] for sense in senses)]).tolist()
+    rows = tuple(slice(*each) for each in pairwise(ends))
+    t = merge_clocks(*(sense.t for sense in senses))
+    y = np.full((len(t), ends[-1]), np.nan)
+    var = np.ones(y.shape)
     sources = np.zeros(len(t), np.int64)
-    for sense, own in zip(
-        (*sightings, *read), (*columns, slice(0, len(body.joints))), strict=False
-    ):
+    # where both saw a pose, the log time is that of the encoders
+    for sense, columns in zip((*sightings, own), (*rows[1:], rows[0]), strict=True):
         at = np.searchsorted(t, sense.t)
-        y[at, own], sources[at] = sense.values, sense.source_ns
-        var[at, own] = sense.var if isinstance(sense, Sighting) else 1.0
+        y[at, columns] = sense.values
+        var[at, columns] = sense.var
+        sources[at] = sense.source_ns
     known = [model.samples for model in body.senses.values() if hasattr(model, "samples")]
     explored = np.concatenate(known) if known else y[:, : len(body.joints)]
     low, high = (
@@ -139,14 +141,8 @@ def collect_pose_readings(
     )
     # a joint that was hardly explored may still be anywhere near
     return StillPoses(
-        t, sources, y, var, tuple(sightings), (low + high) / 2.0, np.maximum(high - low, 0.1)
+        t, sources, y, var, senses, rows, (low + high) / 2.0, np.maximum(high - low, 0.1)
     )
-
-
-def _sighting_columns(first: int, sightings: Sequence[Sighting]) -> list[slice]:
-    """Columns of each sighting beside each other, the first one's from `first` on."""
-    ends = np.cumsum([first, *(s.values.shape[1] for s in sightings)]).tolist()
-    return [slice(*each) for each in pairwise(ends)]
 
 
 def solve_poses(poses: StillPoses, start: Array | None = None) -> SolvedPoses:
@@ -183,7 +179,7 @@ def _guess_postures(poses: StillPoses) -> Array:
     least = np.full(len(poses.t), np.inf)
     guess = np.where(np.isfinite(z), z, poses.centre)
     undamped = np.zeros(len(poses.t))
-    explored = [s.model.samples for s in poses.sightings if hasattr(s.model, "samples")]
+    explored = [s.model.samples for s in poses.senses if hasattr(s.model, "samples")]
     for posture in np.unique(np.concatenate([poses.centre[None], *explored]), axis=0):
         near = _evaluate_poses(poses, np.where(np.isfinite(z), z, posture))
         near = _evaluate_poses(poses, near.x + _damped_step(poses, near, undamped))
@@ -482,7 +478,7 @@ def _build_pose_estimate(
     errors = dict[str, Series]()
     predicted = dict[str, Series]()
     covs = dict[str, Array]()
-    for one, rows in zip(poses.sightings, poses.rows(), strict=True):
+    for one, rows in zip(poses.senses[1:], poses.rows[1:], strict=True):
         left, cov = _leave_out_rows(poses, at, rows)
         std = np.sqrt(np.einsum("pkk->pk", cov))
         outputs = one.model.outputs
@@ -497,7 +493,7 @@ def _build_pose_estimate(
         errors["encoders"] = Series(t, encoders, names, "std", source)
     used = {
         "encoder": found.variance.tolist(),
-        "scale": {s.name: 1.0 for s in poses.sightings},
+        "scale": {name: 1.0 for name in predicted},
         "motion": "none",
     }
     offset = Series(t, np.tile(found.offset, (len(t), 1)), names, "rad", source)

@@ -189,7 +189,7 @@ def test_errors_of_an_arm_survive_a_body_file_and_others_are_refused(sound_body)
 def test_a_body_whose_held_out_errors_exceed_stated_ones_says_so_at_fit_and_at_each_log(
     sound_body, monkeypatch
 ):
-    monkeypatch.setattr(camera_delay, "MOST_HELD_OUT", 0.5)
+    monkeypatch.setattr(camera_delay, "LEAST_NEES", 0.5)
     found = fitted(explored(mechanisms.SOUND, duration=12.0))
     (ratio,) = [one.value for one in found.scores if one.name == "nis/held_out/effector"]
     assert learned_arm_errors(found.model).held_out == {"effector": ratio}

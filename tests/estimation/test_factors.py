@@ -13,7 +13,7 @@ from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
 from bodylog.estimation.factors.hypotheses import SILENT_STD, _list_plays, mix_silent_groups
 from bodylog.estimation.factors.images import correlate_model_errors
-from bodylog.estimation.factors.noise import Learned, _cost, _to_vector
+from bodylog.estimation.factors.noise import Learned, _cost, _tabulate_parameters
 from bodylog.estimation.factors.problem import FactorProblem, Noise, linearise
 from bodylog.estimation.factors.solve import filtered, predicted
 from bodylog.estimation.measurements.arm_errors import PLAY_STD, follow_slack
@@ -103,7 +103,7 @@ def dense(problem, noise, linear, until):
                 continue
             row = np.zeros(len(mean))
             first = np.searchsorted(times, at) * size + j * p
-            row[first : first + p] = joints.reads[j]
+            row[first : first + p] = joints.reads(JOINTS * p)[j, j * p : (j + 1) * p]
             row[len(times) * size :] = [one[k, j] for one in moved]
             rows.append(row)
             read.append(problem.values[k, j])
@@ -247,7 +247,7 @@ def test_the_slope_of_the_evidence_is_that_of_differences(at_link):
         problem = drawn(rng, columns)
         assumed = replace(noise(3, rng, True, at_link), groups=(0.01,))
         linear = linearise(problem, initial_path(problem), assumed)
-        at = _to_vector(assumed)
+        at = _tabulate_parameters(problem, assumed, 0.01)[:, 0]
         _, slope = _cost(linear, at)
         for k, own in enumerate(slope):
             step = np.zeros(len(at))

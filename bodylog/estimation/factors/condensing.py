@@ -9,14 +9,13 @@ what the columns of the border change in it.
 """
 
 from dataclasses import dataclass
+from math import tau
 
 import numpy as np
 
 from ...motion import motion_covariance
 from ...types import Array
 from .encoder_error import JointNoise
-
-LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +70,6 @@ def place_readings(
     values (N,M,R) rad, NaN in the first right-hand side where missing · relative (N,M): variance
     over the encoder's · believed (N,M) · order: that of the motion.
     """
-    _, m, r = values.shape
     known = np.isfinite(values[..., 0])
     weight = np.where(known, believed / relative, 0.0)
     believed = np.where(known, believed, 0.0)
@@ -79,12 +77,6 @@ def place_readings(
     count = len(knots)
     after = np.searchsorted(knots, t - near)
     is_at = (after < count) & (np.abs(knots[np.minimum(after, count - 1)] - t) <= near)
-    at_knot = np.zeros((count, m, r))
-    knot_weight = np.zeros((count, m))
-    knot_believed = np.zeros((count, m))
-    at_knot[after[is_at]] = values[is_at]
-    knot_weight[after[is_at]] = weight[is_at]
-    knot_believed[after[is_at]] = believed[is_at]
     rows = np.flatnonzero(~is_at & (after > 0) & (after < count))
     interval = after[rows] - 1
     first = np.searchsorted(interval, interval)
@@ -93,16 +85,20 @@ def place_readings(
     stamps = np.full((steps + 2, count - 1), np.nan)
     stamps[0] = knots[:-1]
     stamps[step + 1, interval] = t[rows]
-    for k in range(1, steps + 2):
-        stamps[k] = np.where(
-            np.isnan(stamps[k]), knots[1:] if k > steps else stamps[k - 1], stamps[k]
-        )
-    between = np.zeros((steps, count - 1, m, r))
-    between_weight = np.zeros((steps, count - 1, m))
-    between_believed = np.zeros((steps, count - 1, m))
-    between[step, interval] = values[rows]
-    between_weight[step, interval] = weight[rows]
-    between_believed[step, interval] = believed[rows]
+    stamps[-1] = knots[1:]
+    stamps = np.fmax.accumulate(stamps, axis=0)
+
+    def place(part: Array) -> tuple[Array, Array]:
+        """What is at a knot, and what is between two."""
+        at_knot = np.zeros((count, *part.shape[1:]))
+        between = np.zeros((steps, count - 1, *part.shape[1:]))
+        at_knot[after[is_at]] = part[is_at]
+        between[step, interval] = part[rows]
+        return at_knot, between
+
+    at_knot, between = place(values)
+    knot_weight, between_weight = place(weight)
+    knot_believed, between_believed = place(believed)
     gaps = np.diff(stamps, axis=0)
     motion = motion_covariance(order, gaps.ravel()).reshape(*gaps.shape, order, order)
     return Readings(
@@ -170,9 +166,7 @@ def normalisation(var: Array, believed: Array) -> Array:
     """½ ln 2πR of each reading as far as it is
     believed, where its variance is var = R / believed.
     """
-    return np.asarray(
-        0.5 * believed * (LOG_2PI + np.log(var * np.where(believed > 0.0, believed, 1.0)))
-    )
+    return np.asarray(0.5 * believed * np.log(tau * var * np.where(believed > 0.0, believed, 1.0)))
 
 
 def _pair_factors(carry: Array, shift: Array, cov: Array, start: PairFactors) -> PairFactors:

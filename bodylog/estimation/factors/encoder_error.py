@@ -43,14 +43,14 @@ class JointNoise:
         """Number p of a joint's states."""
         return self.order + (self.error is not None)
 
-    @property
-    def reads(self) -> Array:
-        """What an encoder reads of its joint's state (M,p)."""
-        row = np.zeros((len(self.white), self.states))
-        row[:, 0] = 1.0
+    def reads(self, size: int) -> Array:
+        """What encoders read, as rows (M,S) on a knot's state, of this size S."""
+        joints = np.arange(len(self.white))
+        rows = np.zeros((len(joints), size))
+        rows[joints, joints * self.states] = 1.0
         if self.error is not None:
-            row[:, self.order] = ~self.at_link
-        return row
+            rows[joints, joints * self.states + self.order] = ~self.at_link
+        return rows
 
     def stands(self, ahead: Array) -> Array:
         """Where the link stands, as a row (F,M,p) on the joint's state `ahead` (F,) s before."""

@@ -19,11 +19,7 @@ from ...types import Array
 from ..measurements.records import Sighting, mix_rows
 from ..noise.correlated_noise import correlation_length
 from .encoder_error import JointNoise
-
-MOST_ALIKE = 1.0 - 1e-6
-"""Most correlation of a model's errors from knot to
-knot: at rest it would be 1, which has no inverse.
-"""
+from .robust import LEAST_SHARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +44,11 @@ class Images:
 class ImageRows:
     """Images as rows on the state of their knots: slopes
     (F,D,S) · right (F,D,R) · var (F,D) of their noise.
-
-    jac (F,D,M): slopes by the link's angles.
     """
 
     slopes: Array
     right: Array
     var: Array
-    jac: Array
 
 
 def place_images(sighting: Sighting, knots: Array, nearest: bool) -> Images:
@@ -80,7 +73,6 @@ def image_rows(
     images: Images,
     links: Array,
     noise: JointNoise,
-    scale: float,
     columns: Array,
     displaced: Array,
     first: int,
@@ -102,9 +94,7 @@ def image_rows(
     read = images.values - mean + np.einsum("fdm,fm->fd", jac, links)
     own = displaced if images.mix is None else images.mix @ displaced
     moved = np.einsum("fdm,fmc->fdc", jac, columns) + own
-    return ImageRows(
-        slopes, np.concatenate([read[..., None], moved], axis=-1), scale * images.var, jac
-    )
+    return ImageRows(slopes, np.concatenate([read[..., None], moved], axis=-1), images.var)
 
 
 def correlate_model_errors(sightings: Sequence[Sighting], links: Array) -> Array:
@@ -121,4 +111,5 @@ def correlate_model_errors(sightings: Sequence[Sighting], links: Array) -> Array
         for one in sightings
     ]
     both = np.concatenate(found, axis=1) if found else np.zeros((len(step), 0))
-    return np.minimum(both, MOST_ALIKE)
+    # at rest it would be 1, which has no inverse
+    return np.minimum(both, 1.0 - LEAST_SHARE)

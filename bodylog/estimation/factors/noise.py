@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
+from ..noise.lasting_error import LONGEST_S
 from .columns import Path
 from .condensing import PairFactors, condense, normalisation
 from .encoder_error import JointNoise
@@ -25,17 +26,15 @@ LOG_GROUP = (float(np.log(5e-3)), 1.5)
 """The same of ln σ of what links bend by (rad): 0.25 to 100 mrad."""
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
-LONGEST_S = 60.0
 STEP = 2e-4
 """Change of a logarithm in differences: slopes are off
 by up to 0.1 nats by curvature, and by 0.01 by rounding.
 """
-ROUNDS = 3
-"""Times at most that the log is linearised again about what the last noise gives."""
 FLAT_NATS = 0.2
 """Gain of a step of the search that is its last: hypotheses are compared to NATS."""
 _SPAN = 1e4
-"""Factor by which variances may differ from those with which the search begins."""
+"""Factor by which variances may differ from those with which the search begins: exact readings
+would let theirs fall for ever."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,43 +65,41 @@ class _Expected:
 
 
 def learn_noise(
-    problem: FactorProblem, noise: Noise, path: Path, step_s: float, rounds: int = ROUNDS
+    problem: FactorProblem, noise: Noise, path: Path, step_s: float, rounds: int
 ) -> Learned:
-    """The most probable noise, from `noise` on; step_s: the encoders' usual step."""
+    """The most probable noise, from `noise` on; step_s: the encoders' usual step · rounds: times
+    that the log is linearised about what the last noise gives.
+    """
     from scipy.optimize import minimize
 
-    start = noise
-    nats = np.inf
+    _, unit, least, most, mean, std = _tabulate_parameters(problem, noise, step_s).T
     for _ in range(rounds):
         linear = linearise(problem, path, noise)
-        limits = _limits(start, step_s)
         first = eliminate(build_system(linear))
-        begin = np.clip(_to_vector(noise), limits[:, 0], limits[:, 1])
-        unit = _units(problem, noise)
+        begin = _tabulate_parameters(problem, noise, step_s)[:, 0]
 
-        def cost(p: Array, linear: Linearised = linear, unit: Array = unit) -> tuple[float, Array]:
+        def cost(p: Array, linear: Linearised = linear) -> tuple[float, Array]:
             nats, slope = _cost(linear, p * unit)
-            return nats, slope * unit
+            away = (p * unit - mean) / std
+            return nats + float(0.5 * away @ away), (slope + away / std) * unit
 
         found = minimize(
             cost,
-            begin / unit,
+            np.clip(begin, least, most) / unit,
             jac=True,
             method="L-BFGS-B",
-            bounds=limits / unit[:, None],
+            bounds=np.column_stack([least, most]) / unit[:, None],
             options={"maxiter": 30, "ftol": FLAT_NATS / max(abs(first.nats), 1.0)},
         )
         noise = _from_vector(found.x * unit, noise)
-        linear = linear.with_noise(noise)
+        linear = replace(linear, noise=noise)
         system = build_system(linear)
         eliminated = eliminate(system)
         beliefs = smoothed(system, eliminated)
         path = path_of(problem, noise, beliefs)
-        settled = abs(nats - found.fun) < FLAT_NATS
-        nats = float(found.fun)
-        if settled:
-            break
-    return Learned(noise, path, nats, beliefs.sizes[0], beliefs.sizes_cov[0], eliminated.schur)
+    return Learned(
+        noise, path, float(found.fun), beliefs.sizes[0], beliefs.sizes_cov[0], eliminated.schur
+    )
 
 
 def _errors(joints: JointNoise) -> Array:
@@ -110,24 +107,33 @@ def _errors(joints: JointNoise) -> Array:
     return np.empty(0) if joints.error is None else joints.error[joints.learned]
 
 
-def _to_vector(noise: Noise) -> Array:
-    """Logarithms of white (M,), process (M,), [σ (M,), τ (),] scales and groups."""
+def _tabulate_parameters(problem: FactorProblem, noise: Noise, step_s: float) -> Array:
+    """Of each logarithm (P,6), white (M,), process (M,), [σ (M,), τ (),] scales and groups: its
+    value, about how far it is known, its limits, and its mean and standard deviation before the log.
+    """
     joints = noise.joints
-    errors = _errors(joints)
-    lasting = [np.log(errors), np.log(joints.seconds[joints.learned][:1])] if len(errors) else []
-    return np.concatenate(
-        [
-            np.log(joints.white),
-            np.log(joints.process),
-            *lasting,
-            np.log(noise.scales),
-            np.log(noise.groups),
-        ]
-    )
+    read = np.maximum(np.isfinite(problem.values).sum(axis=0), 2.0)
+    seen = np.array([max(images.values.size, 2) for images in problem.images], float)
+    wide = np.log(_SPAN)
+    white = np.log(joints.white)
+    process = np.log(joints.process)
+    # a variance of n readings is known to √(2/n)
+    table = [
+        (white, np.sqrt(2.0 / read), white - wide, white + wide, 0.0, np.inf),
+        (process, 0.3, process - wide, process + wide, 0.0, np.inf),
+    ]
+    if len(errors := _errors(joints)):
+        ends = np.log(FEWEST_READINGS * step_s), np.log(LONGEST_S)
+        table.append((np.log(errors), 0.4, np.log(1e-6), np.log(0.3), *noise.prior.error))
+        seconds = np.log(joints.seconds[joints.learned][:1])
+        table.append((seconds, 0.4, *ends, *noise.prior.seconds))
+    table.append((np.log(noise.scales), np.sqrt(2.0 / seen), -wide, wide, *LOG_SCALE))
+    table.append((np.log(noise.groups), 0.4, np.log(1e-5), np.log(0.3), *LOG_GROUP))
+    return np.concatenate([np.column_stack(np.broadcast_arrays(*rows)) for rows in table])
 
 
 def _from_vector(p: Array, like: Noise) -> Noise:
-    """The noise of `_to_vector`."""
+    """The noise of logarithms (P,), as `_tabulate_parameters` lists them."""
     joints = like.joints
     m = len(joints.white)
     white = np.exp(p[:m])
@@ -148,60 +154,13 @@ def _from_vector(p: Array, like: Noise) -> Noise:
     return replace(like, joints=made, scales=tuple(factors[:first]), groups=tuple(factors[first:]))
 
 
-def _units(problem: FactorProblem, noise: Noise) -> Array:
-    """About how far each logarithm (P,) is known: a variance of n readings to √(2/n)."""
-    m = len(problem.start)
-    read = np.maximum(np.isfinite(problem.values).sum(axis=0), 2.0)
-    seen = [max(images.values.size, 2) for images in problem.images]
-    count = len(_errors(noise.joints))
-    lasting = [0.4] * (count + (count > 0))
-    groups = [0.4] * len(noise.groups)
-    return np.concatenate(
-        [np.sqrt(2.0 / read), [0.3] * m, lasting, np.sqrt(2.0 / np.array(seen, float)), groups]
-    )
-
-
-def _limits(start: Noise, step_s: float) -> Array:
-    """Least and most of each logarithm (P,2)."""
-    joints = start.joints
-    wide = np.log(_SPAN)
-    white = [(v - wide, v + wide) for v in np.log(joints.white)]
-    process = [(v - wide, v + wide) for v in np.log(joints.process)]
-    shortest = np.log(FEWEST_READINGS * step_s)
-    count = len(_errors(joints))
-    error = [(np.log(1e-6), np.log(0.3))] * count
-    lasting = [*error, (shortest, np.log(LONGEST_S))] if count else []
-    scales = [(-wide, wide)] * len(start.scales)
-    groups = [(np.log(1e-5), np.log(0.3))] * len(start.groups)
-    return np.array([*white, *process, *lasting, *scales, *groups])
-
-
 def _cost(linear: Linearised, p: Array) -> tuple[float, Array]:
-    """−ln p of the log and of the noise with these logarithms, and its gradient (P,)."""
-    noise = _from_vector(p, linear.noise)
-    posed = linear.with_noise(noise)
+    """−ln p of the log for noise of these logarithms, and its gradient (P,)."""
+    posed = replace(linear, noise=_from_vector(p, linear.noise))
     system = build_system(posed)
     eliminated = eliminate(system)
     beliefs = smoothed(system, eliminated)
-    prior, prior_slope = _prior(p, noise)
-    slope = _slopes(posed, beliefs, system.joints)
-    return eliminated.nats + prior, slope + prior_slope
-
-
-def _prior(p: Array, noise: Noise) -> tuple[float, Array]:
-    """−ln of the prior density, up to a constant, and its gradient."""
-    mean = np.zeros(len(p))
-    std = np.full(len(p), np.inf)
-    rest = 2 * len(noise.joints.white)
-    if count := len(_errors(noise.joints)):
-        mean[rest : rest + count], std[rest : rest + count] = noise.prior.error
-        mean[rest + count], std[rest + count] = noise.prior.seconds
-        rest += count + 1
-    mean[rest:], std[rest:] = LOG_SCALE
-    groups = len(p) - len(noise.groups)
-    mean[groups:], std[groups:] = LOG_GROUP
-    away = (p - mean) / std
-    return float(0.5 * away @ away), np.asarray(away / std)
+    return eliminated.nats, _slopes(posed, beliefs, system.joints)
 
 
 def _slopes(linear: Linearised, beliefs: Smoothed, pairs: PairFactors) -> Array:
@@ -235,11 +194,9 @@ def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
     columns[1:, 1:] += sizes_cov
     shared = beliefs.shared[:, : m * p].reshape(len(beliefs.mean), m, p, len(sizes))
     mean = beliefs.mean[:, : m * p].reshape(-1, m, p)
-    own = np.stack(
-        [beliefs.cov[:, j * p : (j + 1) * p, j * p : (j + 1) * p] for j in range(m)], axis=1
-    )
-    next_to = np.stack(
-        [beliefs.between[:, j * p : (j + 1) * p, j * p : (j + 1) * p] for j in range(m)], axis=1
+    own, next_to = (
+        np.einsum("kapaq->kapq", cov[:, : m * p, : m * p].reshape(-1, m, p, m, p))
+        for cov in (beliefs.cov, beliefs.between)
     )
     z = np.concatenate([mean[:-1], mean[1:]], axis=-1)
     x = np.concatenate([shared[:-1], shared[1:]], axis=-2)
@@ -272,11 +229,7 @@ def _joint_costs(
 def _knot_costs(linear: Linearised, joints: JointNoise, beliefs: Smoothed) -> Array:
     """Expected cost (M,) of the readings at knots."""
     readings = linear.readings
-    p = joints.states
-    m = len(joints.white)
-    rows = np.zeros((len(readings.t), m, beliefs.mean.shape[1]))
-    for j, row in enumerate(joints.reads):
-        rows[:, j, j * p : (j + 1) * p] = row
+    rows = np.tile(joints.reads(beliefs.mean.shape[1]), (len(readings.t), 1, 1))
     mean, cov = beliefs.of_rows(rows, np.arange(len(readings.t)), readings.at_knot[..., 1:])
     square = np.square(readings.at_knot[..., 0] - mean) + np.einsum("kmm->km", cov)
     weight = readings.knot_weight / joints.white

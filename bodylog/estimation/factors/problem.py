@@ -11,7 +11,7 @@ import numpy as np
 from ...types import Array
 from ..measurements.records import Sighting
 from .columns import Column, Path
-from .condensing import LOG_2PI, Readings, condense, normalisation, place_readings
+from .condensing import Readings, condense, normalisation, place_readings
 from .encoder_error import JointNoise
 from .images import ImageRows, Images, correlate_model_errors, image_rows, place_images
 from .solve import System
@@ -104,13 +104,8 @@ class FactorProblem:
         """The readings at and between the knots, with the change
         of each by the columns as further right-hand sides. order: that of the motion.
         """
-        moved = (
-            np.stack([c.reads(self.t, path) for c in self.columns], axis=-1)
-            if self.columns
-            else None
-        )
-        own = self.values[..., None]
-        values = own if moved is None else np.concatenate([own, moved], axis=-1)
+        moved = (column.reads(self.t, path) for column in self.columns)
+        values = np.stack([self.values, *moved], axis=-1)
         believed = np.ones(self.values.shape) if self.believed is None else self.believed
         return place_readings(self.t, values, self.relative, believed, self.knots, order)
 
@@ -128,10 +123,6 @@ class Linearised:
     model_correlation: Array
     noise: Noise
 
-    def with_noise(self, noise: Noise) -> "Linearised":
-        """The same with other noise; where errors are and which there are stays."""
-        return replace(self, noise=noise)
-
 
 def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
     """The problem about a path of angles (K,M), rates (K,M) and links (K,M)."""
@@ -141,7 +132,7 @@ def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
     for images in problem.images:
         here = path.at_images(images)
         columns = columns_of_images(problem, images, path)
-        rows.append(image_rows(images, here.links, noise.joints, 1.0, *columns, first, size))
+        rows.append(image_rows(images, here.links, noise.joints, *columns, first, size))
         first += images.values.shape[1]
     kappa = correlate_model_errors(problem.sightings, path.links)
     return Linearised(
@@ -178,9 +169,25 @@ def build_system(linear: Linearised) -> System:
     square = np.zeros((count, right_sides, right_sides))
     logs = np.zeros(count)
     _add_start(info, right, square, logs, problem, joints)
-    _add_readings_at_knots(info, right, square, logs, linear.readings, joints)
+
+    def add(
+        at: Array, rows: Array, read: Array, var: Array, weight: Array, believed: Array
+    ) -> None:
+        """Add rows (F,D,S) on the states at knots, with right sides read (F,D,R)."""
+        precision = (weight / var)[..., None]
+        weighted = (rows * precision).swapaxes(1, 2)
+        np.add.at(info, at, weighted @ rows)
+        np.add.at(right, at, weighted @ read)
+        np.add.at(square, at, read.swapaxes(1, 2) @ (precision * read))
+        var = var / np.where(weight > 0.0, weight, 1.0)
+        np.add.at(logs, at, normalisation(var, believed).sum(axis=1))
+
+    own = linear.readings
+    read_rows = joints.reads(size)[None]
+    add(np.arange(count), read_rows, own.at_knot, joints.white, own.knot_weight, own.knot_believed)
     for images, rows, scale in zip(problem.images, linear.rows, noise.scales, strict=True):
-        _add_images(info, right, square, logs, images, rows, scale)
+        share = images.believed[:, None]
+        add(images.knots, rows.slopes, rows.right, scale * rows.var, share, share)
     pair_info = np.zeros((count - 1, 2 * size, 2 * size))
     pair_right = np.zeros((count - 1, 2 * size, right_sides))
     for j in range(m):
@@ -236,38 +243,3 @@ def _add_start(
         logs[0] -= 0.5 * np.log(np.diag(precision)).sum()
     rest = np.arange(len(problem.start) * p, info.shape[1])
     info[0, rest, rest] += 1.0
-
-
-def _add_readings_at_knots(
-    info: Array, right: Array, square: Array, logs: Array, readings: Readings, joints: JointNoise
-) -> None:
-    """Readings that are at a knot."""
-    p = joints.states
-    weight = readings.knot_weight / joints.white
-    for j, row in enumerate(joints.reads):
-        own = slice(j * p, (j + 1) * p)
-        info[:, own, own] += weight[:, j, None, None] * np.outer(row, row)
-        read = readings.at_knot[:, j]
-        right[:, own] += (weight[:, j, None] * row)[..., None] * read[:, None]
-        square += weight[:, j, None, None] * read[:, :, None] * read[:, None, :]
-    var = joints.white / np.where(readings.knot_weight > 0.0, readings.knot_weight, 1.0)
-    logs += normalisation(var, readings.knot_believed).sum(axis=1)
-
-
-def _add_images(
-    info: Array,
-    right: Array,
-    square: Array,
-    logs: Array,
-    images: Images,
-    rows: ImageRows,
-    scale: float,
-) -> None:
-    """Images at their knots."""
-    weight = images.believed[:, None] / (scale * rows.var)
-    weighted = rows.slopes * weight[..., None]
-    np.add.at(info, images.knots, rows.slopes.swapaxes(1, 2) @ weighted)
-    np.add.at(right, images.knots, weighted.swapaxes(1, 2) @ rows.right)
-    np.add.at(square, images.knots, rows.right.swapaxes(1, 2) @ (weight[..., None] * rows.right))
-    own = 0.5 * images.believed[:, None] * (LOG_2PI + np.log(scale * rows.var))
-    np.add.at(logs, images.knots, own.sum(axis=1))

@@ -14,9 +14,11 @@ import numpy as np
 from ...types import Array
 
 OUTLIERS = 1e-2
-"""Share ε of measurements that are outliers before the log."""
-LEAST = 1e-6
-"""Least weight, so that variances stay finite."""
+"""Share ε of measurements that are outliers before the log: one in a hundred, as of the filter's
+FLAT_COST_NATS."""
+LEAST_SHARE = 1e-6
+"""Least share that counts, so that variances stay finite, and matrices of what is nearly alike keep
+their inverses."""
 
 
 def believed(residual: Array, cov: Array, span: Array) -> Array:
@@ -25,7 +27,7 @@ def believed(residual: Array, cov: Array, span: Array) -> Array:
     """
     inlier, outlier = _log_mixture(residual, cov, span)
     share = 1.0 / (1.0 + np.exp(np.clip(outlier - inlier, -50.0, 50.0)))
-    return np.asarray(np.maximum(share, LEAST))
+    return np.asarray(np.maximum(share, LEAST_SHARE))
 
 
 def image_span(values: Array, var: Array) -> Array:

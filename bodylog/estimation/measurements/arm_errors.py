@@ -13,25 +13,30 @@ from ...body_model import BodyModel
 from ...errors import ModelError
 from ...types import Array, Features, Finding, Series
 from .long_arrays import find_finite_rows, median_step, noise_variance
+from .records import interpolate_values
 
 ARM_ERRORS = "arm_errors"
 """In a body's provenance: the errors that it was learned with."""
 SMOOTH_S = 0.05
-"""s over which readings are averaged before links are
-derived from them: arms hardly turn back within it.
+"""s over which readings are averaged before links are derived from them: arms hardly turn back
+within it. Links of 24 drawn logs with 8 mrad of play, smooth or reaches, with 0.2 or 1 mrad of
+noise, are off by 0.37, 0.21, 0.16, 0.14 and 0.28 mrad with 0.01, 0.02, 0.05, 0.1 and 0.2 s; with
+0.1 s those of reaches with 0.2 mrad of noise by 0.12 in place of 0.06.
 """
 NOISE_SIGMAS = 2.0
-"""Standard deviations of a motor's angle that a turn back must exceed."""
+"""Standard deviations of a motor's angle that a turn back must exceed. With 0, 1, 2, 3 and 4 the
+same links are off by 0.36, 0.23, 0.16, 0.17 and 0.22 mrad.
+"""
 PLAY_STD = 0.01
 """rad: prior standard deviation of half a play, 1.1° of play."""
 LEAST_PLAY = 5e-4
 """rad: half of a play that is assumed at least,
 so that noise of the angle does not turn the link.
 """
-MOST_HELD_OUT = 1.5
-"""Squared held-out errors of a track over their stated variance from which error bars are doubted.
-Of 40 drawn sound explorations (docs/learning.md) the most had 1.27; where encoders' errors last and
-are taken for noise of images, it was 2.1 to 2.6.
+LEAST_NEES = 1.5
+"""Mean squared error over the stated variance from which error bars are worth a warning: 2σ then
+covers 90 %. Of held-out images of 40 drawn sound explorations (docs/learning.md) the most had 1.27;
+where encoders' errors last and are taken for noise of images, it was 2.1 to 2.6.
 """
 MOST_OF_STEP = 0.45
 """Largest shift of an image by its row, in steps of the
@@ -59,7 +64,7 @@ class ArmErrors:
     other, and {camera: RowExposure} of its pictures.
 
     lasting {joint: (σ rad, τ s)}: an Ornstein–Uhlenbeck error of the encoder · held_out {track}:
-    squared held-out errors over their stated variance, where these are more than MOST_HELD_OUT.
+    squared held-out errors over their stated variance, where these are more than LEAST_NEES.
     """
 
     play: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -156,19 +161,13 @@ def read_slack(t: Array, readings: Array, half: Array) -> Array:
     """Where links lie within their play (N,M), −1 … 1, by the
     readings (N,M) rad at t (N,) s of their motors.
     """
-    motors = np.column_stack([_fill_gaps(t, column) for column in readings.T])
+    motors = np.nan_to_num(interpolate_values(t, readings, t))
     width = max(int(SMOOTH_S / median_step(t)) | 1, 1)
     ends = ((width // 2, width // 2), (0, 0))
     sums = np.cumsum(np.pad(np.pad(motors, ends, "edge"), ((1, 0), (0, 0))), axis=0)
     smooth = (sums[width:] - sums[:-width]) / width
     noise = NOISE_SIGMAS * np.sqrt(noise_variance(motors) / width)
     return follow_slack(smooth, half, noise)
-
-
-def _fill_gaps(t: Array, column: Array) -> Array:
-    """A joint's readings (N,) with missing ones drawn between their neighbours."""
-    known = np.isfinite(column)
-    return np.asarray(np.interp(t, t[known], column[known]) if known.any() else np.zeros(len(t)))
 
 
 def with_links(features: Features, play: Mapping[str, tuple[float, float]]) -> Features:

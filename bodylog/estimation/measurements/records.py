@@ -74,7 +74,10 @@ class Sighting:
 
     def cut(self, begin: float, end: float) -> "Sighting":
         """The measurements from `begin` to before `end`, s."""
-        rows = (self.t >= begin) & (self.t < end)
+        return self.some((self.t >= begin) & (self.t < end))
+
+    def some(self, rows: Array | slice) -> "Sighting":
+        """Some of the measurements."""
         cov, displaced = (
             None if part is None else part[rows] for part in (self.cov, self.displaced)
         )

@@ -19,8 +19,8 @@ from .long_arrays import median_step
 from .records import Evidence, Sighting
 
 GAP_STEPS = 10
-"""Usual steps after which there is a gap: an unseen track
-is out of view, a filter of encoder readings restarts.
+"""Usual steps after which there is a gap: an unseen track is out of view, a filter of encoder
+readings restarts. A few lost messages leave none.
 """
 
 View = tuple[str, ...]

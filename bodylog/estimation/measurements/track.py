@@ -39,14 +39,9 @@ def _read_track(name: str, track: Series, body: BodyModel, rows: RowExposure | N
     noise = np.asarray(body.noise.senses.get(name, (1.0,)), float)
     var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
     values = np.where(seen[:, None], track.values, np.nan)
-    kept = index_true_rows(rising)
-    t = times[kept]
-    values = values[kept]
-    var = var[kept]
-    source = track.source_ns[kept]
-    return Measured(
-        Sighting(name, model, t, values, var, source, _common_variance_share(model, noise)), counts
-    )
+    share = _common_variance_share(model, noise)
+    every = Sighting(name, model, times, values, var, track.source_ns, share)
+    return Measured(every.some(index_true_rows(rising)), counts)
 
 
 def find_ascending_times(t: Array) -> Array:

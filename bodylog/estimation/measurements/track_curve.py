@@ -12,9 +12,13 @@ from .records import Encoders, Sighting
 from .timeline import list_span_starts
 
 MAX_CURVE_MEANS = 600
-"""Most means, evenly spread."""
+"""Most means, evenly spread: more make a delay no truer. Those of 4 drawn logs of 120 s are off by
+0.47 ms with 600 and by 0.44 ms with 2,400, which take 3.5 times as long.
+"""
 OFFSET_KNOT_S = 8.0
-"""s between knots of an encoder's offset, or more for at least MIN_READINGS means on each."""
+"""s between knots of an encoder's offset, or more for at least MIN_READINGS means on each. With 4,
+delays of 8 drawn sound logs of 16 s are off by 0.94 ms in place of 0.82; with 2, four have none.
+"""
 BLUNDER_MEDIANS = 10.0
 """Median residuals against neighbours beyond which a frame is left out; with 7.4 of them, the
 filter's gate, 9 in place of 10 of 12 cameras that moved by 3 px in reaches are found, as frames of

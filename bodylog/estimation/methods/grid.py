@@ -12,7 +12,7 @@ from ...settings import EstimationSettings
 from ...types import Array, Features, Finding
 from ..faults.screening import screen_measurements
 from ..measurements.gather import choose_initial_angles
-from ..measurements.records import Encoders, Evidence, Sighting, interpolate_values
+from ..measurements.records import Evidence, Sighting, interpolate_values
 from ..measurements.timeline import Timeline, build_timeline
 from ..noise import noise_model
 from ..noise.noise_model import PAPER_VARIANCES, resolve_noise_model, warn_of_few_readings
@@ -83,10 +83,10 @@ class GridProblem:
         return s, sigma
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        """g (R,), J (R,M) and the models' own variances (R,) of all senses at x (M,)."""
-        none = np.empty((1, 0)), np.empty((1, 0, len(x))), np.empty((1, 0))
-        parts = zip(none, *(sense.predict(x[None]) for sense in self.senses), strict=True)
-        g, jac, own = (np.concatenate(part, axis=1)[0] for part in parts)
+        """g (N,R), J (N,R,M) and the models' own variances (N,R) of all senses at x (N,M)."""
+        none = x[:, :0], np.empty((len(x), 0, x.shape[1])), x[:, :0]
+        parts = zip(none, *(sense.predict(x) for sense in self.senses), strict=True)
+        g, jac, own = (np.concatenate(part, axis=1) for part in parts)
         return g, jac, own
 
 
@@ -107,11 +107,11 @@ def build_grid_problem(
     noise = noise_model.with_typed_noise(
         resolve_noise_model(evidence, body, settings), settings, body.joints
     )
-    encoders = (
-        None
-        if evidence.encoders is None
-        else _build_encoder_sense(evidence.encoders, body, t, noise.encoder, paper)
-    )
+    encoders = None
+    if evidence.encoders is not None:
+        s, _ = place_on_grid(evidence.encoders.t, evidence.encoders.values, t)
+        sigma = np.broadcast_to(noise.encoder, s.shape)
+        encoders = GridSense("encoders", s, body.senses.get("encoders"), sigma, printed=paper)
     gains = (
         PAPER_VARIANCES[0] / (PAPER_VARIANCES[0] + noise.encoder[None])
         if paper
@@ -146,19 +146,6 @@ def build_grid_problem(
         GridProblem(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, moved, postures, learning),
         evidence,
         line,
-    )
-
-
-def _build_encoder_sense(
-    found: Encoders, body: BodyModel, t: Array, variance: Array, printed: bool
-) -> GridSense:
-    s, _ = place_on_grid(found.t, found.values, t)
-    return GridSense(
-        "encoders",
-        s,
-        body.senses.get("encoders"),
-        np.broadcast_to(variance, s.shape),
-        printed=printed,
     )
 
 

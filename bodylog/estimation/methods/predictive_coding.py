@@ -13,6 +13,7 @@ from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Features, Finding
 from ..measurements.gather import list_unread_joints
 from ..measurements.records import Evidence
+from ..noise.noise_model import PAPER_VARIANCES
 from . import results
 from .algorithm1 import (
     DIVERGENCE_RAD,
@@ -23,9 +24,6 @@ from .algorithm1 import (
 )
 from .contract import Method
 from .grid import TRIED_GAINS, GridProblem, beliefs_at_instants, build_grid_problem
-
-SIGMA_T = 1.0
-"""σ_t, which is not printed: as σ_x and σ_p."""
 
 
 def estimate_by_predictive_coding(
@@ -83,15 +81,17 @@ def integrate_belief(plan: GridProblem, explicit: bool) -> tuple[Array, Array, A
 
 def _evaluate_senses(plan: GridProblem, k: int, x: Array) -> SensedErrors:
     """What the plan's senses say at instant k about one belief (1,M)."""
-    (g, jac, own), (s, sigma) = plan.predict(x[0]), (part[k] for part in plan.rows)
-    off = s - g
-    variance = sigma + own
+    g, jac, own = plan.predict(x)
+    s, sigma = plan.rows
+    off = s[k] - g
+    variance = sigma[k] + own
     if plan.touch is not None:
         felt, slope = plan.touch.pull(k, x[0])
-        off = np.append(off, felt)
-        variance = np.append(variance, SIGMA_T)
-        jac = np.vstack([jac, slope])
-    return SensedErrors(off[None], jac[None], variance[None])
+        off = np.column_stack([off, [felt]])
+        # σ_t is not printed: as σ_x and σ_p
+        variance = np.column_stack([variance, [PAPER_VARIANCES[0]]])
+        jac = np.concatenate([jac, slope[None, None]], axis=1)
+    return SensedErrors(off, jac, variance)
 
 
 def step_warning(plan: GridProblem) -> tuple[Finding, ...]:
@@ -129,10 +129,8 @@ def stable_step(plan: GridProblem) -> float:
     """Largest Δt (s) for which one explicit step shrinks
     every mode, linearised at every posture of the log.
     """
-    predicted = [sense.predict(plan.postures) for sense in plan.senses]
     n, m = plan.postures.shape
-    jac = np.concatenate([np.empty((n, 0, m)), *(jac for _, jac, _ in predicted)], axis=1)
-    own = np.concatenate([np.empty((n, 0)), *(var for *_, var in predicted)], axis=1)
+    _, jac, own = plan.predict(plan.postures)
     sigma = plan.rows[1].min(axis=0) + own
     i = np.eye(m) + np.zeros((n, 1, 1))
     o = np.zeros((n, m, m))

@@ -13,16 +13,12 @@ from ...linear_algebra import project_covariance
 from ...settings import EstimationSettings
 from ...types import LASTING_ERROR, Array, Estimate, Fault, Finding, Series
 from ..inference.problem import FilterProblem
+from ..measurements.arm_errors import LEAST_NEES as LEAST_NEES
 from ..measurements.long_arrays import find_finite_rows as seen_rows
 from ..measurements.posture import PostureModel
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
 from ..noise.lasting_error import FrameBelief, LastingError, find_lasting_error
-
-LEAST_NEES = 1.5
-"""Mean squared error over stated variance from which a
-lasting error is worth a warning: 2σ then covers 90 %.
-"""
 
 
 @dataclass(frozen=True, eq=False)

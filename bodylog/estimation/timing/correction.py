@@ -117,35 +117,28 @@ def reconsider_delays(
     }
     if not free:
         return None
-    delays = dict(timely.delays)
-    errors = dict(timely.errors)
-    measured = dict(timely.measured)
-    weighed = list(timely.hypotheses)
-    for name, total in free.items():
-        delays.pop(name, None)
-        errors.pop(name, None)
-        weighed.append(
-            Hypothesis(
-                "camera late beside errors of joints",
-                name,
-                total.nats,
-                EVIDENCE_THRESHOLD_NATS,
-                is_significant(total),
-            )
-        )
-        if is_significant(total):
-            delays[name], errors[name] = total.seconds, total.std_error
-        measured[name] = (
-            total if is_significant(total) else replace(total, doubt="joints' errors explain it")
-        )
+    found = {name: total for name, total in free.items() if is_significant(total)}
+    delays, errors = (
+        {name: size for name, size in sizes.items() if name not in free}
+        for sizes in (timely.delays, timely.errors)
+    )
+    delays |= {name: total.seconds for name, total in found.items()}
+    errors |= {name: total.std_error for name, total in found.items()}
+    explained = {
+        name: replace(one, doubt="joints' errors explain it") for name, one in free.items()
+    }
+    measured = {**timely.measured, **explained, **found}
+    threshold = EVIDENCE_THRESHOLD_NATS
+    text = "camera late beside errors of joints"
+    weighed = tuple(
+        Hypothesis(text, name, total.nats, threshold, name in found) for name, total in free.items()
+    )
     unsure = {name: seconds for name, seconds in timely.unsure.items() if name not in free}
     others = [one for one in timely.findings if one.text.partition(":")[0] not in free]
-    findings = (
-        *others,
-        *delay_findings({n: delays[n] for n in free if n in delays}, errors, {}, fixed),
-    )
+    findings = (*others, *delay_findings({name: delays[name] for name in found}, errors, {}, fixed))
     shown = shift_features(features, delays)
-    return CorrectedFeatures(shown, delays, errors, measured, unsure, findings, tuple(weighed))
+    weighed = (*timely.hypotheses, *weighed)
+    return CorrectedFeatures(shown, delays, errors, measured, unsure, findings, weighed)
 
 
 def _reason_not_applied(residual: Delay, is_fixed: bool) -> str:

