@@ -131,7 +131,8 @@ def find_likeliest_ramp(
     late, size = fitted
     slope = size / (t[-1] - late)
     earliest = t[0] + MAX_MEMORY_S
-    begins = np.unique(np.maximum(late - np.array(TRAILING_S), earliest)).tolist()
+    rows = np.searchsorted(t, np.maximum(late - np.array(TRAILING_S), earliest))
+    begins = np.unique(t[rows]).tolist()
     since = min(begins, key=lambda one: nats(one, slope * (t[-1] - one)))
     size = slope * (t[-1] - since)
     lowest = _fit_parabola_minimum(
