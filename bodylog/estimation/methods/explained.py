@@ -228,7 +228,8 @@ def _allowance_for_faults(
     there beside the offsets, too, and one load explain several offsets at once, and one encoder
     more that is off from the first reading on counts as one fault more. A load is as simple as an
     offset of one encoder, if it is evident beside errors that last; if not, it must be evident
-    beside offsets of known size. The sizes of a displacement cost no evidence.
+    beside offsets of known size. An offset too small for a fault goes where the log is as likely
+    without it. The sizes of a displacement cost no evidence.
     """
     passing = _is_usual(found.noise)
     moves = cameras * EVIDENCE_THRESHOLD_NATS
@@ -239,6 +240,8 @@ def _allowance_for_faults(
         named = any(np.isfinite(fault.size) for fault in faults)
         hides = named and gains["load"] <= EVIDENCE_THRESHOLD_NATS
         return moves - EVIDENCE_THRESHOLD_NATS if hides else moves
+    if passing and not faults and not cameras:
+        return 0.0
     if not (passing and "play" in gains) or cameras:
         return -np.inf
     return 0.0 if "play" in beside.explanation.gains else EVIDENCE_THRESHOLD_NATS
