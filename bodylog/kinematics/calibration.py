@@ -22,7 +22,7 @@ _FALSE = 1e-3
 """Prior share of false sightings."""
 _ANYWHERE = 600.0
 """px or mm: false sightings are uniform in a square or a cube of this side."""
-CHI_SQUARE_MEDIANS = {2: float(2.0 * np.log(2.0)), 3: 2.3659738843753377}
+CHI_SQUARE_MEDIANS = {1: 0.454936423119572, 2: float(2.0 * np.log(2.0)), 3: 2.3659738843753377}
 """The median of a sum of so many squares of standard normal numbers."""
 
 

@@ -23,6 +23,7 @@ from .solve import column_nats
 FIRST_STD = 1e-3
 """rad: σ of a lasting error with which the search begins."""
 FIRST_S = 1.0
+"""s: how long a lasting error lasts with which the search begins."""
 DRIFTS_S = 5.0
 """s: errors that last longer can imitate an encoder that drifts, and a load."""
 SILENT_STD = 1e-5

@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from ...kinematics.calibration import CHI_SQUARE_MEDIANS
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 from ..inference.problem import FilterProblem
@@ -37,12 +38,11 @@ images, and instants where there are none for long.
 WEIGHING = 3
 """Rounds of linearising before readings are weighed."""
 SPARSE_S = 0.1
+"""s between the knots that noise is learned on where no images are."""
 LEARNED_S = 60.0
 """s of a log that noise is learned from; longer ones give their middle."""
 ORDER = 3
 """White jerk: white acceleration takes the noise of motors for motion."""
-MEDIAN_SQUARE = (0.455, 1.386, 2.366)
-"""Medians of χ² with 1, 2 and 3 degrees of freedom."""
 TURN = np.array([2.0 * np.pi])
 """rad: within what an outlier of an encoder may be."""
 USUAL_STD = 4e-3
@@ -295,7 +295,7 @@ def _middle(fine: FactorProblem) -> FactorProblem:
     for one, share in zip(fine.sightings, fine.images_believed, strict=True):
         inside = (one.t >= knots[0]) & (one.t <= knots[-1])
         shares.append(share[inside])
-        sightings.append(_part(one, inside))
+        sightings.append(one.some(inside))
     return replace(
         fine,
         knots=knots,
@@ -305,22 +305,6 @@ def _middle(fine: FactorProblem) -> FactorProblem:
         believed=fine.believed[rows],
         sightings=tuple(sightings),
         images_believed=tuple(shares),
-    )
-
-
-def _part(sighting: Sighting, rows: Array) -> Sighting:
-    """Some of a sense's images."""
-    cov, displaced = (
-        None if one is None else one[rows] for one in (sighting.cov, sighting.displaced)
-    )
-    return replace(
-        sighting,
-        t=sighting.t[rows],
-        values=sighting.values[rows],
-        var=sighting.var[rows],
-        source_ns=sighting.source_ns[rows],
-        cov=cov,
-        displaced=displaced,
     )
 
 
@@ -404,7 +388,7 @@ def _image_shares(
     spread = spread - used + plain
     if rough:
         square = np.einsum("fd,fd->f", rest, np.linalg.solve(spread, rest[..., None])[..., 0])
-        usual = MEDIAN_SQUARE[min(mean.shape[1], len(MEDIAN_SQUARE)) - 1]
+        usual = CHI_SQUARE_MEDIANS[min(mean.shape[1], max(CHI_SQUARE_MEDIANS))]
         spread = spread * max(1.0, float(np.median(square)) / usual)
     span = image_span(images.values, rows.var)
     share = np.ones(len(images.sighting.t))

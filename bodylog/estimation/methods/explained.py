@@ -27,17 +27,10 @@ from ..factors.whole_log import (
 from ..faults.moved_camera import restore_displacements
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..inference.problem import FilterProblem
-from ..measurements.arm_errors import learned_arm_errors
+from ..measurements.arm_errors import LEAST_NEES, learned_arm_errors
 from ..noise.lasting_error import LastingError
 from . import results
-from .results import (
-    LEAST_NEES,
-    Beliefs,
-    find_evident_error,
-    nees_if_white,
-    predict_frames,
-    with_lasting_error,
-)
+from .results import Beliefs, find_evident_error, nees_if_white, predict_frames, with_lasting_error
 from .stick_slip import estimate_stick_slip
 from .trust import measure_rough_motion, reason_of_disagreement, reason_of_misfit, reason_to_widen
 

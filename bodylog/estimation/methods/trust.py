@@ -22,7 +22,7 @@ from ..inference.filter_log import filter_roughly
 from ..inference.problem import FilterProblem
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence
-from ..noise.lasting_error import MOST_COUNTS
+from ..noise.lasting_error import LEAST_IMAGES, MOST_COUNTS
 from ..noise.quantisation import quantisation_variance
 from .results import Beliefs, standardise_sighting
 
@@ -45,7 +45,6 @@ MOST_COLOUR = 0.1
 which a joint does not move as assumed. Of 8 drawn sound logs each joint has at most 0.06, and of 8
 in which joints stick and slip by four times the noise, and more, the least is 0.11.
 """
-FEWEST_IMAGES = 24
 LEAST_SQUARE = 0.5
 """Mean square of innovations in standard deviations below which error bars are too wide, and not
 too small: encoders of a microrad, on joints that turn smoothly, have 0.17 to 0.35.
@@ -243,7 +242,7 @@ def _measure_shared_motion(images: _ImageEvidence) -> Array:
     """
     product = images.product
     alike = product.sum() >= ROUGH_SIGMAS * np.sqrt(np.square(product).sum())
-    if len(product) < FEWEST_IMAGES or not alike:
+    if len(product) < LEAST_IMAGES or not alike:
         return np.zeros(product.shape[1])
     weight = images.weight.sum(axis=0)
     shown = np.isfinite(weight) & (weight > 0.0)
@@ -300,7 +299,7 @@ def _measure_misfits(
             continue
         place = earlier.places[sighting.name]
         series, _, _ = standardise_sighting(sighting, place, scales[sighting.name])
-        if len(series.t) < FEWEST_IMAGES:
+        if len(series.t) < LEAST_IMAGES:
             continue
         error = np.clip(series.values, -FAR_SIGMAS, FAR_SIGMAS)
         square = float(np.mean(np.square(error)))

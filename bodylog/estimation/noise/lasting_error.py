@@ -30,11 +30,13 @@ STRETCHES_PER_LOG = 4
 ROWS_PER_STRETCH = 128
 """Rows of residuals in a stretch."""
 LEAST_IMAGES = 24
+"""Images from which on their residuals tell whether an error lasts: a spread of 24 is known to 15 %."""
 SCORE_SIGMA = 3.0
 """Standard deviations of the score from which the evidence is computed."""
 TIMES_S = (0.15, 0.6, 2.5)
 """Time constants that the score is computed for."""
 SHORTEST_S = 0.1
+"""s: what lasts less is noise at 20 to 30 images a second."""
 LONGEST_S = 60.0
 """s: what lasts longer than a log is constant in it."""
 EVIDENCE_NATS = 8.0
