@@ -34,7 +34,7 @@ def rows(moves, px):
             back.append(figures.found(knocked, world.body, method))
             still.append(figures.found(log, world.body, method))
             with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(screening.moved_camera, "detect_moved_camera", lambda evidence, body: evidence)
+                patch.setattr(screening, "detect_moved_camera", lambda evidence, body: evidence)
                 ignored.append(figures.found(knocked, world.body, method))
         cells = (*map(figures.mrad, (back, ignored, still)), f"{np.mean([run.nees for run in back]):.2f}")
         yield (MOTIONS[moves], f"{px:g}", *named, f"`{method}`", *cells)
