@@ -276,10 +276,10 @@ def test_a_load_bends_joints_that_stood_still_and_may_carry_the_marker():
         images = place_images(sighting, t, nearest=True)
         sinks = -0.2 * np.sin(q[:, 0]) / longest
         for one in (alike, each[-1]):
-            shown = one.displaces(images, path)
+            shown = one.displaces_images(images, path)
             np.testing.assert_allclose(shown, size * np.outer(sinks, [0.0, 1.0]), atol=1e-9)
         assert not each[-1].moves_images(images, path).any()
-        assert not each[0].displaces(images, path).any()
+        assert not each[0].displaces_images(images, path).any()
 
 
 def judge_log(kind, seed):

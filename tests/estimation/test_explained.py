@@ -154,3 +154,8 @@ def test_errors_many_times_the_explorations_stand_for_no_offset(std, seconds, us
     )
     assert explained._is_usual(Noise(joints, (1.0,), prior=prior)) is usual
     assert explained._is_usual(Noise(joints, (1.0,), prior=ANY_ERRORS)) is (seconds < 5.0)
+
+
+def test_encoders_without_errors_that_last_are_usual():
+    white = JointNoise(3, np.full(3, 1e-6), np.ones(3), None, np.ones(3), np.zeros(3, bool), np.zeros(3, bool))
+    assert explained._is_usual(Noise(white, (1.0,), prior=ANY_ERRORS))

@@ -66,7 +66,7 @@ class Column:
         """What a unit moves the links by (F,M) rad, as images show them."""
         return self.moves_links(path.at_images(images))
 
-    def displaces(self, images: "Images", path: Path) -> Array:
+    def displaces_images(self, images: "Images", path: Path) -> Array:
         """What a unit displaces images by beside moving links (F,D), in the unit of their sense."""
         return np.zeros(images.values.shape)
 

@@ -88,7 +88,7 @@ def place_readings(
     stamps[-1] = knots[1:]
     stamps = np.fmax.accumulate(stamps, axis=0)
 
-    def place(part: Array) -> tuple[Array, Array]:
+    def place_rows(part: Array) -> tuple[Array, Array]:
         """What is at a knot, and what is between two."""
         at_knot = np.zeros((count, *part.shape[1:]))
         between = np.zeros((steps, count - 1, *part.shape[1:]))
@@ -96,9 +96,9 @@ def place_readings(
         between[step, interval] = part[rows]
         return at_knot, between
 
-    at_knot, between = place(values)
-    knot_weight, between_weight = place(weight)
-    knot_believed, between_believed = place(believed)
+    at_knot, between = place_rows(values)
+    knot_weight, between_weight = place_rows(weight)
+    knot_believed, between_believed = place_rows(believed)
     gaps = np.diff(stamps, axis=0)
     motion = motion_covariance(order, gaps.ravel()).reshape(*gaps.shape, order, order)
     return Readings(

@@ -75,11 +75,11 @@ class Payload(Load):
         own[:, carrying] = -self.levers(path.angles)[:, carrying] / self.longest
         return own
 
-    def displaces(self, images: Images, path: Path) -> Array:
+    def displaces_images(self, images: Images, path: Path) -> Array:
         """What images of a marker show of the others."""
         model = images.sighting.model
         if not (self.still and isinstance(model, _Carried)):
-            return super().displaces(images, path)
+            return super().displaces_images(images, path)
         shown, levers = model.show_still_joints(path.at_images(images).links)
         sinks = np.array([name in self.still for name in model.still_joints])
         return np.asarray(-(shown * levers[:, None] * sinks).sum(axis=-1) / self.longest)

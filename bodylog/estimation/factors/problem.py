@@ -148,7 +148,7 @@ def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> tup
     displaced = np.zeros((*images.values.shape, len(problem.columns)))
     for c, column in enumerate(problem.columns):
         links[..., c] = column.moves_images(images, path)
-        displaced[..., c] = column.displaces(images, path)
+        displaced[..., c] = column.displaces_images(images, path)
     return links, displaced
 
 
@@ -170,7 +170,7 @@ def build_system(linear: Linearised) -> System:
     logs = np.zeros(count)
     _add_start(info, right, square, logs, problem, joints)
 
-    def add(
+    def add_rows(
         at: Array, rows: Array, read: Array, var: Array, weight: Array, believed: Array
     ) -> None:
         """Add rows (F,D,S) on the states at knots, with right sides read (F,D,R)."""
@@ -184,10 +184,12 @@ def build_system(linear: Linearised) -> System:
 
     own = linear.readings
     read_rows = joints.reads(size)[None]
-    add(np.arange(count), read_rows, own.at_knot, joints.white, own.knot_weight, own.knot_believed)
+    add_rows(
+        np.arange(count), read_rows, own.at_knot, joints.white, own.knot_weight, own.knot_believed
+    )
     for images, rows, scale in zip(problem.images, linear.rows, noise.scales, strict=True):
         share = images.believed[:, None]
-        add(images.knots, rows.slopes, rows.right, scale * rows.var, share, share)
+        add_rows(images.knots, rows.slopes, rows.right, scale * rows.var, share, share)
     pair_info = np.zeros((count - 1, 2 * size, 2 * size))
     pair_right = np.zeros((count - 1, 2 * size, right_sides))
     for j in range(m):

@@ -295,7 +295,7 @@ def _middle(fine: FactorProblem) -> FactorProblem:
     for one, share in zip(fine.sightings, fine.images_believed, strict=True):
         inside = (one.t >= knots[0]) & (one.t <= knots[-1])
         shares.append(share[inside])
-        sightings.append(one.some(inside))
+        sightings.append(one.select_rows(inside))
     return replace(
         fine,
         knots=knots,

@@ -118,7 +118,7 @@ def find_likeliest_ramp(
     slow = _with_walk(problem, joint, RANDOM_WALKS[1])
 
     def without(since: float, size: float) -> FilterProblem:
-        return _with_readings(slow, joint, y - size * _rise(t, since))
+        return _with_readings(slow, joint, y - size * _shape_drift(t, since))
 
     def nats(since: float, size: float) -> float:
         return total_free_energy(filter_roughly(without(since, size), solved))
@@ -150,7 +150,7 @@ def find_likeliest_ramp(
     return OffsetHypothesis(without(since, size), cost + prior, fault, prior, "drift")
 
 
-def _rise(t: Array, since: float) -> Array:
+def _shape_drift(t: Array, since: float) -> Array:
     """What a drift since a time has become at t (N,) s, over what it is at the end."""
     return np.asarray(np.maximum(t - since, 0.0) / (t[-1] - since))
 
@@ -163,7 +163,7 @@ def _fit_ramp(t: Array, off: Array) -> tuple[float, float] | None:
     known = np.isfinite(off)
     if t[-1] - t[0] <= 2.0 * MAX_MEMORY_S or not known.any():
         return None
-    rises = np.array([_rise(t, one)[known] for one in begins])
+    rises = np.array([_shape_drift(t, one)[known] for one in begins])
     square = np.square(rises).sum(axis=1)
     product = rises @ off[known]
     best = int((np.square(product) / square).argmax())

@@ -74,9 +74,9 @@ class Sighting:
 
     def cut(self, begin: float, end: float) -> "Sighting":
         """The measurements from `begin` to before `end`, s."""
-        return self.some((self.t >= begin) & (self.t < end))
+        return self.select_rows((self.t >= begin) & (self.t < end))
 
-    def some(self, rows: Array | slice) -> "Sighting":
+    def select_rows(self, rows: Array | slice) -> "Sighting":
         """Some of the measurements."""
         cov, displaced = (
             None if part is None else part[rows] for part in (self.cov, self.displaced)

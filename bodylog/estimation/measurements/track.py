@@ -41,7 +41,7 @@ def _read_track(name: str, track: Series, body: BodyModel, rows: RowExposure | N
     values = np.where(seen[:, None], track.values, np.nan)
     share = _common_variance_share(model, noise)
     every = Sighting(name, model, times, values, var, track.source_ns, share)
-    return Measured(every.some(index_true_rows(rising)), counts)
+    return Measured(every.select_rows(index_true_rows(rising)), counts)
 
 
 def find_ascending_times(t: Array) -> Array:

@@ -217,11 +217,10 @@ def _allowance_for_faults(
     of moved cameras may be less likely than with them.
 
     beside: the log with them. What lasts for long, or is several times the exploration's, would be
-    an offset itself. Play, unless it is
-    there beside the offsets, too, and one load explain several offsets at once, and one encoder
-    more that is off from the first reading on counts as one fault more. A load is as simple as an
-    offset of one encoder, if it is evident beside errors that last; if not, it must be evident
-    beside offsets of known size. An offset too small for a fault goes where the log is as likely
+    an offset itself. Play, unless it is there beside the offsets, too, and one load explain several
+    offsets at once, and one encoder more that is off from the first reading on counts as one fault
+    more. A load is as simple as an offset of one encoder, if it is evident beside errors that last;
+    if not, it must be evident beside offsets of known size. An offset too small for a fault goes where the log is as likely
     without it. The sizes of a displacement cost no evidence.
     """
     passing = _is_usual(found.noise)
@@ -242,11 +241,12 @@ def _allowance_for_faults(
 
 def _is_usual(noise: Noise) -> bool:
     """Whether encoders' errors last too short to imitate an offset, and are of a size that is
-    probable before the log.
+    probable before the log; so is none.
     """
     joints = noise.joints
+    if joints.error is None:
+        return True
     middle, std = noise.prior.error
-    assert joints.error is not None  # of a log that is explained
     usual = joints.error <= np.exp(middle + SIGNIFICANT_SIGMA * std)
     return bool((usual & (joints.seconds < DRIFTS_S))[joints.learned].all())
 
