@@ -8,10 +8,12 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
+from bodylog.estimation.factors.whole_log import explain_by_white_noise, solve_log
 from bodylog.estimation.faults.moved_camera import restore_displacements
 from bodylog.estimation.measurements.arm_errors import ArmErrors
 from bodylog.estimation.methods import explained
 from bodylog.estimation.methods.filtering import build_filter_problem
+from bodylog.fault_kinds import Fault as FoundFault
 from bodylog.findings import verdict
 from bodylog.settings import EstimationSettings
 from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, FaultKind
@@ -73,6 +75,26 @@ def test_play_is_measured_and_taken_out_and_no_delay_stands_for_it():
     lines = verdict.verdict_of_estimate(found, ())
     assert sum("° of play; corrected" in line for line in lines) == 3
     assert not any("timestamps" in line for line in lines)
+
+
+def test_what_was_taken_out_of_readings_is_expected_of_them():
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    features = mechanisms.replayed(4, mechanisms.SOUND, Fault(), 10.0)
+    problem = build_filter_problem(features, body, EstimationSettings(bias="off"))
+    after = features.joints.t >= 4.0
+    # ten times the noise of a reading are left of a step in lift
+    values = problem.evidence.encoders.values + 1e-2 * after[:, None] * np.array([0.0, 1.0, 0.0])
+    step = FoundFault("encoders", "lift", FaultKind.JUMPING, 4.0, 0.1, "rad", std=1e-2)
+    encoders = replace(problem.evidence.encoders, values=values)
+    evidence = replace(problem.evidence, encoders=encoders, faults=(step,))
+    problem = replace(problem, evidence=evidence)
+    white = explain_by_white_noise(problem)
+    for causal in (True, False):
+        errors = solve_log(problem, white, causal).instants.encoder_errors
+        # a filter learns the step from the first images after it
+        known = problem.timeline.t > 5.0
+        assert ((np.abs(errors[known]) > 3.0).mean(axis=0) < 0.02).all()
+        assert (np.nanmean(np.square(errors[known]), axis=0) > 0.8).all()
 
 
 def test_an_encoder_that_drifts_is_named_and_no_error_that_lasts_stands_for_it():

@@ -351,13 +351,7 @@ def _with_shares(
     after = np.clip(np.searchsorted(fine.knots, fine.t), 0, len(fine.knots) - 1)
     before = np.maximum(after - 1, 0)
     knot = np.where(fine.t - fine.knots[before] < fine.knots[after] - fine.t, before, after)
-    rows = _reading_rows(joints, fine.t - fine.knots[knot], solution.system.states)
-    columns = solution.linear.problem.columns
-    moved = np.zeros((len(fine.t), len(fine.start), len(columns)))
-    for c, column in enumerate(columns):
-        moved[..., c] = column.reads(fine.t, solution.linear.path)
-    mean, cov = beliefs.of_rows(rows, knot, moved)
-    own = np.einsum("nmm->nm", cov)
+    mean, own = _expect_readings(fine, solution, beliefs, knot)
     share = np.ones(fine.values.shape)
     used = solution.linear.problem.believed
     for j in range(len(fine.start)):
@@ -405,6 +399,21 @@ def _reading_rows(joints: JointNoise, ahead: Array, size: int) -> Array:
     for j in range(m):
         rows[:, j, j * p : (j + 1) * p] = stands[:, j]
     return rows
+
+
+def _expect_readings(
+    fine: FactorProblem, solution: Solution, beliefs: Marginals, knot: Array
+) -> tuple[Array, Array]:
+    """What encoders read, from the beliefs at a knot (N,) close to each reading: mean and
+    variance (N,M), with what columns change in readings.
+    """
+    joints = solution.linear.noise.joints
+    rows = _reading_rows(joints, fine.t - fine.knots[knot], solution.system.states)
+    moved = np.zeros((*fine.values.shape, len(fine.columns)))
+    for c, column in enumerate(fine.columns):
+        moved[..., c] = column.reads(fine.t, solution.linear.path)
+    mean, cov = beliefs.of_rows(rows, knot, moved)
+    return mean, np.einsum("nmm->nm", cov)
 
 
 def _at_instants(
@@ -488,10 +497,7 @@ def _encoder_errors(
     found = np.full((len(line.t), len(problem.start)), np.nan)
     knot = np.clip(np.searchsorted(fine.knots, fine.t + 1e-9) - 1, 0, len(fine.knots) - 1)
     ahead = fine.t - fine.knots[knot]
-    rows = _reading_rows(joints, ahead, solution.system.states)
-    moved = np.zeros((*fine.values.shape, len(fine.columns)))
-    mean, cov = early.of_rows(rows, knot, moved)
-    own = np.einsum("nmm->nm", cov)
+    mean, own = _expect_readings(fine, solution, early, knot)
     var = joints.white * fine.relative
     assert fine.believed is not None
     total = var + own if causal else np.maximum(var / fine.believed - own, 1e-3 * var)
