@@ -178,10 +178,12 @@ def measure_rough_motion(
     cov = beliefs.before_cov
     read = beliefs.encoder_errors
     nats = beliefs.nats
-    if not causal:  # a smoother's process is smaller
-        precision, warm = tune_by_evidence(problem, whole=False)
-        problem = replace(problem, precision=precision)
-        solution = filter_roughly(problem, warm)
+    if not causal and problem.precision.likeliest is not None:
+        # a smoother's own process is smaller: a filter with it lags, and its innovations have colour
+        process = problem.precision.likeliest
+        problem = replace(problem, precision=replace(problem.precision, process=process))
+    if not causal:
+        solution = filter_roughly(problem)
         trace = solution.trace
         found = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
         x, cov, read, nats = map(solution.fold.unfold, found)
