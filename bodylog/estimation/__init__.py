@@ -26,6 +26,7 @@ from .poses import estimate_still_poses as still_poses
 from .timing.correction import (
     add_delay_uncertainty,
     correct_camera_delays,
+    measure_delays_left,
     reconsider_delays,
     restore_stamps,
 )
@@ -83,7 +84,9 @@ def _estimate_with_corrected_times(
         return infer_common_causes(sensed, body, settings, settings.common_cause, solve)
 
     found = solve(weigh_causes(timely.features), settings)
-    left = found.settings.get(HARDWARE_ERRORS, {}).get("late", {})
+    left = found.settings.get(HARDWARE_ERRORS, {}).get("late")
+    if left is None:
+        left = measure_delays_left(timely.features, body, found.faults)
     if (again := reconsider_delays(timely, features, body, delay, left)) is not None:
         timely = again
         found = solve(weigh_causes(timely.features), settings)

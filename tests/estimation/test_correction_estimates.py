@@ -185,3 +185,18 @@ def test_held_out_images_are_predicted_at_their_corrected_time(world):
             (score,) = score_withheld_frames(estimate_from_features(fewer, drawn.body, settings), withheld, drawn.body)
             density.append(score.value)
         assert density[1] == pytest.approx(density[0], abs=0.1)
+
+
+@pytest.mark.parametrize("seed", [6103, 6107, 6200])
+@pytest.mark.parametrize("late", [0.0, 0.04])
+def test_a_drift_that_begins_in_the_log_is_no_delay_and_hides_none(seed, late):
+    """Before the drift is known, the first two show delays of 23.1 ± 2.8 and 21.6 ± 4.4 ms."""
+    drifts = mechanisms.Fault(1, drift=0.01)
+    features = delayed(mechanisms.replayed(seed, mechanisms.SOUND, drifts), late)
+    body = mechanisms.learned(7699, mechanisms.SOUND)
+    found = estimate_from_features(features, body, EstimationSettings())
+    assert [fault.name for fault in found.faults] == ["lift"]
+    seconds, std = (found.settings.get(name, {}).get("camera") for name in ("delay", "delay_std"))
+    assert (seconds is None) if late == 0.0 else abs(seconds - late) < 3.5 * std
+    errors, nees = mechanisms.errors_and_nees(found, mechanisms.links_of(seed, mechanisms.SOUND, drifts))
+    assert nees < 2.0 and np.sqrt(np.mean(errors**2)) < 2.5e-3

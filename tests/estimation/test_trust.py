@@ -1,14 +1,17 @@
 """Whether an explanation of a log is trusted: by how far its joints turn, and by what it leaves unexplained."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from bodylog.estimation import estimate_from_features
 from bodylog.estimation.methods import trust
 from bodylog.settings import EstimationSettings
 from bodylog.types import Array
+from tests.estimation.conftest import draw
+from tests.estimation.mechanisms import errors_and_nees
 
 
 @dataclass
@@ -83,3 +86,14 @@ def test_errors_are_looked_for_where_every_joint_turns_far_beyond_them(turn, set
     )
     found = trust.reason_to_widen(problem, ("pan", "lift"), 2e-3, EstimationSettings(**setting))
     assert found is None if reason is None else reason in found
+
+
+@pytest.mark.parametrize("seed", range(40, 43))
+def test_readings_of_smooth_joints_have_no_colour_for_a_smoother_either(seed):
+    """Its process is several times smaller than a filter's, whose innovations are judged."""
+    world = draw(seed)
+    alone = replace(world.features, tracks={})
+    found = estimate_from_features(alone, world.body, EstimationSettings(method="smoother"))
+    assert not [one.text for one in found.findings if "stick" in one.text]
+    errors, nees = errors_and_nees(found, world.truth)
+    assert 0.4 < nees < 2.0 and np.sqrt(np.mean(errors**2)) < 6e-3

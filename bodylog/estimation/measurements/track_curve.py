@@ -41,7 +41,8 @@ class Curve:
     images: how many are averaged to a position · noise (2,) px²: stated variance of one · blur (2,)
     px²: variance of its own noise · at (B,) s · angles x (B,M) · predicted positions (B,2) · jac
     (B,2,M) · model (B,2) px²: variance of predictions · encoder (B,M) rad²: variance of the means ·
-    bends (B,K): shares of the knots of encoder offsets.
+    bends (B,K): shares of the knots of encoder offsets · walks (B,K): of the steps from knot to
+    knot of the offsets of the joints `walking`, which may bend more.
     """
 
     t: Array
@@ -57,6 +58,8 @@ class Curve:
     model: Array
     encoder: Array
     bends: Array
+    walks: Array
+    walking: tuple[int, ...]
 
     @cached_property
     def root(self) -> Array:
@@ -67,11 +70,17 @@ class Curve:
 
     @cached_property
     def offsets(self) -> Array:
-        """Slopes (B,2,KM) of whitened predictions in encoder offsets at the knots."""
-        return np.asarray(
-            np.einsum("bde,bem,bk->bdmk", self.root, self.jac, self.bends).reshape(
-                len(self.at), self.predicted.shape[1], -1
-            )
+        """Slopes (B,2,P) of whitened predictions in encoder offsets at the
+        knots, all of a joint together, and then in steps of those that walk.
+        """
+        turned = self.root @ self.jac
+        parts = ((turned, self.bends), (turned[..., list(self.walking)], self.walks))
+        return np.concatenate(
+            [
+                np.einsum("bdm,bk->bdmk", slope, shares).reshape(*turned.shape[:2], -1)
+                for slope, shares in parts
+            ],
+            axis=-1,
         )
 
 
@@ -144,9 +153,13 @@ def interpolate_curve(curve: Curve, late: float) -> tuple[Array, Array, Array, A
     return place, slope, value, speed, i - 1, close & (s >= 0) & (s <= 1)
 
 
-def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
+def track_curve(
+    encoders: Encoders, seen: Sighting, most: int, walking: tuple[int, ...] = ()
+) -> Curve | None:
     """The curve of a track beside at most `most` means
     of encoder readings; None where either is too short.
+
+    walking: joints whose encoders have an offset that the log shows.
     """
     t, places, var = _clean_track(seen)
     if (
@@ -163,13 +176,14 @@ def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
         return None
     predicted, jac, model = seen.model.predict(x)
     encoder = noise_variance(encoders.values) / count
-    pieces = np.clip(np.ptp(encoders.t) / OFFSET_KNOT_S, 1, len(at) // MIN_READINGS)
-    knots = np.linspace(encoders.t[0], encoders.t[-1], 1 + int(pieces))
-    bends = np.maximum(0.0, 1.0 - np.abs(at[:, None] - knots) / (knots[1] - knots[0]))
+    bends = _share_knots(encoders.t, at, OFFSET_KNOT_S)
+    walks = np.cumsum(_share_knots(encoders.t, at, 0.5 * OFFSET_KNOT_S)[:, :0:-1], axis=1)
     # stated variance may include a model's misfit, scatter
     # the arm's jerk: a frame's own noise is below both
     blur = np.minimum(var, noise_variance(places))
-    curve = Curve(t, places, step, 1, var, blur, at, x, predicted, jac, model, encoder, bends)
+    curve = Curve(
+        t, places, step, 1, var, blur, at, x, predicted, jac, model, encoder, bends, walks, walking
+    )
     while (
         4.0 * curve.step <= MAX_FRAME_GAP_S
         and len(curve.t) >= 2 * MIN_READINGS
@@ -177,6 +191,15 @@ def track_curve(encoders: Encoders, seen: Sighting, most: int) -> Curve | None:
     ):
         curve = _average_frame_pairs(curve)
     return curve if len(curve.t) >= MIN_READINGS else None
+
+
+def _share_knots(t: Array, at: Array, width: float) -> Array:
+    """Shares (B,K) at `at` (B,) of knots that are `width` s apart from the first of t to the last,
+    or more for at least MIN_READINGS on each.
+    """
+    pieces = np.clip(np.ptp(t) / width, 1, len(at) // MIN_READINGS)
+    knots = np.linspace(t[0], t[-1], 1 + int(pieces))
+    return np.asarray(np.maximum(0.0, 1.0 - np.abs(at[:, None] - knots) / (knots[1] - knots[0])))
 
 
 def _clean_track(seen: Sighting) -> tuple[Array, Array, Array]:

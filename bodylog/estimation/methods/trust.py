@@ -43,11 +43,16 @@ ROUGH_SIGMAS = 2.5
 MOST_COLOUR = 0.1
 """Correlation of an encoder's innovations, from one reading to the next or the one after it, from
 which a joint does not move as assumed. Of 8 drawn sound logs each joint has at most 0.06, and of 8
-in which joints stick and slip by four times the noise, and more, the least is 0.11.
+in which joints stick and slip by four times the noise, and more, the least is 0.11. In six others
+of 16 s each joint has at most 0.052, and in six that slip by four times the noise each log has a
+joint of 0.195 and more: with 0.05 one of 18 sound joints is taken for rough, with 0.2 one slipping
+log is not.
 """
 LEAST_SQUARE = 0.5
 """Mean square of innovations in standard deviations below which error bars are too wide, and not
-too small: encoders of a microrad, on joints that turn smoothly, have 0.17 to 0.35.
+too small: encoders of a microrad, on joints that turn smoothly, have 0.17 to 0.35. With 1 no log
+would be taken for rough: sound and slipping ones have 0.98 to 1.02 (12 of 16 s). With 0.25 some of
+a microrad would be.
 """
 FEWEST_READINGS = 1000
 """Readings of which correlations are known to MOST_COLOUR / 3."""
@@ -178,10 +183,12 @@ def measure_rough_motion(
     cov = beliefs.before_cov
     read = beliefs.encoder_errors
     nats = beliefs.nats
-    if not causal:  # a smoother's process is smaller
-        precision, warm = tune_by_evidence(problem, whole=False)
-        problem = replace(problem, precision=precision)
-        solution = filter_roughly(problem, warm)
+    if not causal and problem.precision.likeliest is not None:
+        # a smoother's own process is smaller: a filter with it lags, and its innovations have colour
+        process = problem.precision.likeliest
+        problem = replace(problem, precision=replace(problem.precision, process=process))
+    if not causal:
+        solution = filter_roughly(problem)
         trace = solution.trace
         found = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
         x, cov, read, nats = map(solution.fold.unfold, found)

@@ -2,7 +2,8 @@
 
 Encoder readings of one frame interval are averaged to x̄ at t and predict a position g(x̄). The
 track's curve y is there at t + τ: y(t + τ) = g(x̄) + J b(t) + e. Gauss–Newton gives τ and piecewise
-linear encoder offsets b. Errors that last longer show in a jackknife over √N parts of N positions;
+linear encoder offsets b; those of encoders that are known to be off walk at random beside that, by
+steps whose variance the evidence gives. Errors that last longer show in a jackknife over √N parts of N positions;
 the larger standard error is taken.
 """
 
@@ -15,8 +16,8 @@ import numpy as np
 
 from ...kinematics.calibration import CHI_SQUARE_MEDIANS
 from ...types import Array
-from ..faults.threshold import SIGNIFICANT_SIGMA
-from ..inference.scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
+from ..faults.threshold import PRIOR_STD_RAD, SIGNIFICANT_SIGMA
+from ..inference.scan import CONVERGED_MOVE, MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track_curve import MAX_CURVE_MEANS, RegressionRows, regression_rows, track_curve
@@ -33,19 +34,23 @@ a clock steps by 0.3 s. A log with play, sag and correlated errors has 0.58, too
 """
 
 
-def measure_delay_by_regression(encoders: Encoders, seen: Sequence[Sighting]) -> Delay | None:
+def measure_delay_by_regression(
+    encoders: Encoders, seen: Sequence[Sighting], walking: tuple[int, ...] = ()
+) -> Delay | None:
     """The delay of one camera's tracks; None where motion is too small or too short.
+
+    walking: joints whose encoders drift or have been shifted.
 
     Where much of the log has lost its weight, the delay
     is in doubt unless both halves of the log show it.
     """
-    whole = _regress_delay(encoders, seen)
+    whole = _regress_delay(encoders, seen, walking)
     if whole is None or whole[1] >= LEAST_WEIGHT_SHARE:
         return None if whole is None else whole[0]
     delay = whole[0]
     middle = float(np.median(np.concatenate([one.t for one in seen])))
     parts = [
-        _regress_delay(encoders, [one.cut(*span) for one in seen])
+        _regress_delay(encoders, [one.cut(*span) for one in seen], walking)
         for span in ((-np.inf, middle), (middle, np.inf))
     ]
     found = [part[0] for part in parts if part is not None]
@@ -60,71 +65,94 @@ def measure_delay_by_regression(encoders: Encoders, seen: Sequence[Sighting]) ->
     return replace(delay, doubt=f"the halves of the log show {each}")
 
 
-def _regress_delay(encoders: Encoders, seen: Sequence[Sighting]) -> tuple[Delay, float] | None:
+def _regress_delay(
+    encoders: Encoders, seen: Sequence[Sighting], walking: tuple[int, ...]
+) -> tuple[Delay, float] | None:
     """The delay of one camera's tracks, and the share of the information that kept its weight."""
     curves = [
         curve
         for track in seen
-        if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen))) is not None
+        if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen), walking))
+        is not None
     ]
 
     def regression_step(
         late: float,
-    ) -> tuple[float, float, tuple[RegressionRows, Array, Array]] | None:
+    ) -> tuple[float, float, tuple[RegressionRows, Array, Array, Array]] | None:
         each = [regression_rows(curve, late) for curve in curves]
         if sum(len(one.t) for one in each) < MIN_READINGS:
             return None
         rows = _join_regression_rows(each)
         if rows.misfit.size < 2 * rows.slopes.shape[-1]:
             return None
-        step, weight, spread = _fit_delay_step(rows)
-        lean = np.linalg.solve(_normal_sums(rows, weight)[0], np.eye(rows.slopes.shape[-1])[0])
+        step, weight, spread, prior = _fit_delay_step(rows, len(walking), curves[0].walks.shape[1])
+        normal = _normal_sums(rows, weight)[0] + np.diag(prior)
+        lean = np.linalg.solve(normal, np.eye(rows.slopes.shape[-1])[0])
         # the inverse of the information in the track's speed
         # without noise; below the noise, nothing moved
         if not 0.0 < lean[0] * float(weight @ rows.own) < 1.0:
             return None
-        own = np.sqrt(spread * _pull_variance(rows, weight[:, None] * (rows.slopes @ lean)))
-        return step, float(own), (rows, weight, lean)
+        pulled = _pull_variance(rows, weight[:, None] * (rows.slopes @ lean))
+        own = np.sqrt(spread * (pulled + np.square(lean) @ prior))
+        return step, float(own), (rows, weight, lean, prior)
 
     found = climb_profile(regression_step)
     if found is None:
         return None
-    delay, (rows, weight, lean) = found
+    delay, (rows, weight, lean, prior) = found
     information = np.square(rows.slopes @ lean).sum(axis=1)
     parts = isqrt(min(len(curve.t) for curve in curves))
-    error = max(delay.std_error, _error_of_parts(rows, weight, parts))
+    error = max(delay.std_error, _error_of_parts(rows, weight, prior, parts))
     return Delay(delay.seconds, error), float(weight @ information / information.sum())
 
 
-def _error_of_parts(rows: RegressionRows, weight: Array, parts: int) -> float:
+def _error_of_parts(rows: RegressionRows, weight: Array, prior: Array, parts: int) -> float:
     """Standard error (s) of the delay by a jackknife over parts of the log."""
     bounds = np.linspace(0, len(rows.t), parts + 1).astype(int)
     sums = [
         _normal_sums(rows.some(slice(*ends)), weight[slice(*ends)]) for ends in pairwise(bounds)
     ]
     normal, pull = (np.stack(each) for each in zip(*sums, strict=True))
-    without = np.linalg.solve(normal.sum(axis=0) - normal, (pull.sum(axis=0) - pull)[..., None])[
-        :, 0, 0
-    ]
+    rest = normal.sum(axis=0) - normal + np.diag(prior)
+    without = np.linalg.solve(rest, (pull.sum(axis=0) - pull)[..., None])[:, 0, 0]
     return float(jackknife_error(without))
 
 
-def _fit_delay_step(rows: RegressionRows) -> tuple[float, Array, float]:
-    """The next step (s), robust weights (R,), and the
-    residual variance: 1 where noise is as stated.
+def _fit_delay_step(
+    rows: RegressionRows, walking: int, steps: int
+) -> tuple[float, Array, float, Array]:
+    """The next step (s), robust weights (R,), the residual variance, 1 where noise is as stated,
+    and what is known before the log of each slope's size (1+P,), of that variance: nothing of the
+    delay and of offsets at knots, but the last slopes are `steps` of each of the offsets that walk.
+
+    The variance of an offset's steps is the one under which they are as large as found, over the
+    number of them that the log determines (MacKay 1992, Bayesian Interpolation, eq. 4.14).
     """
     weight = np.ones(len(rows.t))
     spread = 1.0
+    size = rows.slopes.shape[-1]
+    walks = slice(size - walking * steps, size)
+    prior = np.zeros(size)
+    prior[walks] = PRIOR_STD_RAD**-2.0
     for _ in range(MAX_SWEEPS):
-        beta = np.linalg.solve(*_normal_sums(rows, weight))
+        normal, pull = _normal_sums(rows, weight)
+        cov = np.linalg.inv(normal + np.diag(prior))
+        beta = cov @ pull
         squares = np.square(rows.misfit - rows.slopes @ beta).sum(axis=1)
         usual = CHI_SQUARE_MEDIANS[rows.misfit.shape[1]]
         spread = float(np.median(squares)) / usual + np.finfo(float).tiny
         before = weight
         weight = 1.0 / (1.0 + squares / (HALF_WEIGHT_SQUARE * spread))
-        if np.abs(weight - before).max() < ROUGHLY_CONVERGED_MOVE:
+        known, found = (
+            part[walks].reshape(walking, steps).sum(axis=1)
+            for part in (1.0 - prior * np.diag(cov), np.square(beta))
+        )
+        last = prior.copy()
+        prior[walks] = np.repeat(spread * known / np.maximum(found, CONVERGED_MOVE**2), steps)
+        still = np.abs(prior - last) <= ROUGHLY_CONVERGED_MOVE * last
+        if still.all() and np.abs(weight - before).max() < ROUGHLY_CONVERGED_MOVE:
             break
-    return float(beta[0]), weight, spread
+    return float(beta[0]), weight, spread, prior
 
 
 def _pull_variance(rows: RegressionRows, pull: Array) -> float:
