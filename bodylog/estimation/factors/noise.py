@@ -2,9 +2,7 @@
 time constants, each the most probable one given the log.
 
 The gradient of −ln p of the measurements is the expected gradient of the factors' cost
-under the posterior (Fisher's identity), so one solve gives it for all parameters. How a
-condensed factor changes with a parameter is taken from differences of the condensing,
-which is cheap and exact for each joint.
+under the posterior (Fisher's identity), so one solve gives it for all parameters.
 """
 
 from dataclasses import dataclass, replace
@@ -14,7 +12,8 @@ import numpy as np
 from ...types import Array
 from ..noise.lasting_error import LONGEST_S
 from .columns import Path
-from .condensing import PairFactors, condense, normalisation
+from .condensed_slopes import Expected, measure_condensed_slopes
+from .condensing import PairFactors, PassedSteps
 from .encoder_error import JointNoise
 from .gauss_newton import path_of
 from .problem import FactorProblem, Linearised, Noise, build_system, linearise
@@ -26,10 +25,6 @@ LOG_GROUP = (float(np.log(5e-3)), 1.5)
 """The same of ln σ of what links bend by (rad): 0.25 to 100 mrad."""
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
-STEP = 2e-4
-"""Change of a logarithm in differences: slopes are off
-by up to 0.1 nats by curvature, and by 0.01 by rounding.
-"""
 FLAT_NATS = 0.2
 """Gain of a step of the search that is its last: hypotheses are compared to NATS."""
 _SPAN = 1e4
@@ -51,17 +46,6 @@ class Learned:
     sizes: Array
     sizes_cov: Array
     schur: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Expected:
-    """Expectations by the posterior, as pair factors are laid out: of pairs z
-    (2p,2p,K-1,M), of z c' (2p,R,K-1,M) and of c c' (R,R).
-    """
-
-    pairs: Array
-    with_columns: Array
-    columns: Array
 
 
 def learn_noise(
@@ -157,33 +141,34 @@ def _from_vector(p: Array, like: Noise) -> Noise:
 def _cost(linear: Linearised, p: Array) -> tuple[float, Array]:
     """−ln p of the log for noise of these logarithms, and its gradient (P,)."""
     posed = replace(linear, noise=_from_vector(p, linear.noise))
-    system = build_system(posed)
+    passed = PassedSteps()
+    system = build_system(posed, passed)
     eliminated = eliminate(system)
     beliefs = smoothed(system, eliminated)
-    return eliminated.nats, _slopes(posed, beliefs, system.joints)
+    return eliminated.nats, _slopes(posed, beliefs, system.joints, passed)
 
 
-def _slopes(linear: Linearised, beliefs: Smoothed, pairs: PairFactors) -> Array:
+def _slopes(
+    linear: Linearised, beliefs: Smoothed, pairs: PairFactors, passed: PassedSteps
+) -> Array:
     """Gradient of −ln p of the log by all logarithms."""
     joints = linear.noise.joints
     expected = _expect(linear, beliefs)
-    here = _joint_costs(linear, joints, expected, beliefs, pairs)
-
-    def change(name: str) -> Array:
-        there = replace(joints, **{name: getattr(joints, name) * np.exp(STEP)})
-        changed = condense(linear.readings, there)
-        return (_joint_costs(linear, there, expected, beliefs, changed) - here) / STEP
-
-    parts = [change("white"), change("process")]
+    by = measure_condensed_slopes(linear.readings, joints, pairs, passed, expected)
+    parts = [by["white"] + _knot_slopes(linear, beliefs), by["process"]]
     if len(_errors(joints)):
+        assert joints.error is not None
+        p = joints.states
+        square = expected.pairs[p - 1, p - 1, 0]
+        first = 1.0 - square * joints.start_precision()[:, -1, -1]
         parts += [
-            change("error")[joints.learned],
-            change("seconds")[joints.learned].sum(keepdims=True),
+            (by["error"] + first)[joints.learned],
+            by["seconds"][joints.learned].sum(keepdims=True),
         ]
     return np.concatenate([*parts, _scale_slopes(linear, beliefs), _group_slopes(linear, beliefs)])
 
 
-def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
+def _expect(linear: Linearised, beliefs: Smoothed) -> Expected:
     """Second moments of neighbouring joint states and the columns' sizes."""
     p = linear.noise.joints.states
     m = len(linear.problem.start)
@@ -206,45 +191,18 @@ def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
     with_columns[..., 1:] += x @ sizes_cov
     pairs = np.ascontiguousarray(np.moveaxis(pairs, (2, 3), (0, 1)))
     with_columns = np.ascontiguousarray(np.moveaxis(with_columns, (2, 3), (0, 1)))
-    return _Expected(pairs, with_columns, columns)
+    return Expected(pairs, with_columns, columns)
 
 
-def _joint_costs(
-    linear: Linearised,
-    joints: JointNoise,
-    expected: _Expected,
-    beliefs: Smoothed,
-    pairs: PairFactors,
-) -> Array:
-    """Expected cost (M,) of each joint's factors with this noise."""
-    cost = 0.5 * (pairs.info * expected.pairs).sum(axis=(0, 1))
-    cost -= (pairs.right * expected.with_columns).sum(axis=(0, 1))
-    cost += 0.5 * (pairs.square * expected.columns[..., None, None]).sum(axis=(0, 1))
-    cost = (cost + pairs.logs).sum(axis=0)
-    return np.asarray(
-        cost + _knot_costs(linear, joints, beliefs) + _start_costs(linear, joints, expected)
-    )
-
-
-def _knot_costs(linear: Linearised, joints: JointNoise, beliefs: Smoothed) -> Array:
-    """Expected cost (M,) of the readings at knots."""
+def _knot_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+    """Slopes (M,) by the logarithms of the variance of readings, of those at knots."""
     readings = linear.readings
+    joints = linear.noise.joints
     rows = np.tile(joints.reads(beliefs.mean.shape[1]), (len(readings.t), 1, 1))
     mean, cov = beliefs.of_rows(rows, np.arange(len(readings.t)), readings.at_knot[..., 1:])
     square = np.square(readings.at_knot[..., 0] - mean) + np.einsum("kmm->km", cov)
-    weight = readings.knot_weight / joints.white
-    var = joints.white / np.where(readings.knot_weight > 0.0, readings.knot_weight, 1.0)
-    cost = 0.5 * weight * square + normalisation(var, readings.knot_believed)
-    return np.asarray(cost.sum(axis=0))
-
-
-def _start_costs(linear: Linearised, joints: JointNoise, expected: _Expected) -> Array:
-    """Expected cost (M,) of the prior of a lasting error at the first knot."""
-    if joints.error is None:
-        return np.zeros(len(joints.white))
-    precision = joints.start_precision()[:, -1, -1]
-    p = joints.states
-    return np.asarray(0.5 * (precision * expected.pairs[p - 1, p - 1, 0] - np.log(precision)))
+    slopes = readings.knot_believed - readings.knot_weight / joints.white * square
+    return np.asarray(0.5 * slopes.sum(axis=0))
 
 
 def _group_slopes(linear: Linearised, beliefs: Smoothed) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from ...types import Array
 from ..measurements.records import Sighting
 from .columns import Column, Path
-from .condensing import Readings, condense, normalisation, place_readings
+from .condensing import PassedSteps, Readings, condense, normalisation, place_readings
 from .encoder_error import JointNoise
 from .images import ImageRows, Images, correlate_model_errors, image_rows, place_images
 from .solve import System
@@ -152,12 +152,12 @@ def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> tup
     return links, displaced
 
 
-def build_system(linear: Linearised) -> System:
-    """All factors of the linearised problem."""
+def build_system(linear: Linearised, passed: PassedSteps | None = None) -> System:
+    """All factors of the linearised problem; passed: as of `condense`."""
     problem = linear.problem
     noise = linear.noise
     joints = noise.joints
-    pairs = condense(linear.readings, joints)
+    pairs = condense(linear.readings, joints, passed)
     size = problem.states(noise)
     p = joints.states
     m = len(problem.start)
