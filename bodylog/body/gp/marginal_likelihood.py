@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ...bfgs import minimise_with_bfgs
 from ...types import Array
 from ..data.subsampling import choose_spaced_rows
-from .bfgs import minimise_with_bfgs
 from .model import se_kernel, variance_shares
 
 _JITTER = 1e-10

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...bfgs import minimise_with_bfgs
 from ...types import Array
 from ..data.subsampling import choose_spaced_rows
-from ..gp.bfgs import minimise_with_bfgs
 from ..gp.inducing import Basis, noise_of_rows, sufficient_sums
 from ..gp.marginal_likelihood import (
     Hyper,

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...bfgs import minimise_with_bfgs
 from ...types import Array
 from ..data.subsampling import choose_spaced_rows
-from ..gp.bfgs import minimise_with_bfgs
 from ..gp.marginal_likelihood import Hyper, Spread, cholesky_with_jitter
 from ..gp.model import se_kernel
 from .explicit import SEARCHED, ResidualRows, evidence_derivative, solve_linear_unknowns, thin_rows

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from bodylog.body.gp.bfgs import minimise_with_bfgs
+from bodylog.bfgs import minimise_with_bfgs
 from bodylog.types import Array
 
 

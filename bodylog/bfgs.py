@@ -5,7 +5,7 @@ from math import sqrt
 
 import numpy as np
 
-from ...types import Array
+from .types import Array
 
 _STEPS = 200
 _FARTHEST = 3.0
