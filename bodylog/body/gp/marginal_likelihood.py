@@ -164,7 +164,7 @@ def maximise_evidence(x: Array, y: Array, spread: Spread, prior: Prior, starts: 
             low,
             high,
             curvature,
-        )
+        ).at
     )
 
 

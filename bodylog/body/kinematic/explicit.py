@@ -82,7 +82,7 @@ def _climb_evidence(first: Array, data: ResidualRows, prior: Prior) -> Hyper:
     return hyper_from_theta(
         minimise_with_bfgs(
             lambda theta: _residual_loss(theta, terms, data, prior), first, low, high, curvature
-        )
+        ).at
     )
 
 

@@ -5,10 +5,13 @@ The gradient of −ln p of the measurements is the expected gradient of the fact
 under the posterior (Fisher's identity), so one solve gives it for all parameters.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
+from ...bfgs import minimise_with_bfgs
 from ...types import Array
 from ..noise.lasting_error import LONGEST_S
 from .columns import Path
@@ -25,8 +28,14 @@ LOG_GROUP = (float(np.log(5e-3)), 1.5)
 """The same of ln σ of what links bend by (rad): 0.25 to 100 mrad."""
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
-FLAT_NATS = 0.2
-"""Gain of a step of the search that is its last: hypotheses are compared to NATS."""
+FLAT_NATS = 1e-3
+"""What the last step of the search promises: parameters are then within 0.03 standard deviations
+of the most probable ones.
+"""
+WHITE_SPREAD = 1.5
+"""Standard deviation of the logarithm of the variance of readings about its value without errors
+that last. With none these take all noise of readings on some logs: the search then ends anywhere.
+"""
 _SPAN = 1e4
 """Factor by which variances may differ from those with which the search begins: exact readings
 would let theirs fall for ever."""
@@ -37,7 +46,8 @@ class Learned:
     """Noise by evidence, the path that it gives, −ln p of log
     and noise, and the columns' sizes (C,) with their cov.
 
-    schur (1+C,1+C): what the log says of them, as in `Eliminated`.
+    schur (1+C,1+C): what the log says of them, as in `Eliminated` · curvature {pair of parameters}
+    of −ln p by their logarithms, as the search saw it.
     """
 
     noise: Noise
@@ -46,43 +56,51 @@ class Learned:
     sizes: Array
     sizes_cov: Array
     schur: Array
+    curvature: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
 
 def learn_noise(
-    problem: FactorProblem, noise: Noise, path: Path, step_s: float, rounds: int
+    problem: FactorProblem,
+    noise: Noise,
+    path: Path,
+    step_s: float,
+    rounds: int,
+    curvature: Mapping[tuple[str, str], float],
 ) -> Learned:
     """The most probable noise, from `noise` on; step_s: the encoders' usual step · rounds: times
-    that the log is linearised about what the last noise gives.
+    that the log is linearised about what the last noise gives · curvature: as `Learned` has it.
     """
-    from scipy.optimize import minimize
-
-    _, unit, least, most, mean, std = _tabulate_parameters(problem, noise, step_s).T
+    names, table = _tabulate_parameters(problem, noise, step_s)
+    begin, unit, least, most, mean, std = table.T
+    guess = np.diag(unit**-2.0)
+    for i, j in product(range(len(names)), repeat=2):
+        guess[i, j] = curvature.get((names[i], names[j]), guess[i, j])
     for _ in range(rounds):
         linear = linearise(problem, path, noise)
-        first = eliminate(build_system(linear))
-        begin = _tabulate_parameters(problem, noise, step_s)[:, 0]
 
         def cost(p: Array, linear: Linearised = linear) -> tuple[float, Array]:
-            nats, slope = _cost(linear, p * unit)
-            away = (p * unit - mean) / std
-            return nats + float(0.5 * away @ away), (slope + away / std) * unit
+            nats, slope = _cost(linear, p)
+            away = (p - mean) / std
+            return nats + float(0.5 * away @ away), slope + away / std
 
-        found = minimize(
-            cost,
-            np.clip(begin, least, most) / unit,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=np.column_stack([least, most]) / unit[:, None],
-            options={"maxiter": 30, "ftol": FLAT_NATS / max(abs(first.nats), 1.0)},
+        found = minimise_with_bfgs(
+            cost, np.clip(begin, least, most), least, most, guess, FLAT_NATS, 1.0
         )
-        noise = _from_vector(found.x * unit, noise)
-        linear = replace(linear, noise=noise)
-        system = build_system(linear)
+        begin = found.at
+        guess = found.curvature
+        noise = _from_vector(found.at, noise)
+        system = build_system(replace(linear, noise=noise))
         eliminated = eliminate(system)
         beliefs = smoothed(system, eliminated)
         path = path_of(problem, noise, beliefs)
     return Learned(
-        noise, path, float(found.fun), beliefs.sizes[0], beliefs.sizes_cov[0], eliminated.schur
+        noise,
+        path,
+        found.loss,
+        beliefs.sizes[0],
+        beliefs.sizes_cov[0],
+        eliminated.schur,
+        dict(zip(product(names, repeat=2), guess.ravel().tolist(), strict=True)),
     )
 
 
@@ -91,29 +109,42 @@ def _errors(joints: JointNoise) -> Array:
     return np.empty(0) if joints.error is None else joints.error[joints.learned]
 
 
-def _tabulate_parameters(problem: FactorProblem, noise: Noise, step_s: float) -> Array:
-    """Of each logarithm (P,6), white (M,), process (M,), [σ (M,), τ (),] scales and groups: its
-    value, about how far it is known, its limits, and its mean and standard deviation before the log.
+def _tabulate_parameters(
+    problem: FactorProblem, noise: Noise, step_s: float
+) -> tuple[tuple[str, ...], Array]:
+    """Names of each logarithm, white (M,), process (M,), [σ (L,), τ (),] scales and groups, and
+    (P,6): its value, about how far it is known, its limits, and its mean and standard deviation
+    before the log.
     """
     joints = noise.joints
+    usual = joints if noise.usual is None else noise.usual
     read = np.maximum(np.isfinite(problem.values).sum(axis=0), 2.0)
     seen = np.array([max(images.values.size, 2) for images in problem.images], float)
     wide = np.log(_SPAN)
-    white = np.log(joints.white)
-    process = np.log(joints.process)
+    white = np.log(usual.white)
+    process = np.log(usual.process)
     # a variance of n readings is known to √(2/n)
-    table = [
-        (white, np.sqrt(2.0 / read), white - wide, white + wide, 0.0, np.inf),
-        (process, 0.3, process - wide, process + wide, 0.0, np.inf),
-    ]
+    table = {
+        "white": (
+            np.log(joints.white),
+            np.sqrt(2.0 / read),
+            white - wide,
+            white + wide,
+            white,
+            WHITE_SPREAD,
+        ),
+        "process": (np.log(joints.process), 0.15, process - wide, process + wide, 0.0, np.inf),
+    }
     if len(errors := _errors(joints)):
         ends = np.log(FEWEST_READINGS * step_s), np.log(LONGEST_S)
-        table.append((np.log(errors), 0.4, np.log(1e-6), np.log(0.3), *noise.prior.error))
+        table["error"] = (np.log(errors), 0.4, np.log(1e-6), np.log(0.3), *noise.prior.error)
         seconds = np.log(joints.seconds[joints.learned][:1])
-        table.append((seconds, 0.4, *ends, *noise.prior.seconds))
-    table.append((np.log(noise.scales), np.sqrt(2.0 / seen), -wide, wide, *LOG_SCALE))
-    table.append((np.log(noise.groups), 0.4, np.log(1e-5), np.log(0.3), *LOG_GROUP))
-    return np.concatenate([np.column_stack(np.broadcast_arrays(*rows)) for rows in table])
+        table["seconds"] = (seconds, 0.4, *ends, *noise.prior.seconds)
+    table["scale"] = (np.log(noise.scales), np.sqrt(2.0 / seen), -wide, wide, *LOG_SCALE)
+    table["group"] = (np.log(noise.groups), 0.4, np.log(1e-5), np.log(0.3), *LOG_GROUP)
+    rows = {name: np.column_stack(np.broadcast_arrays(*row)) for name, row in table.items()}
+    names = tuple(f"{name} {k}" for name, own in rows.items() for k in range(len(own)))
+    return names, np.concatenate(list(rows.values()))
 
 
 def _from_vector(p: Array, like: Noise) -> Noise:

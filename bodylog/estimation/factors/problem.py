@@ -44,13 +44,15 @@ class Noise:
     """What is assumed of joints and encoders, and factors
     on the stated variance of each sense's images.
 
-    groups (G,): standard deviation of each group of columns before the log.
+    groups (G,): standard deviation of each group of columns before the log · usual: noise about
+    which that of readings and motion is expected; by default, this one.
     """
 
     joints: JointNoise
     scales: tuple[float, ...]
     groups: tuple[float, ...] = ()
     prior: LastingPrior = ANY_ERRORS
+    usual: JointNoise | None = None
 
     def column_stds(self, columns: Sequence[Column]) -> Array:
         """Standard deviation (C,) of each column's size before the log."""
