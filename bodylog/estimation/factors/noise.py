@@ -29,12 +29,13 @@ LOG_GROUP = (float(np.log(5e-3)), 1.5)
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
 FLAT_NATS = 1e-3
-"""What the last step of the search promises: parameters are then within 0.03 standard deviations
-of the most probable ones.
+"""Twice what the last step of the search may gain: parameters are then within √0.001 = 0.03
+standard deviations of the most probable ones.
 """
 WHITE_SPREAD = 1.5
 """Standard deviation of the logarithm of the variance of readings about its value without errors
-that last. With none these take all noise of readings on some logs: the search then ends anywhere.
+that last, as wide as that of τ. Where such errors take all noise of readings, the log says nothing
+of that variance, and a search without a prior ends anywhere.
 """
 _SPAN = 1e4
 """Factor by which variances may differ from those with which the search begins: exact readings
