@@ -8,6 +8,7 @@ under the posterior (Fisher's identity), so one solve gives it for all parameter
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -101,7 +102,7 @@ def learn_noise(
         beliefs.sizes[0],
         beliefs.sizes_cov[0],
         eliminated.schur,
-        dict(zip(product(names, repeat=2), guess.ravel().tolist(), strict=True)),
+        dict(zip(product(names, names), guess.ravel().tolist(), strict=True)),
     )
 
 
@@ -125,7 +126,7 @@ def _tabulate_parameters(
     white = np.log(usual.white)
     process = np.log(usual.process)
     # a variance of n readings is known to √(2/n)
-    table = {
+    table: dict[str, tuple[Any, ...]] = {
         "white": (
             np.log(joints.white),
             np.sqrt(2.0 / read),
