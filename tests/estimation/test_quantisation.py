@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.noise.quantisation import dither_readings, shared_variance, step_size
+from bodylog.estimation.noise.quantisation import (
+    dither_readings,
+    quantisation_variance,
+    relative_variances,
+    shared_variance,
+    step_size,
+)
 from bodylog.settings import EstimationSettings
 
 
@@ -35,6 +41,17 @@ def test_readings_that_repeat_for_long_share_an_error():
     t = np.arange(0.0, 8.0, 0.02)
     _, variance, least = dither_readings(t, np.round(t / 4.0) * 0.02)
     assert 10 * variance < least < 30 * variance
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_readings_that_differ_by_rounding_are_the_same(seed):
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, 10.0, 0.01)
+    y = np.round(np.sin(0.01 * t + seed) / 0.002) * 0.002
+    moved = y + 1e-14 * rng.standard_normal(len(y))
+    assert shared_variance(t, moved) == shared_variance(t, y) > 1.0
+    assert quantisation_variance(moved) == pytest.approx(quantisation_variance(y), rel=1e-9)
+    assert relative_variances(t, moved, 1e-6) == pytest.approx(relative_variances(t, y, 1e-6))
 
 
 def test_slow_readings_that_differ_share_none():

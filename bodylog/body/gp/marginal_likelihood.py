@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ...bfgs import minimise_with_bfgs
 from ...types import Array
 from ..data.subsampling import choose_spaced_rows
-from .bfgs import minimise_with_bfgs
 from .model import se_kernel, variance_shares
 
 _JITTER = 1e-10
@@ -164,7 +164,7 @@ def maximise_evidence(x: Array, y: Array, spread: Spread, prior: Prior, starts: 
             low,
             high,
             curvature,
-        )
+        ).at
     )
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...bfgs import minimise_with_bfgs
 from ...types import Array
 from ..data.subsampling import choose_spaced_rows
-from ..gp.bfgs import minimise_with_bfgs
 from ..gp.inducing import Basis, noise_of_rows, sufficient_sums
 from ..gp.marginal_likelihood import (
     Hyper,
@@ -82,7 +82,7 @@ def _climb_evidence(first: Array, data: ResidualRows, prior: Prior) -> Hyper:
     return hyper_from_theta(
         minimise_with_bfgs(
             lambda theta: _residual_loss(theta, terms, data, prior), first, low, high, curvature
-        )
+        ).at
     )
 
 

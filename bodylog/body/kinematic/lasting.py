@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from ...bfgs import minimise_with_bfgs
 from ...types import Array
 from ..data.subsampling import choose_spaced_rows
-from ..gp.bfgs import minimise_with_bfgs
 from ..gp.marginal_likelihood import Hyper, Spread, cholesky_with_jitter
 from ..gp.model import se_kernel
 from .explicit import SEARCHED, ResidualRows, evidence_derivative, solve_linear_unknowns, thin_rows
@@ -68,8 +68,8 @@ def _maximise_slow_evidence(
         return -found.evidence, -0.5 * np.array(slopes)
 
     first = np.log([kernel.amplitude, 0.7 * kernel.noise, 0.3 * kernel.noise])
-    logs = minimise_with_bfgs(loss, first, first - 6.0, first + 4.0, np.eye(3) * len(gram))
-    return -loss(logs)[0], logs
+    found = minimise_with_bfgs(loss, first, first - 6.0, first + 4.0, np.eye(3) * len(gram))
+    return -found.loss, found.at
 
 
 def _add_slow_error(known: Spread, t: Array, span: float, variance: float) -> Spread:

@@ -8,7 +8,7 @@ a and P. Several right-hand sides are carried at once: the first is what was rea
 what the columns of the border change in it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import tau
 
 import numpy as np
@@ -53,6 +53,29 @@ class PairFactors:
     right: Array
     square: Array
     logs: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PassedReading:
+    """Readings of one step, as condensing passes them: the innovation (p+R,I,M) of each by the
+    state x₀ at the knot before and by c, its inverse variance (I,M), 0 for no reading, the gain
+    (p,I,M), and the variance (I,M) of the reading's noise.
+    """
+
+    innovation: Array
+    inverse: Array
+    gain: Array
+    var: Array
+
+
+@dataclass(frozen=True, eq=False)
+class PassedSteps:
+    """What condensing passes, in order: readings, and the last state before each gap, as
+    x₀ and c tell it (p+R,I,M), with its covariance (p,I,M) with all states.
+    """
+
+    readings: list[PassedReading] = field(default_factory=list)
+    lasts: list[tuple[Array, Array]] = field(default_factory=list)
 
 
 def place_readings(
@@ -114,8 +137,12 @@ def place_readings(
     )
 
 
-def condense(readings: Readings, noise: JointNoise) -> PairFactors:
-    """The factor of each interval and joint on the states at both its ends."""
+def condense(
+    readings: Readings, noise: JointNoise, passed: PassedSteps | None = None
+) -> PairFactors:
+    """The factor of each interval and joint on the states at both its ends; `passed`, if given,
+    gets what is passed.
+    """
     steps, count, m, r = readings.between.shape
     p = noise.states
     decays = np.exp(-readings.gaps[..., None] / noise.seconds)
@@ -132,6 +159,8 @@ def condense(readings: Readings, noise: JointNoise) -> PairFactors:
     right = np.zeros((p, r, count, m))
     square = np.zeros((r, r, count, m))
     for k in range(steps + 1):
+        if passed is not None:
+            passed.lasts.append((np.concatenate([carry[-1], shift[-1]]), cov[:, -1].copy()))
         for states in (carry, shift, cov, cov.swapaxes(0, 1)):
             noise.advance(states, readings.gaps[k][:, None], decays[k])
         cov += gains[:, :, k]
@@ -148,6 +177,9 @@ def condense(readings: Readings, noise: JointNoise) -> PairFactors:
         _add_square(square, inverse * innovation, innovation)
         logs += np.where(known[k], 0.5 * np.log(total / var[k]), 0.0)
         gain = inverse * spread
+        if passed is not None:
+            by_start = np.concatenate([-seen, innovation])
+            passed.readings.append(PassedReading(by_start, inverse, gain, var[k]))
         carry -= gain[:, None] * seen
         shift += gain[:, None] * innovation
         cov -= gain[:, None] * spread

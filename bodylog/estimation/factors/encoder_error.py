@@ -75,6 +75,14 @@ class JointNoise:
             return np.asarray(states[0])
         return np.asarray(states[0] + np.where(self.at_link, 0.0, states[self.order]))
 
+    def add_to_read(self, states: Array, amount: Array) -> None:
+        """Add to means or columns of states (p,…,I,M) in place what encoders read of: the
+        transpose of `read_encoders`.
+        """
+        states[0] += amount
+        if self.error is not None:
+            states[self.order] += np.where(self.at_link, 0.0, amount)
+
     def advance(self, states: Array, gap: Array, decay: Array) -> None:
         """Move means or columns of states (p,…,I,M) in place by gaps
         (I,1) s, over which errors keep `decay` (I,M).
@@ -83,6 +91,16 @@ class JointNoise:
         if self.order == 3:
             states[0] += 0.5 * gap * gap * states[2]
             states[1] += gap * states[2]
+        if self.error is not None:
+            states[self.order] *= decay
+
+    def retreat(self, states: Array, gap: Array, decay: Array) -> None:
+        """Move slopes by states (p,…,I,M) in place to those before
+        gaps (I,1) s: the transpose of `advance`.
+        """
+        if self.order == 3:
+            states[2] += gap * states[1] + 0.5 * gap * gap * states[0]
+        states[1] += gap * states[0]
         if self.error is not None:
             states[self.order] *= decay
 

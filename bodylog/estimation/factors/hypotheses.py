@@ -12,7 +12,7 @@ from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..measurements.arm_errors import PLAY_STD
 from ..measurements.track import camera_of_track
-from .columns import Column, Delay, Path, Play
+from .columns import Column, Delay, Play
 from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
 from .load import FIRST_BEND, count_groups
@@ -95,7 +95,7 @@ def explain(
     each joint's play in the exploration · loads: columns of a load.
     """
     white = fit_white_noise(problem, noise, step_s)
-    sides = [_learn(problem, one, step_s, white.path) for one in _lasting(white.noise)]
+    sides = [_learn(problem, one, step_s, white) for one in _lasting(white.noise)]
     lasting = _best(sides)
     if (
         white.nats - lasting.nats <= _least_gain(noise)
@@ -109,23 +109,23 @@ def explain(
     loose = replace(problem, columns=(*problem.columns, *play))
     # a delay that was corrected for play hides the play: both are free where they are compared
     free = replace(problem, columns=(*loose.columns, *late))
-    loosely = _best([_learn(free, one.noise, step_s, one.path) for one in sides])
+    loosely = _best([_learn(free, one.noise, step_s, one) for one in sides])
     least = -EVIDENCE_THRESHOLD_NATS if halves.any() else EVIDENCE_THRESHOLD_NATS
     if lasting.nats - loosely.nats > least:
         delayed = _learn(
-            replace(problem, columns=(*problem.columns, *late)), lasting.noise, step_s, lasting.path
+            replace(problem, columns=(*problem.columns, *late)), lasting.noise, step_s, lasting
         )
         gains["play"] = min(lasting.nats, delayed.nats) - loosely.nats
     if gains.get("play", -np.inf) > least:
         problem = loose
-        lasting = _learn(loose, loosely.noise, step_s, loosely.path)
+        lasting = _learn(loose, loosely.noise, step_s, loosely)
     else:
         gains.clear()
     if loads:
         loaded = replace(problem, columns=(*problem.columns, *loads))
         groups = (FIRST_BEND,) * count_groups(loads)
         each = [replace(one, groups=groups) for one in _lasting(white.noise)]
-        bents = [_learn(loaded, one, step_s, lasting.path) for one in each]
+        bents = [_learn(loaded, one, step_s, lasting) for one in each]
         bent = _best(bents)
         gain = lasting.nats - bent.nats
         # what lasts long and is gone beside a load stood for it: neither is simpler; play leaves none
@@ -134,10 +134,12 @@ def explain(
             gains["load"] = gain
             problem = loaded
             lasting = bent
-    found = learn_noise(problem, lasting.noise, lasting.path, step_s, rounds=2)
+    found = learn_noise(
+        problem, lasting.noise, lasting.path, step_s, rounds=2, curvature=lasting.curvature
+    )
     gained = white.nats - found.nats
     plain = replace(white.noise, groups=lasting.noise.groups)
-    without = _learn(problem, plain, step_s, lasting.path).nats if gains else white.nats
+    without = _learn(problem, plain, step_s, lasting).nats if gains else white.nats
     delays = tuple(_delays_left(problem, found, step_s))
     if "load" in gains:
         found = mix_silent_groups(found, problem.columns)
@@ -189,7 +191,7 @@ def _delays_left(problem: FactorProblem, found: Learned, step_s: float) -> Itera
     """Yield each camera's delay that is left beside what explains the log."""
     for name in _cameras(problem):
         late = replace(problem, columns=(*problem.columns, Delay("delay", DELAY_STD, camera=name)))
-        delayed = _learn(late, found.noise, step_s, found.path)
+        delayed = _learn(late, found.noise, step_s, found)
         std = float(np.sqrt(delayed.sizes_cov[-1, -1]))
         yield Late(name, float(delayed.sizes[-1]), std, found.nats - delayed.nats)
 
@@ -247,8 +249,17 @@ def _lasting(noise: Noise) -> tuple[Noise, Noise]:
 
 
 def _learn(
-    problem: FactorProblem, noise: Noise, step_s: float, path: Path | None = None, rounds: int = 1
+    problem: FactorProblem,
+    noise: Noise,
+    step_s: float,
+    before: Learned | None = None,
+    rounds: int = 1,
 ) -> Learned:
-    """Noise by evidence, from the path that this noise gives; one round is enough to compare."""
-    solution = solve(problem, noise, path, rounds=4)
-    return learn_noise(problem, noise, path_of(problem, noise, solution.beliefs), step_s, rounds)
+    """Noise by evidence, from the path that this noise gives; one round is enough to compare.
+
+    before: what was learned of a like problem, with whose path and curvature this begins.
+    """
+    solution = solve(problem, noise, None if before is None else before.path, rounds=4)
+    path = path_of(problem, noise, solution.beliefs)
+    curvature = {} if before is None else before.curvature
+    return learn_noise(problem, noise, path, step_s, rounds, curvature)

@@ -2,19 +2,22 @@
 time constants, each the most probable one given the log.
 
 The gradient of −ln p of the measurements is the expected gradient of the factors' cost
-under the posterior (Fisher's identity), so one solve gives it for all parameters. How a
-condensed factor changes with a parameter is taken from differences of the condensing,
-which is cheap and exact for each joint.
+under the posterior (Fisher's identity), so one solve gives it for all parameters.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
+from typing import Any
 
 import numpy as np
 
+from ...bfgs import minimise_with_bfgs
 from ...types import Array
 from ..noise.lasting_error import LONGEST_S
 from .columns import Path
-from .condensing import PairFactors, condense, normalisation
+from .condensed_slopes import Expected, measure_condensed_slopes
+from .condensing import PairFactors, PassedSteps
 from .encoder_error import JointNoise
 from .gauss_newton import path_of
 from .problem import FactorProblem, Linearised, Noise, build_system, linearise
@@ -26,12 +29,15 @@ LOG_GROUP = (float(np.log(5e-3)), 1.5)
 """The same of ln σ of what links bend by (rad): 0.25 to 100 mrad."""
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
-STEP = 2e-4
-"""Change of a logarithm in differences: slopes are off
-by up to 0.1 nats by curvature, and by 0.01 by rounding.
+FLAT_NATS = 1e-3
+"""Twice what the last step of the search may gain: parameters are then within √0.001 = 0.03
+standard deviations of the most probable ones.
 """
-FLAT_NATS = 0.2
-"""Gain of a step of the search that is its last: hypotheses are compared to NATS."""
+WHITE_SPREAD = 1.5
+"""Standard deviation of the logarithm of the variance of readings about its value without errors
+that last, as wide as that of τ. Where such errors take all noise of readings, the log says nothing
+of that variance, and a search without a prior ends anywhere.
+"""
 _SPAN = 1e4
 """Factor by which variances may differ from those with which the search begins: exact readings
 would let theirs fall for ever."""
@@ -42,7 +48,8 @@ class Learned:
     """Noise by evidence, the path that it gives, −ln p of log
     and noise, and the columns' sizes (C,) with their cov.
 
-    schur (1+C,1+C): what the log says of them, as in `Eliminated`.
+    schur (1+C,1+C): what the log says of them, as in `Eliminated` · curvature {pair of parameters}
+    of −ln p by their logarithms, as the search saw it.
     """
 
     noise: Noise
@@ -51,54 +58,51 @@ class Learned:
     sizes: Array
     sizes_cov: Array
     schur: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Expected:
-    """Expectations by the posterior, as pair factors are laid out: of pairs z
-    (2p,2p,K-1,M), of z c' (2p,R,K-1,M) and of c c' (R,R).
-    """
-
-    pairs: Array
-    with_columns: Array
-    columns: Array
+    curvature: Mapping[tuple[str, str], float] = field(default_factory=dict)
 
 
 def learn_noise(
-    problem: FactorProblem, noise: Noise, path: Path, step_s: float, rounds: int
+    problem: FactorProblem,
+    noise: Noise,
+    path: Path,
+    step_s: float,
+    rounds: int,
+    curvature: Mapping[tuple[str, str], float],
 ) -> Learned:
     """The most probable noise, from `noise` on; step_s: the encoders' usual step · rounds: times
-    that the log is linearised about what the last noise gives.
+    that the log is linearised about what the last noise gives · curvature: as `Learned` has it.
     """
-    from scipy.optimize import minimize
-
-    _, unit, least, most, mean, std = _tabulate_parameters(problem, noise, step_s).T
+    names, table = _tabulate_parameters(problem, noise, step_s)
+    begin, unit, least, most, mean, std = table.T
+    guess = np.diag(unit**-2.0)
+    for i, j in product(range(len(names)), repeat=2):
+        guess[i, j] = curvature.get((names[i], names[j]), guess[i, j])
     for _ in range(rounds):
         linear = linearise(problem, path, noise)
-        first = eliminate(build_system(linear))
-        begin = _tabulate_parameters(problem, noise, step_s)[:, 0]
 
         def cost(p: Array, linear: Linearised = linear) -> tuple[float, Array]:
-            nats, slope = _cost(linear, p * unit)
-            away = (p * unit - mean) / std
-            return nats + float(0.5 * away @ away), (slope + away / std) * unit
+            nats, slope = _cost(linear, p)
+            away = (p - mean) / std
+            return nats + float(0.5 * away @ away), slope + away / std
 
-        found = minimize(
-            cost,
-            np.clip(begin, least, most) / unit,
-            jac=True,
-            method="L-BFGS-B",
-            bounds=np.column_stack([least, most]) / unit[:, None],
-            options={"maxiter": 30, "ftol": FLAT_NATS / max(abs(first.nats), 1.0)},
+        found = minimise_with_bfgs(
+            cost, np.clip(begin, least, most), least, most, guess, FLAT_NATS, 1.0
         )
-        noise = _from_vector(found.x * unit, noise)
-        linear = replace(linear, noise=noise)
-        system = build_system(linear)
+        begin = found.at
+        guess = found.curvature
+        noise = _from_vector(found.at, noise)
+        system = build_system(replace(linear, noise=noise))
         eliminated = eliminate(system)
         beliefs = smoothed(system, eliminated)
         path = path_of(problem, noise, beliefs)
     return Learned(
-        noise, path, float(found.fun), beliefs.sizes[0], beliefs.sizes_cov[0], eliminated.schur
+        noise,
+        path,
+        found.loss,
+        beliefs.sizes[0],
+        beliefs.sizes_cov[0],
+        eliminated.schur,
+        dict(zip(product(names, names), guess.ravel().tolist(), strict=True)),
     )
 
 
@@ -107,29 +111,42 @@ def _errors(joints: JointNoise) -> Array:
     return np.empty(0) if joints.error is None else joints.error[joints.learned]
 
 
-def _tabulate_parameters(problem: FactorProblem, noise: Noise, step_s: float) -> Array:
-    """Of each logarithm (P,6), white (M,), process (M,), [σ (M,), τ (),] scales and groups: its
-    value, about how far it is known, its limits, and its mean and standard deviation before the log.
+def _tabulate_parameters(
+    problem: FactorProblem, noise: Noise, step_s: float
+) -> tuple[tuple[str, ...], Array]:
+    """Names of each logarithm, white (M,), process (M,), [σ (L,), τ (),] scales and groups, and
+    (P,6): its value, about how far it is known, its limits, and its mean and standard deviation
+    before the log.
     """
     joints = noise.joints
+    usual = joints if noise.usual is None else noise.usual
     read = np.maximum(np.isfinite(problem.values).sum(axis=0), 2.0)
     seen = np.array([max(images.values.size, 2) for images in problem.images], float)
     wide = np.log(_SPAN)
-    white = np.log(joints.white)
-    process = np.log(joints.process)
+    white = np.log(usual.white)
+    process = np.log(usual.process)
     # a variance of n readings is known to √(2/n)
-    table = [
-        (white, np.sqrt(2.0 / read), white - wide, white + wide, 0.0, np.inf),
-        (process, 0.3, process - wide, process + wide, 0.0, np.inf),
-    ]
+    table: dict[str, tuple[Any, ...]] = {
+        "white": (
+            np.log(joints.white),
+            np.sqrt(2.0 / read),
+            white - wide,
+            white + wide,
+            white,
+            WHITE_SPREAD,
+        ),
+        "process": (np.log(joints.process), 0.15, process - wide, process + wide, 0.0, np.inf),
+    }
     if len(errors := _errors(joints)):
         ends = np.log(FEWEST_READINGS * step_s), np.log(LONGEST_S)
-        table.append((np.log(errors), 0.4, np.log(1e-6), np.log(0.3), *noise.prior.error))
+        table["error"] = (np.log(errors), 0.4, np.log(1e-6), np.log(0.3), *noise.prior.error)
         seconds = np.log(joints.seconds[joints.learned][:1])
-        table.append((seconds, 0.4, *ends, *noise.prior.seconds))
-    table.append((np.log(noise.scales), np.sqrt(2.0 / seen), -wide, wide, *LOG_SCALE))
-    table.append((np.log(noise.groups), 0.4, np.log(1e-5), np.log(0.3), *LOG_GROUP))
-    return np.concatenate([np.column_stack(np.broadcast_arrays(*rows)) for rows in table])
+        table["seconds"] = (seconds, 0.4, *ends, *noise.prior.seconds)
+    table["scale"] = (np.log(noise.scales), np.sqrt(2.0 / seen), -wide, wide, *LOG_SCALE)
+    table["group"] = (np.log(noise.groups), 0.4, np.log(1e-5), np.log(0.3), *LOG_GROUP)
+    rows = {name: np.column_stack(np.broadcast_arrays(*row)) for name, row in table.items()}
+    names = tuple(f"{name} {k}" for name, own in rows.items() for k in range(len(own)))
+    return names, np.concatenate(list(rows.values()))
 
 
 def _from_vector(p: Array, like: Noise) -> Noise:
@@ -157,33 +174,34 @@ def _from_vector(p: Array, like: Noise) -> Noise:
 def _cost(linear: Linearised, p: Array) -> tuple[float, Array]:
     """−ln p of the log for noise of these logarithms, and its gradient (P,)."""
     posed = replace(linear, noise=_from_vector(p, linear.noise))
-    system = build_system(posed)
+    passed = PassedSteps()
+    system = build_system(posed, passed)
     eliminated = eliminate(system)
     beliefs = smoothed(system, eliminated)
-    return eliminated.nats, _slopes(posed, beliefs, system.joints)
+    return eliminated.nats, _slopes(posed, beliefs, system.joints, passed)
 
 
-def _slopes(linear: Linearised, beliefs: Smoothed, pairs: PairFactors) -> Array:
+def _slopes(
+    linear: Linearised, beliefs: Smoothed, pairs: PairFactors, passed: PassedSteps
+) -> Array:
     """Gradient of −ln p of the log by all logarithms."""
     joints = linear.noise.joints
     expected = _expect(linear, beliefs)
-    here = _joint_costs(linear, joints, expected, beliefs, pairs)
-
-    def change(name: str) -> Array:
-        there = replace(joints, **{name: getattr(joints, name) * np.exp(STEP)})
-        changed = condense(linear.readings, there)
-        return (_joint_costs(linear, there, expected, beliefs, changed) - here) / STEP
-
-    parts = [change("white"), change("process")]
+    by = measure_condensed_slopes(linear.readings, joints, pairs, passed, expected)
+    parts = [by["white"] + _knot_slopes(linear, beliefs), by["process"]]
     if len(_errors(joints)):
+        assert joints.error is not None
+        p = joints.states
+        square = expected.pairs[p - 1, p - 1, 0]
+        first = 1.0 - square * joints.start_precision()[:, -1, -1]
         parts += [
-            change("error")[joints.learned],
-            change("seconds")[joints.learned].sum(keepdims=True),
+            (by["error"] + first)[joints.learned],
+            by["seconds"][joints.learned].sum(keepdims=True),
         ]
     return np.concatenate([*parts, _scale_slopes(linear, beliefs), _group_slopes(linear, beliefs)])
 
 
-def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
+def _expect(linear: Linearised, beliefs: Smoothed) -> Expected:
     """Second moments of neighbouring joint states and the columns' sizes."""
     p = linear.noise.joints.states
     m = len(linear.problem.start)
@@ -206,45 +224,18 @@ def _expect(linear: Linearised, beliefs: Smoothed) -> _Expected:
     with_columns[..., 1:] += x @ sizes_cov
     pairs = np.ascontiguousarray(np.moveaxis(pairs, (2, 3), (0, 1)))
     with_columns = np.ascontiguousarray(np.moveaxis(with_columns, (2, 3), (0, 1)))
-    return _Expected(pairs, with_columns, columns)
+    return Expected(pairs, with_columns, columns)
 
 
-def _joint_costs(
-    linear: Linearised,
-    joints: JointNoise,
-    expected: _Expected,
-    beliefs: Smoothed,
-    pairs: PairFactors,
-) -> Array:
-    """Expected cost (M,) of each joint's factors with this noise."""
-    cost = 0.5 * (pairs.info * expected.pairs).sum(axis=(0, 1))
-    cost -= (pairs.right * expected.with_columns).sum(axis=(0, 1))
-    cost += 0.5 * (pairs.square * expected.columns[..., None, None]).sum(axis=(0, 1))
-    cost = (cost + pairs.logs).sum(axis=0)
-    return np.asarray(
-        cost + _knot_costs(linear, joints, beliefs) + _start_costs(linear, joints, expected)
-    )
-
-
-def _knot_costs(linear: Linearised, joints: JointNoise, beliefs: Smoothed) -> Array:
-    """Expected cost (M,) of the readings at knots."""
+def _knot_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+    """Slopes (M,) by the logarithms of the variance of readings, of those at knots."""
     readings = linear.readings
+    joints = linear.noise.joints
     rows = np.tile(joints.reads(beliefs.mean.shape[1]), (len(readings.t), 1, 1))
     mean, cov = beliefs.of_rows(rows, np.arange(len(readings.t)), readings.at_knot[..., 1:])
     square = np.square(readings.at_knot[..., 0] - mean) + np.einsum("kmm->km", cov)
-    weight = readings.knot_weight / joints.white
-    var = joints.white / np.where(readings.knot_weight > 0.0, readings.knot_weight, 1.0)
-    cost = 0.5 * weight * square + normalisation(var, readings.knot_believed)
-    return np.asarray(cost.sum(axis=0))
-
-
-def _start_costs(linear: Linearised, joints: JointNoise, expected: _Expected) -> Array:
-    """Expected cost (M,) of the prior of a lasting error at the first knot."""
-    if joints.error is None:
-        return np.zeros(len(joints.white))
-    precision = joints.start_precision()[:, -1, -1]
-    p = joints.states
-    return np.asarray(0.5 * (precision * expected.pairs[p - 1, p - 1, 0] - np.log(precision)))
+    slopes = readings.knot_believed - readings.knot_weight / joints.white * square
+    return np.asarray(0.5 * slopes.sum(axis=0))
 
 
 def _group_slopes(linear: Linearised, beliefs: Smoothed) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from ...types import Array
 from ..measurements.records import Sighting
 from .columns import Column, Path
-from .condensing import Readings, condense, normalisation, place_readings
+from .condensing import PassedSteps, Readings, condense, normalisation, place_readings
 from .encoder_error import JointNoise
 from .images import ImageRows, Images, correlate_model_errors, image_rows, place_images
 from .solve import System
@@ -44,13 +44,15 @@ class Noise:
     """What is assumed of joints and encoders, and factors
     on the stated variance of each sense's images.
 
-    groups (G,): standard deviation of each group of columns before the log.
+    groups (G,): standard deviation of each group of columns before the log · usual: noise about
+    which that of readings and motion is expected; by default, this one.
     """
 
     joints: JointNoise
     scales: tuple[float, ...]
     groups: tuple[float, ...] = ()
     prior: LastingPrior = ANY_ERRORS
+    usual: JointNoise | None = None
 
     def column_stds(self, columns: Sequence[Column]) -> Array:
         """Standard deviation (C,) of each column's size before the log."""
@@ -152,12 +154,12 @@ def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> tup
     return links, displaced
 
 
-def build_system(linear: Linearised) -> System:
-    """All factors of the linearised problem."""
+def build_system(linear: Linearised, passed: PassedSteps | None = None) -> System:
+    """All factors of the linearised problem; passed: as of `condense`."""
     problem = linear.problem
     noise = linear.noise
     joints = noise.joints
-    pairs = condense(linear.readings, joints)
+    pairs = condense(linear.readings, joints, passed)
     size = problem.states(noise)
     p = joints.states
     m = len(problem.start)

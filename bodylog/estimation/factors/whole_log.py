@@ -326,7 +326,7 @@ def _first_noise(problem: FilterProblem, sights: int) -> Noise:
     joints = JointNoise(
         ORDER, precision.encoder, process, error, seconds, np.zeros(m, bool), np.zeros(m, bool)
     )
-    return Noise(joints, (1.0,) * sights)
+    return Noise(joints, (1.0,) * sights, usual=joints)
 
 
 def _weighed(fine: FactorProblem, noise: Noise, rough: bool) -> FactorProblem:

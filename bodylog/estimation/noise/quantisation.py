@@ -99,10 +99,19 @@ not average its error, and the readings share it.
 """
 
 
+SAME_READING = 1e-12
+"""rad: readings that differ by less are the same, up to the rounding of their units."""
+
+
+def _changes(y: Array) -> Array:
+    """Whether each of readings (N,) differs from the one before it (N-1,)."""
+    return np.asarray(np.abs(np.diff(y)) > SAME_READING)
+
+
 def step_size(y: Array) -> float:
     """The step (rad) of which all differences of readings (N,) are multiples; 0 without one."""
     steps = np.abs(np.diff(y))
-    steps = steps[steps > 1e-12]
+    steps = steps[steps > SAME_READING]
     if not len(steps):
         return 0.0
     counts = steps / steps.min()
@@ -115,7 +124,7 @@ def shared_variance(t: Array, y: Array) -> float:
     """Factor on the variance of readings (N,) for
     the errors that repeats share; 1 without repeats.
     """
-    runs = 1 + np.count_nonzero(np.diff(y))
+    runs = 1 + np.count_nonzero(_changes(y))
     return max(1.0, min(float(t[-1] - t[0]) / runs / SHARED_ERROR_S, len(y) / runs))
 
 
@@ -135,7 +144,7 @@ def relative_variances(t: Array, y: Array, variance: float) -> Array:
     `variance` (rad²); repeats at rest count as one reading.
     """
     own = quantisation_variance(y) or variance / shared_variance(t, y)
-    runs = np.flatnonzero(np.append(True, np.diff(y) != 0.0))
+    runs = np.flatnonzero(np.append(True, _changes(y)))
     counts = np.diff(runs, append=len(y))
     lasting = t[np.minimum(runs + counts, len(y) - 1)] - t[runs]
     shared = np.clip(lasting / SHARED_ERROR_S, 1.0, counts)
@@ -148,6 +157,6 @@ def quantisation_variance(y: Array) -> float:
     the least change if readings repeat; 0 if neither.
     """
     steps = np.abs(np.diff(y))
-    moved = steps[steps > 0.0]
+    moved = steps[steps > SAME_READING]
     step = step_size(y) or (float(moved.min()) if 0 < len(moved) < len(steps) else 0.0)
     return step * step / 12.0

@@ -1,11 +1,12 @@
 """BFGS in a few variables with bounds, from a given curvature (Nocedal & Wright 2006, ch. 6)."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from math import sqrt
 
 import numpy as np
 
-from ...types import Array
+from .types import Array
 
 _STEPS = 200
 _FARTHEST = 3.0
@@ -15,20 +16,38 @@ _SETTLED = 1e-6
 Loss = Callable[[Array], tuple[float, Array]]
 
 
+@dataclass(frozen=True, eq=False)
+class Minimum:
+    """Where (p,) a loss is least, the loss there, and its curvature (p,p) as the descent saw it."""
+
+    at: Array
+    loss: float
+    curvature: Array
+
+
 def minimise_with_bfgs(
-    loss: Loss, first: Array, low: Array, high: Array, curvature: Array
-) -> Array:
+    loss: Loss,
+    first: Array,
+    low: Array,
+    high: Array,
+    curvature: Array,
+    settled: float | None = None,
+    farthest: float = _FARTHEST,
+) -> Minimum:
     """Minimise a loss (value, gradient (p,)) from `first`
     (p,); curvature (p,p): a positive definite guess.
+
+    settled: what the slope along the last step promises at most; by default a millionth of the loss ·
+    farthest: most that a step changes a variable by.
     """
     guess = np.linalg.inv(curvature)
     here = first
     inverse = guess
     value, gradient = loss(here)
     for _ in range(_STEPS):
-        step = _bounded_step(here, gradient, inverse, low, high)
+        step = _bounded_step(here, gradient, inverse, low, high, farthest)
         fall = float(step @ gradient)
-        if -fall <= _SETTLED * max(1.0, abs(value)):
+        if -fall <= (_SETTLED * max(1.0, abs(value)) if settled is None else settled):
             break
         found = _search_along_step(loss, here, value, gradient, step, low, high)
         if found is None:
@@ -40,11 +59,13 @@ def minimise_with_bfgs(
         inverse = _update_inverse_hessian(inverse, there - here, slope - gradient)
         here = there
         gradient = slope
-    return here
+    return Minimum(here, value, np.linalg.inv(inverse))
 
 
-def _bounded_step(here: Array, gradient: Array, inverse: Array, low: Array, high: Array) -> Array:
-    """The quasi-Newton step, at most 3 in any variable; variables held by a bound stay."""
+def _bounded_step(
+    here: Array, gradient: Array, inverse: Array, low: Array, high: Array, farthest: float
+) -> Array:
+    """The quasi-Newton step; variables held by a bound stay."""
     held = ((here <= low) & (gradient > 0)) | ((here >= high) & (gradient < 0))
     if held.any():
         free = np.flatnonzero(~held)
@@ -53,7 +74,7 @@ def _bounded_step(here: Array, gradient: Array, inverse: Array, low: Array, high
         step[free] = -np.linalg.solve(np.linalg.inv(inverse)[np.ix_(free, free)], gradient[free])
     else:
         step = -(inverse @ gradient)
-    return np.asarray(step * min(1.0, _FARTHEST / max(float(np.abs(step).max()), 1e-300)))
+    return np.asarray(step * min(1.0, farthest / max(float(np.abs(step).max()), 1e-300)))
 
 
 def _search_along_step(
