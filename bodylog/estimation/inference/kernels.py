@@ -1,0 +1,696 @@
+"""The loops over instants, which Numba compiles: the filter, the backward pass of the smoother,
+and the evidence of one joint's encoder readings.
+
+Shapes of the arrays are in scan.py, solution.py and encoder_noise.py; one that is absent has the
+size 0. The last axis of every array is the stretch of the log, or the candidate: the innermost
+loops run over it, side by side. Arrays of readings may hold one stretch for several of them: the
+stretch c reads there what stands at share[c]. Arrays of results may hold every `every`-th.
+
+The belief of a stretch is a matrix (K,K+1): the rows of the covariance, each followed by the mean.
+The product of a row h with it is P Hᵀ and the predicted reading, so both are updated at once. Of
+the covariance only the upper triangle is used, which halves the work and cannot become
+unsymmetric by rounding. What is absent in a stretch has weight 0.
+
+All of it stands in this file, because the cache of machine code notices changes of no other one.
+"""
+
+import math
+
+import numpy as np
+
+from ...types import Array
+from .compiler import compile_inner, compile_kernel, number, read, read_flags, whole, write
+
+TWO_PI = 2.0 * math.pi
+LEAST_PRODUCT, MOST_PRODUCT = 1e-100, 1e100
+"""A product of variances beyond these is replaced by its logarithm, far from overflow."""
+NOISE_SHARES = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
+"""1/((2p−1−i−j) (p−1−i)! (p−1−j)!) of order p = 3; those of order 2 are its lower right part."""
+
+
+# Motion whose highest derivative is white noise, exactly discretised, as in motion.py.
+
+
+@compile_inner
+def integrate_noise(dt: Array, order: int, growth: Array) -> None:
+    """Covariances (O,O,C) that white noise of density 1 brings within dt (C,)."""
+    for r in range(order):
+        for q in range(order):
+            for c in range(len(dt)):
+                growth[r, q, c] = dt[c] * NOISE_SHARES[3 - order + r, 3 - order + q]
+            for _ in range(2 * order - 2 - r - q):
+                for c in range(len(dt)):
+                    growth[r, q, c] *= dt[c]
+
+
+@compile_inner
+def move_by_dt(belief: Array, joints: int, order: int, dt: Array) -> None:
+    """F P Fᵀ and F z, where F is Taylor's series of each joint within dt (C,).
+
+    First the rows, in the order in which each reads others that are still those of before.
+    """
+    moving = (order - 1) * joints
+    for a in range(moving):
+        twice = a + 2 * joints < order * joints
+        for b in range(a, belief.shape[1]):
+            rate = belief[min(a + joints, b), max(a + joints, b)]
+            for c in range(len(dt)):
+                belief[a, b, c] += dt[c] * rate[c]
+            if twice:
+                acceleration = belief[min(a + 2 * joints, b), max(a + 2 * joints, b)]
+                for c in range(len(dt)):
+                    belief[a, b, c] += 0.5 * dt[c] * dt[c] * acceleration[c]
+    for a in range(moving):
+        for b in range(a, moving):
+            for c in range(len(dt)):
+                belief[a, b, c] += dt[c] * belief[a, b + joints, c]
+            if b + 2 * joints < order * joints:
+                for c in range(len(dt)):
+                    belief[a, b, c] += 0.5 * dt[c] * dt[c] * belief[a, b + 2 * joints, c]
+
+
+@compile_inner
+def propagate_belief(
+    belief: Array, dt: Array, density: Array, drift: Array, growth: Array
+) -> None:
+    """Move the belief by dt (C,), with process noise (M,C) and the walk (M,) of offsets."""
+    joints = len(density)
+    order = len(growth)
+    move_by_dt(belief, joints, order, dt)
+    for j in range(joints):
+        for r in range(order):
+            for q in range(r, order):
+                for c in range(len(dt)):
+                    belief[r * joints + j, q * joints + j, c] += density[j, c] * growth[r, q, c]
+    for j in range(len(drift)):
+        offset = order * joints + j
+        for c in range(len(dt)):
+            belief[offset, offset, c] += drift[j] * dt[c]
+
+
+@compile_inner
+def mirror_upper_triangle(belief: Array) -> None:
+    """Fill the lower triangle of the covariance."""
+    for a in range(1, len(belief)):
+        for b in range(a):
+            for c in range(belief.shape[2]):
+                belief[a, b, c] = belief[b, a, c]
+
+
+@compile_inner
+def any_joint_leaps(move: Array, i: int) -> bool:
+    """Whether a joint of any stretch has a motion of its own before instant i."""
+    if move.size > 0:
+        for j in range(move.shape[3]):
+            for s in range(move.shape[4]):
+                if not math.isnan(move[i, 0, 0, j, s]):
+                    return True
+    return False
+
+
+@compile_inner
+def choose_motion(
+    move: Array, i: int, j: int, s: int, dt: float, order: int, motion: Array
+) -> bool:
+    """A joint's motion (S,S) before instant i; whether it is its own, and not by dt."""
+    own = not math.isnan(move[i, 0, 0, j, s])
+    for r in range(len(motion)):
+        for q in range(len(motion)):
+            if own:
+                motion[r, q] = move[i, r, q, j, s]
+            elif q == r:
+                motion[r, q] = 1.0
+            elif q == r + 1 and q < order:
+                motion[r, q] = dt
+            elif q == r + 2 and q < order:
+                motion[r, q] = 0.5 * dt * dt
+            else:
+                motion[r, q] = 0.0
+    return own
+
+
+@compile_inner
+def leap_joint(belief: Array, j: int, joints: int, c: int, motion: Array, old: Array) -> None:
+    """Replace the rows and the columns of a joint's states by its motion (S,S) times them."""
+    states, width, _ = belief.shape
+    for b in range(width):
+        for r in range(len(old)):
+            old[r] = belief[r * joints + j, b, c]
+        for r in range(len(old)):
+            moved = motion[r, 0] * old[0]
+            for q in range(1, len(old)):
+                moved += motion[r, q] * old[q]
+            belief[r * joints + j, b, c] = moved
+    for a in range(states):
+        for r in range(len(old)):
+            old[r] = belief[a, r * joints + j, c]
+        for r in range(len(old)):
+            moved = motion[r, 0] * old[0]
+            for q in range(1, len(old)):
+                moved += motion[r, q] * old[q]
+            belief[a, r * joints + j, c] = moved
+
+
+@compile_inner
+def leap_belief(
+    belief: Array,
+    i: int,
+    share: Array,
+    dt: Array,
+    density: Array,
+    drift: Array,
+    growth: Array,
+    move: Array,
+    shift: Array,
+    noise: Array,
+) -> None:
+    """Move the belief by each joint's own motion, shift and noise, or by dt without these."""
+    states, width, stretches = belief.shape
+    joints = len(density)
+    size = states // joints
+    order = len(growth)
+    motion = np.empty((size, size))
+    old = np.empty(size)
+    mirror_upper_triangle(belief)
+    for j in range(joints):
+        for c in range(stretches):
+            own = choose_motion(move, i, j, share[c], dt[c], order, motion)
+            leap_joint(belief, j, joints, c, motion, old)
+            for r in range(size):
+                at = r * joints + j
+                if own:
+                    belief[at, states, c] += shift[i, r, j, share[c]]
+                for q in range(size):
+                    if own:
+                        belief[at, q * joints + j, c] += noise[i, r, q, j, share[c]]
+                    elif r < order and q < order:
+                        belief[at, q * joints + j, c] += density[j, c] * growth[r, q, c]
+                    elif r == q:
+                        belief[at, at, c] += drift[j] * dt[c]
+
+
+@compile_inner
+def restart_joint(
+    belief: Array, j: int, joints: int, c: int, variances: Array, dt: float, reading: float
+) -> None:
+    """Give a joint's states the prior variances (O,), but for its offset.
+
+    Its angle is that of the reading or, without one, that before dt.
+    """
+    states = len(belief)
+    order = len(variances)
+    angle = belief[j, states, c] - dt * belief[joints + j, states, c]
+    if order == 3:
+        angle += 0.5 * dt * dt * belief[2 * joints + j, states, c]
+    if math.isfinite(reading):
+        angle = reading
+        if states > order * joints:
+            angle -= belief[order * joints + j, states, c]
+    for r in range(order):
+        at = r * joints + j
+        for a in range(states):
+            belief[at, a, c] = 0.0
+            belief[a, at, c] = 0.0
+        belief[at, states, c] = 0.0
+        belief[at, at, c] = variances[r]
+    belief[j, states, c] = angle
+
+
+# The belief given the readings of an instant, gated by the prior, so that their order does not
+# matter.
+
+
+@compile_inner
+def count_innovation(innovation: Array, weight: Array, nats: Array, product: Array) -> None:
+    """Add the nats (C,) of a reading's innovation (C,), of the inverse variance `weight` (C,).
+
+    product (C,): of inverse variances whose logarithm is not yet in nats.
+    """
+    for c in range(len(weight)):
+        if weight[c] > 0.0:
+            nats[c] += 0.5 * innovation[c] * innovation[c] * weight[c]
+            product[c] *= TWO_PI / weight[c]
+            if not LEAST_PRODUCT < product[c] < MOST_PRODUCT:
+                nats[c] += 0.5 * math.log(product[c])
+                product[c] = 1.0
+
+
+@compile_inner
+def condition_belief(belief: Array, projected: Array, weight: Array) -> None:
+    """Condition on a reading with the inverse variance `weight` (C,).
+
+    projected (K+1,C): P Hᵀ, followed by minus the innovation.
+    """
+    for a in range(len(belief)):
+        for b in range(a, len(projected)):
+            for c in range(len(weight)):
+                belief[a, b, c] -= projected[a, c] * weight[c] * projected[b, c]
+
+
+@compile_inner
+def keep_reading(
+    projected: Array,
+    weight: Array,
+    noise: Array,
+    i: int,
+    reading: int,
+    every: int,
+    information: Array,
+    gains: Array,
+    weights: Array,
+) -> None:
+    """Keep what a smoother needs of a reading: information, and weight and gain."""
+    for c in range(0, len(weight) if information.size > 0 else 0, every):
+        information[i, reading, c // every] = 1.0 / noise[c] if weight[c] > 0.0 else 0.0
+    for c in range(0, len(weight) if weights.size > 0 else 0, every):
+        weights[i, reading, c // every] = weight[c]
+        for a in range(len(projected) - 1):
+            gains[i, reading, a, c // every] = projected[a, c] * weight[c]
+
+
+@compile_inner
+def project_track(
+    belief: Array,
+    jac: Array,
+    i: int,
+    track: int,
+    share: Array,
+    seen: Array,
+    projected: Array,
+    cross: Array,
+) -> None:
+    """P Hᵀ and minus the innovation (D,K+1,C) of each row h seen (D,C), and H P Hᵀ (D,D,C)."""
+    rows, joints = jac.shape[2:4]
+    slope = np.empty(len(share))
+    for d in range(rows):
+        for j in range(joints):
+            for c in range(len(share)):
+                slope[c] = jac[i, track, d, j, share[c]]
+            for b in range(projected.shape[1]):
+                row = belief[min(j, b), max(j, b)]
+                for c in range(len(share)):
+                    before = projected[d, b, c] if j > 0 else 0.0
+                    projected[d, b, c] = before + slope[c] * row[c]
+        for c in range(len(share)):
+            innovation = seen[d, c] - projected[d, -1, c]
+            projected[d, -1, c] = 0.0 if math.isnan(innovation) else -innovation
+    for e in range(rows):
+        for j in range(joints):
+            for c in range(len(share)):
+                slope[c] = jac[i, track, e, j, share[c]]
+            for d in range(rows):
+                for c in range(len(share)):
+                    before = cross[d, e, c] if j > 0 else 0.0
+                    cross[d, e, c] = before + slope[c] * projected[d, j, c]
+
+
+@compile_inner
+def square_innovation(
+    projected: Array, cross: Array, noise: Array, square: Array, size: Array
+) -> None:
+    """Squares (C,) of innovations over their covariances H P Hᵀ + R, and determinants (C,).
+
+    projected (D,K+1,C), cross (D,D,C): of project_track · noise (D,C): R.
+    """
+    rows, stretches = noise.shape
+    off = np.empty((rows, stretches))
+    system = np.empty((rows, rows, stretches))
+    for c in range(stretches):
+        square[c] = 0.0
+        size[c] = 1.0
+        for e in range(rows):
+            off[e, c] = projected[e, -1, c]
+            for d in range(rows):
+                system[e, d, c] = cross[e, d, c]
+            system[e, e, c] += noise[e, c]
+            for d in range(e):
+                factor = system[d, e, c] / system[d, d, c]
+                off[e, c] -= factor * off[d, c]
+                for f in range(e, rows):
+                    system[e, f, c] -= factor * system[d, f, c]
+            square[c] += off[e, c] * off[e, c] / system[e, e, c]
+            size[c] *= system[e, e, c]
+
+
+@compile_inner
+def gate_track(
+    projected: Array,
+    cross: Array,
+    limits: tuple[float, float, float],
+    noise: Array,
+    nats: Array,
+) -> None:
+    """Inflate the noise (D,C) of a track's rows that are outliers; add what these cost (C,).
+
+    limits: gate in standard deviations; cost of an outlier there and, far off, beside it (nats).
+    """
+    gate, cost, flat = limits
+    rows, stretches = noise.shape
+    square = np.empty(stretches)
+    size = np.empty(stretches)
+    inflated = np.empty(stretches)
+    wide_size = np.empty(stretches)
+    square_innovation(projected, cross, noise, square, size)
+    outliers = 0
+    for c in range(stretches):
+        over = square[c] / (gate * gate)
+        if over > 1.0:
+            outliers += 1
+            for d in range(rows):
+                noise[d, c] += (cross[d, d, c] + noise[d, c]) * (over * over - 1.0)
+    if outliers == 0:
+        return
+    square_innovation(projected, cross, noise, inflated, wide_size)
+    for c in range(stretches):
+        over = square[c] / (gate * gate)
+        if over > 1.0:
+            half_log = 0.5 * math.log(wide_size[c] / size[c])
+            nats[c] += cost + flat * (1.0 - 1.0 / over) - 0.5 * inflated[c] - half_log
+
+
+@compile_inner
+def eliminate_row(projected: Array, cross: Array, d: int, weight: Array) -> None:
+    """Make the later rows of a track independent of its row d, of inverse variance weight (C,)."""
+    rows, width, stretches = projected.shape
+    for e in range(d + 1, rows):
+        share = np.empty(stretches)
+        for c in range(stretches):
+            share[c] = weight[c] * cross[d, e, c]
+        for b in range(width):
+            for c in range(stretches):
+                projected[e, b, c] -= share[c] * projected[d, b, c]
+        for f in range(e, rows):
+            for c in range(stretches):
+                cross[e, f, c] -= share[c] * cross[d, f, c]
+
+
+@compile_inner
+def gate_encoder(
+    belief: Array,
+    reading: Array,
+    j: int,
+    offset: int,
+    limits: tuple[float, float, float],
+    noise: Array,
+    nats: Array,
+    deviation: Array,
+) -> None:
+    """Inflate the noise (C,) of readings (C,) that are outliers; add what these cost (C,).
+
+    offset: state of the encoder's offset, or −1 · deviation (C,): innovations in standard
+    deviations, which it finds.
+    """
+    gate, cost, flat = limits
+    for c in range(len(noise)):
+        innovation = reading[c] - belief[j, -1, c]
+        total = belief[j, j, c] + noise[c]
+        if offset >= 0:
+            total += belief[offset, offset, c] + 2.0 * belief[j, offset, c]
+            innovation -= belief[offset, -1, c]
+        total = max(total, noise[c])  # rounding after a reading far surer than the belief
+        deviation[c] = innovation / math.sqrt(total)
+        over = deviation[c] * deviation[c] / (gate * gate)
+        if over > 1.0:
+            noise[c] += total * (over * over - 1.0)
+            nats[c] += cost + flat * (1.0 - 1.0 / over) - cost / over - math.log(over)
+
+
+@compile_inner
+def project_encoder(
+    belief: Array,
+    reading: Array,
+    j: int,
+    offset: int,
+    noise: Array,
+    projected: Array,
+    weight: Array,
+) -> None:
+    """P Hᵀ and minus the innovation (K+1,C) of readings (C,), and their inverse variances (C,)."""
+    for b in range(len(projected)):
+        row = belief[min(j, b), max(j, b)]
+        for c in range(len(weight)):
+            projected[b, c] = row[c]
+        if offset >= 0:
+            more = belief[min(offset, b), max(offset, b)]
+            for c in range(len(weight)):
+                projected[b, c] += more[c]
+    for c in range(len(weight)):
+        size = projected[j, c] + noise[c]
+        if offset >= 0:
+            size += projected[offset, c]
+        absent = math.isnan(reading[c])
+        projected[-1, c] -= 0.0 if absent else reading[c]
+        size = max(size, noise[c])  # rounding, as in gate_encoder
+        weight[c] = 0.0 if absent else 1.0 / size
+
+
+@compile_inner
+def take_track(
+    y: Array, var: Array, i: int, track: int, share: Array, seen: Array, noise: Array
+) -> bool:
+    """A track's rows seen (D,C), NaN where not, and their noise (D,C); whether any is seen."""
+    anything = False
+    for d in range(len(seen)):
+        for c in range(len(share)):
+            seen[d, c] = y[i, track, d, share[c]]
+            noise[d, c] = var[i, track, d, c]
+            anything |= not math.isnan(seen[d, c])
+    return anything
+
+
+# What is kept of the belief.
+
+
+@compile_inner
+def keep_means(belief: Array, i: int, every: int, means: Array) -> None:
+    """The first states' means into (L,…,C)."""
+    for a in range(means.shape[1]):
+        for kept in range(means.shape[2]):
+            means[i, a, kept] = belief[a, -1, kept * every]
+
+
+@compile_inner
+def keep_covariances(
+    belief: Array, i: int, every: int, joints: int, later: int, cov: Array
+) -> None:
+    """The covariances of angles and, behind these, of states from `later` on, into (L,O,O,C)."""
+    for a in range(cov.shape[1]):
+        at = a if a < joints else a - joints + later
+        for b in range(a, cov.shape[1]):
+            beside = b if b < joints else b - joints + later
+            for kept in range(cov.shape[3]):
+                cov[i, a, b, kept] = belief[at, beside, kept * every]
+                cov[i, b, a, kept] = belief[at, beside, kept * every]
+
+
+@compile_inner
+def keep_rows(belief: Array, i: int, every: int, joints: int, p: Array) -> None:
+    """Rows of the covariance into (L,O,K,C): all, or those of the angles and offsets."""
+    _, rows, states, stretches = p.shape
+    for r in range(rows):
+        a = r if r < joints else states - rows + r
+        for b in range(states):
+            for kept in range(stretches):
+                p[i, r, b, kept] = belief[min(a, b), max(a, b), kept * every]
+
+
+@compile_inner
+def keep_belief(belief: Array, at: int, every: int, marks: Array) -> None:
+    """All of it into (B,K,K+1,C), where what is left of the diagonal has no meaning."""
+    for a in range(len(belief)):
+        for b in range(belief.shape[1]):
+            for kept in range(marks.shape[3]):
+                marks[at, a, b, kept] = belief[a, b, kept * every]
+
+
+@compile_inner
+def clear_readings(i: int, information: Array, weights: Array) -> None:
+    """No information and no weight, until a reading comes."""
+    for reading in range(information.shape[1]):
+        for kept in range(information.shape[2]):
+            information[i, reading, kept] = 0.0
+    for reading in range(weights.shape[1]):
+        for kept in range(weights.shape[2]):
+            weights[i, reading, kept] = 0.0
+
+
+@compile_kernel(
+    # dt, encoders, encoder_var, y, jac, var, reset, more, move, shift, noise
+    *(read(axes) for axes in (2, 3, 3, 4, 5, 4)),
+    read_flags(3),
+    *(read(axes) for axes in (3, 5, 4, 5)),
+    # process, drift, counted, restart
+    read(2),
+    read(1),
+    read_flags(1),
+    read(1),
+    # gate, outlier_cost, flat, every, block, start_z, start_p
+    number,
+    number,
+    number,
+    whole,
+    whole,
+    read(2),
+    read(3),
+    # prior, prior_cov, z, cov, end_p, nats, encoder_d, p, information, gains, weights, marks
+    *(write(axes) for axes in (3, 4, 3, 4, 3, 2, 3, 4, 3, 4, 3, 4)),
+)
+def filter_instants(
+    dt: Array,
+    encoders: Array,
+    encoder_var: Array,
+    y: Array,
+    jac: Array,
+    var: Array,
+    reset: Array,
+    more: Array,
+    move: Array,
+    shift: Array,
+    noise: Array,
+    process: Array,
+    drift: Array,
+    counted: Array,
+    restart: Array,
+    gate: float,
+    outlier_cost: float,
+    flat: float,
+    every: int,
+    block: int,
+    start_z: Array,
+    start_p: Array,
+    prior: Array,
+    prior_cov: Array,
+    z: Array,
+    cov: Array,
+    end_p: Array,
+    nats: Array,
+    encoder_d: Array,
+    p: Array,
+    information: Array,
+    gains: Array,
+    weights: Array,
+    marks: Array,
+) -> None:
+    """Filter every stretch: an instant of all of them, then the next."""
+    joints, shared = encoders.shape[1:]
+    tracks, rows = y.shape[1:3]
+    states, stretches = start_z.shape
+    order = len(restart)
+    limits = gate, outlier_cost, flat
+    share = np.empty(stretches, np.int64)
+    step = np.empty(stretches)
+    density = np.empty((joints, stretches))
+    growth = np.empty((order, order, stretches))
+    reading = np.empty((joints, stretches))
+    encoder_noise = np.empty((joints, stretches))
+    seen = np.empty((tracks, rows, stretches))
+    track_noise = np.empty((tracks, rows, stretches))
+    sees = np.empty(tracks, np.bool_)
+    projected = np.empty((rows, states + 1, stretches))
+    cross = np.empty((rows, rows, stretches))
+    read_by_encoder = np.empty((states + 1, stretches))
+    weight = np.empty(stretches)
+    deviation = np.empty((joints, stretches))
+    sum_nats = np.empty(stretches)
+    product = np.empty(stretches)
+    belief = np.empty((states, states + 1, stretches))
+    for c in range(stretches):
+        share[c] = c // (stretches // shared)
+        for a in range(states):
+            belief[a, states, c] = start_z[a, c]
+            for b in range(states):
+                belief[a, b, c] = start_p[a, b, c]
+    for i in range(len(dt)):
+        for c in range(stretches):
+            step[c] = dt[i, share[c]]
+            sum_nats[c] = 0.0
+            product[c] = 1.0
+            for j in range(joints):
+                density[j, c] = process[j, c % process.shape[1]]
+                if more.size > 0:
+                    density[j, c] *= more[i, j, share[c]]
+                reading[j, c] = encoders[i, j, share[c]]
+                encoder_noise[j, c] = encoder_var[i, j, share[c]]
+                deviation[j, c] = math.nan
+        if marks.size > 0 and i % block == 0:
+            keep_belief(belief, i // block, every, marks)
+        integrate_noise(step, order, growth)
+        if any_joint_leaps(move, i):
+            leap_belief(belief, i, share, step, density, drift, growth, move, shift, noise)
+        else:
+            propagate_belief(belief, step, density, drift, growth)
+        if reset.size > 0:
+            for j in range(joints):
+                for c in range(stretches):
+                    if reset[i, j, share[c]]:
+                        restart_joint(belief, j, joints, c, restart, step[c], reading[j, c])
+        keep_means(belief, i, every, prior)
+        keep_covariances(belief, i, every, joints, joints, prior_cov)
+        clear_readings(i, information, weights)
+        for j in range(joints):
+            if counted[j]:
+                offset = order * joints + j if len(drift) > 0 else -1
+                gate_encoder(
+                    belief, reading[j], j, offset, limits, encoder_noise[j], sum_nats, deviation[j]
+                )
+            for kept in range(encoder_d.shape[2]):
+                encoder_d[i, j, kept] = deviation[j, kept * every]
+        for track in range(tracks):
+            sees[track] = take_track(y, var, i, track, share, seen[track], track_noise[track])
+            if sees[track]:
+                project_track(belief, jac, i, track, share, seen[track], projected, cross)
+                gate_track(projected, cross, limits, track_noise[track], sum_nats)
+        for track in range(tracks):
+            if not sees[track]:
+                continue
+            if tracks > 1:  # the others have moved the belief
+                project_track(belief, jac, i, track, share, seen[track], projected, cross)
+            for d in range(rows):
+                own_noise = track_noise[track, d]
+                for c in range(stretches):
+                    absent = math.isnan(seen[track, d, c])
+                    weight[c] = 0.0 if absent else 1.0 / (cross[d, d, c] + own_noise[c])
+                eliminate_row(projected, cross, d, weight)
+                count_innovation(projected[d, states], weight, sum_nats, product)
+                condition_belief(belief, projected[d], weight)
+                keep_reading(
+                    projected[d],
+                    weight,
+                    own_noise,
+                    i,
+                    joints + track * rows + d,
+                    every,
+                    information,
+                    gains,
+                    weights,
+                )
+        for j in range(joints):
+            offset = order * joints + j if len(drift) > 0 else -1
+            project_encoder(
+                belief, reading[j], j, offset, encoder_noise[j], read_by_encoder, weight
+            )
+            if counted[j]:
+                count_innovation(read_by_encoder[states], weight, sum_nats, product)
+            condition_belief(belief, read_by_encoder, weight)
+            keep_reading(
+                read_by_encoder,
+                weight,
+                encoder_noise[j],
+                i,
+                j,
+                every,
+                information,
+                gains,
+                weights,
+            )
+        for c in range(stretches):
+            nats[i, c] = sum_nats[c] + 0.5 * math.log(product[c])
+        keep_means(belief, i, every, z)
+        keep_covariances(belief, i, every, joints, order * joints, cov)
+        if p.size > 0:
+            keep_rows(belief, i, every, joints, p)
+    mirror_upper_triangle(belief)
+    for a in range(states):
+        for b in range(states):
+            for kept in range(end_p.shape[2]):
+                end_p[a, b, kept] = belief[a, b, kept * every]
