@@ -11,7 +11,6 @@ from ..runtime.blas_threads import one_thread
 from ..settings import EstimationSettings
 from ..types import HARDWARE_ERRORS, Estimate, Features
 from .common_cause import infer_common_causes
-from .inference import kernel
 from .measurements import gather
 from .measurements.arm_errors import learned_arm_errors
 from .methods.consistency import (
@@ -107,10 +106,7 @@ def _estimate_with_corrected_times(
 def check_estimation_settings(body: BodyModel, settings: EstimationSettings) -> None:
     """UsageError for a method, form of touch, preset or
     sense that does not exist or that the method cannot use.
-
-    Also without the compiled library, which is no fault of a log.
     """
-    kernel.load_library()
     if settings.method not in METHODS:
         raise UsageError(f"method: {settings.method!r} is unknown; possible: {', '.join(METHODS)}")
     method = METHODS[settings.method]

@@ -36,7 +36,7 @@ def write(axes: int) -> Any:
 
 def compile_inner(function: Function) -> Function:
     """Compile a function that kernels call, with them."""
-    compiled: Function = njit(**OPTIONS)(function)
+    compiled: Function = njit(_nrt=False, **OPTIONS)(function)
     return compiled
 
 

@@ -24,6 +24,8 @@ from .compiler import compile_inner, compile_kernel, number, read, read_flags, w
 TWO_PI = 2.0 * math.pi
 LEAST_PRODUCT, MOST_PRODUCT = 1e-100, 1e100
 """A product of variances beyond these is replaced by its logarithm, far from overflow."""
+READINGS_AT_ONCE = 16
+"""Variances, in units of the noise, of which one logarithm is taken."""
 NOISE_SHARES = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
 """1/((2p−1−i−j) (p−1−i)! (p−1−j)!) of order p = 3; those of order 2 are its lower right part."""
 
@@ -163,14 +165,17 @@ def leap_belief(
     move: Array,
     shift: Array,
     noise: Array,
+    motion: Array,
+    old: Array,
 ) -> None:
-    """Move the belief by each joint's own motion, shift and noise, or by dt without these."""
+    """Move the belief by each joint's own motion, shift and noise, or by dt without these.
+
+    motion (S,S), old (S,): room.
+    """
     states, width, stretches = belief.shape
     joints = len(density)
     size = states // joints
     order = len(growth)
-    motion = np.empty((size, size))
-    old = np.empty(size)
     mirror_upper_triangle(belief)
     for j in range(joints):
         for c in range(stretches):
@@ -278,10 +283,13 @@ def project_track(
     seen: Array,
     projected: Array,
     cross: Array,
+    slope: Array,
 ) -> None:
-    """P Hᵀ and minus the innovation (D,K+1,C) of each row h seen (D,C), and H P Hᵀ (D,D,C)."""
+    """P Hᵀ and minus the innovation (D,K+1,C) of each row h seen (D,C), and H P Hᵀ (D,D,C).
+
+    slope (C,): room.
+    """
     rows, joints = jac.shape[2:4]
-    slope = np.empty(len(share))
     for d in range(rows):
         for j in range(joints):
             for c in range(len(share)):
@@ -306,30 +314,28 @@ def project_track(
 
 @compile_inner
 def square_innovation(
-    projected: Array, cross: Array, noise: Array, square: Array, size: Array
-) -> None:
-    """Squares (C,) of innovations over their covariances H P Hᵀ + R, and determinants (C,).
+    projected: Array, cross: Array, noise: Array, c: int, off: Array, system: Array
+) -> tuple[float, float]:
+    """A stretch's squared innovation over its covariance H P Hᵀ + R, and the determinant.
 
-    projected (D,K+1,C), cross (D,D,C): of project_track · noise (D,C): R.
+    projected (D,K+1,C), cross (D,D,C): of project_track · noise (D,C): R · off (D,), system
+    (D,D): room.
     """
-    rows, stretches = noise.shape
-    off = np.empty((rows, stretches))
-    system = np.empty((rows, rows, stretches))
-    for c in range(stretches):
-        square[c] = 0.0
-        size[c] = 1.0
-        for e in range(rows):
-            off[e, c] = projected[e, -1, c]
-            for d in range(rows):
-                system[e, d, c] = cross[e, d, c]
-            system[e, e, c] += noise[e, c]
-            for d in range(e):
-                factor = system[d, e, c] / system[d, d, c]
-                off[e, c] -= factor * off[d, c]
-                for f in range(e, rows):
-                    system[e, f, c] -= factor * system[d, f, c]
-            square[c] += off[e, c] * off[e, c] / system[e, e, c]
-            size[c] *= system[e, e, c]
+    square = 0.0
+    size = 1.0
+    for e in range(len(off)):
+        off[e] = projected[e, -1, c]
+        for d in range(len(off)):
+            system[e, d] = cross[e, d, c]
+        system[e, e] += noise[e, c]
+        for d in range(e):
+            factor = system[d, e] / system[d, d]
+            off[e] -= factor * off[d]
+            for f in range(e, len(off)):
+                system[e, f] -= factor * system[d, f]
+        square += off[e] * off[e] / system[e, e]
+        size *= system[e, e]
+    return square, size
 
 
 @compile_inner
@@ -339,33 +345,23 @@ def gate_track(
     limits: tuple[float, float, float],
     noise: Array,
     nats: Array,
+    off: Array,
+    system: Array,
 ) -> None:
     """Inflate the noise (D,C) of a track's rows that are outliers; add what these cost (C,).
 
     limits: gate in standard deviations; cost of an outlier there and, far off, beside it (nats).
     """
     gate, cost, flat = limits
-    rows, stretches = noise.shape
-    square = np.empty(stretches)
-    size = np.empty(stretches)
-    inflated = np.empty(stretches)
-    wide_size = np.empty(stretches)
-    square_innovation(projected, cross, noise, square, size)
-    outliers = 0
-    for c in range(stretches):
-        over = square[c] / (gate * gate)
+    for c in range(len(nats)):
+        square, size = square_innovation(projected, cross, noise, c, off, system)
+        over = square / (gate * gate)
         if over > 1.0:
-            outliers += 1
-            for d in range(rows):
+            for d in range(len(noise)):
                 noise[d, c] += (cross[d, d, c] + noise[d, c]) * (over * over - 1.0)
-    if outliers == 0:
-        return
-    square_innovation(projected, cross, noise, inflated, wide_size)
-    for c in range(stretches):
-        over = square[c] / (gate * gate)
-        if over > 1.0:
-            half_log = 0.5 * math.log(wide_size[c] / size[c])
-            nats[c] += cost + flat * (1.0 - 1.0 / over) - 0.5 * inflated[c] - half_log
+            inflated, wide_size = square_innovation(projected, cross, noise, c, off, system)
+            half_log = 0.5 * math.log(wide_size / size)
+            nats[c] += cost + flat * (1.0 - 1.0 / over) - 0.5 * inflated - half_log
 
 
 @compile_inner
@@ -373,15 +369,12 @@ def eliminate_row(projected: Array, cross: Array, d: int, weight: Array) -> None
     """Make the later rows of a track independent of its row d, of inverse variance weight (C,)."""
     rows, width, stretches = projected.shape
     for e in range(d + 1, rows):
-        share = np.empty(stretches)
-        for c in range(stretches):
-            share[c] = weight[c] * cross[d, e, c]
         for b in range(width):
             for c in range(stretches):
-                projected[e, b, c] -= share[c] * projected[d, b, c]
-        for f in range(e, rows):
+                projected[e, b, c] -= weight[c] * cross[d, e, c] * projected[d, b, c]
+        for f in range(rows - 1, e - 1, -1):
             for c in range(stretches):
-                cross[e, f, c] -= share[c] * cross[d, f, c]
+                cross[e, f, c] -= weight[c] * cross[d, e, c] * cross[d, f, c]
 
 
 @compile_inner
@@ -588,6 +581,11 @@ def filter_instants(
     sees = np.empty(tracks, np.bool_)
     projected = np.empty((rows, states + 1, stretches))
     cross = np.empty((rows, rows, stretches))
+    slope = np.empty(stretches)
+    off = np.empty(rows)
+    system = np.empty((rows, rows))
+    motion = np.empty((states // joints, states // joints))
+    old = np.empty(states // joints)
     read_by_encoder = np.empty((states + 1, stretches))
     weight = np.empty(stretches)
     deviation = np.empty((joints, stretches))
@@ -616,7 +614,20 @@ def filter_instants(
             keep_belief(belief, i // block, every, marks)
         integrate_noise(step, order, growth)
         if any_joint_leaps(move, i):
-            leap_belief(belief, i, share, step, density, drift, growth, move, shift, noise)
+            leap_belief(
+                belief,
+                i,
+                share,
+                step,
+                density,
+                drift,
+                growth,
+                move,
+                shift,
+                noise,
+                motion,
+                old,
+            )
         else:
             propagate_belief(belief, step, density, drift, growth)
         if reset.size > 0:
@@ -638,13 +649,13 @@ def filter_instants(
         for track in range(tracks):
             sees[track] = take_track(y, var, i, track, share, seen[track], track_noise[track])
             if sees[track]:
-                project_track(belief, jac, i, track, share, seen[track], projected, cross)
-                gate_track(projected, cross, limits, track_noise[track], sum_nats)
+                project_track(belief, jac, i, track, share, seen[track], projected, cross, slope)
+                gate_track(projected, cross, limits, track_noise[track], sum_nats, off, system)
         for track in range(tracks):
             if not sees[track]:
                 continue
             if tracks > 1:  # the others have moved the belief
-                project_track(belief, jac, i, track, share, seen[track], projected, cross)
+                project_track(belief, jac, i, track, share, seen[track], projected, cross, slope)
             for d in range(rows):
                 own_noise = track_noise[track, d]
                 for c in range(stretches):
@@ -694,3 +705,471 @@ def filter_instants(
         for b in range(states):
             for kept in range(end_p.shape[2]):
                 end_p[a, b, kept] = belief[a, b, kept * every]
+
+
+# Back over the log: adjoints λ (K,1,C) of the means or, in Bryson–Frazier form, the information W
+# beside the map Ψ (K,2K,C) or alone (K,K,C).
+
+
+@compile_inner
+def undo_motion(known: Array, square: bool, joints: int, order: int, dt: Array) -> None:
+    """Fᵀ λ, or Fᵀ W F and Fᵀ Ψ, where F is Taylor's series of each joint within dt (C,)."""
+    states, width, stretches = known.shape
+    for j in range(joints):
+        for b in range(width):
+            for c in range(stretches):
+                rate = known[joints + j, b, c]
+                if order == 3:
+                    known[2 * joints + j, b, c] += dt[c] * rate
+                    known[2 * joints + j, b, c] += 0.5 * dt[c] * dt[c] * known[j, b, c]
+                known[joints + j, b, c] = rate + dt[c] * known[j, b, c]
+    for j in range(joints if square else 0):
+        for a in range(states):
+            for c in range(stretches):
+                rate = known[a, joints + j, c]
+                if order == 3:
+                    known[a, 2 * joints + j, c] += dt[c] * rate
+                    known[a, 2 * joints + j, c] += 0.5 * dt[c] * dt[c] * known[a, j, c]
+                known[a, joints + j, c] = rate + dt[c] * known[a, j, c]
+
+
+@compile_inner
+def undo_leap(
+    known: Array, square: bool, j: int, joints: int, c: int, motion: Array, old: Array
+) -> None:
+    """The same of one joint's motion (S,S) in a stretch; old (S,): room."""
+    states, width, _ = known.shape
+    for b in range(width):
+        for r in range(len(old)):
+            old[r] = known[r * joints + j, b, c]
+        for q in range(len(old)):
+            moved = motion[0, q] * old[0]
+            for r in range(1, len(old)):
+                moved += motion[r, q] * old[r]
+            known[q * joints + j, b, c] = moved
+    for a in range(states if square else 0):
+        for r in range(len(old)):
+            old[r] = known[a, r * joints + j, c]
+        for q in range(len(old)):
+            moved = motion[0, q] * old[0]
+            for r in range(1, len(old)):
+                moved += motion[r, q] * old[r]
+            known[a, q * joints + j, c] = moved
+
+
+@compile_inner
+def undo_restart(known: Array, square: bool, j: int, joints: int, order: int, c: int) -> None:
+    """The states of a joint that restarts depend on nothing before."""
+    states, width, _ = known.shape
+    for r in range(order):
+        for b in range(width):
+            known[r * joints + j, b, c] = 0.0
+        for a in range(states if square else 0):
+            known[a, r * joints + j, c] = 0.0
+
+
+@compile_inner
+def smooth_means(known: Array, i: int, joints: int, z: Array, p: Array, smooth: Array) -> None:
+    """Smoothed means z − P λ of the rows that p (L,O,K,C) holds, into (L,O,C)."""
+    _, rows, states, stretches = p.shape
+    for r in range(rows):
+        a = r if r < joints else states - rows + r
+        for c in range(stretches):
+            smooth[i, r, c] = z[i, a, c]
+        for b in range(states):
+            for c in range(stretches):
+                smooth[i, r, c] -= p[i, r, b, c] * known[b, 0, c]
+
+
+@compile_inner
+def undo_encoder_readings(
+    known: Array,
+    i: int,
+    share: Array,
+    encoders: Array,
+    information: Array,
+    smooth: Array,
+    offsets: bool,
+) -> None:
+    """λ − Hᵀ R⁻¹ (y − H x), where x is the smoothed mean."""
+    joints = encoders.shape[1]
+    first = len(known) - joints
+    for j in range(joints):
+        for c in range(len(share)):
+            if information[i, j, c] > 0.0:
+                pull = encoders[i, j, share[c]] - smooth[i, j, c]
+                if offsets:
+                    pull -= smooth[i, smooth.shape[1] - joints + j, c]
+                pull *= information[i, j, c]
+                known[j, 0, c] -= pull
+                if offsets:
+                    known[first + j, 0, c] -= pull
+
+
+@compile_inner
+def undo_track_readings(
+    known: Array,
+    i: int,
+    share: Array,
+    y: Array,
+    jac: Array,
+    information: Array,
+    smooth: Array,
+) -> None:
+    """The same of the tracks' rows."""
+    _, tracks, rows, joints, _ = jac.shape
+    for track in range(tracks):
+        for d in range(rows):
+            reading = joints + track * rows + d
+            for c in range(len(share)):
+                if information[i, reading, c] > 0.0:
+                    pull = y[i, track, d, share[c]]
+                    for j in range(joints):
+                        pull -= jac[i, track, d, j, share[c]] * smooth[i, j, c]
+                    pull *= information[i, reading, c]
+                    for j in range(joints):
+                        known[j, 0, c] -= jac[i, track, d, j, share[c]] * pull
+
+
+@compile_inner
+def weigh_rows(known: Array, gain: Array, row: int, off: int, total: Array) -> None:
+    """gᵀ W and gᵀ Ψ (W,C), without the states `row` and `off`."""
+    states, width, stretches = known.shape
+    for b in range(width):
+        for c in range(stretches):
+            total[b, c] = 0.0
+    for a in range(states):
+        if a not in (row, off):
+            for b in range(width):
+                for c in range(stretches):
+                    total[b, c] += gain[a, c] * known[a, b, c]
+
+
+@compile_inner
+def undo_track_row(
+    known: Array, gain: Array, weight: Array, slope: Array, total: Array, curve: Array
+) -> None:
+    """(I − g h)ᵀ W (I − g h) + weight hᵀ h and (I − g h)ᵀ Ψ of a track's row h, slope (M,C).
+
+    total (W,C), curve (C,): room.
+    """
+    states, width, stretches = known.shape
+    weigh_rows(known, gain, -1, -1, total)
+    for c in range(stretches):
+        curve[c] = weight[c]
+    for a in range(states):
+        for c in range(stretches):
+            curve[c] += gain[a, c] * total[a, c]
+    for j in range(len(slope)):
+        for b in range(width):
+            for c in range(stretches):
+                known[j, b, c] -= slope[j, c] * total[b, c]
+        for a in range(states):
+            for c in range(stretches):
+                known[a, j, c] -= total[a, c] * slope[j, c]
+        for b in range(len(slope)):
+            for c in range(stretches):
+                known[j, b, c] += slope[j, c] * curve[c] * slope[b, c]
+
+
+@compile_inner
+def undo_encoder_columns(
+    known: Array, gain: Array, weight: Array, row: int, off: int, at: int, left: Array
+) -> None:
+    """Of the row `at` of W, the columns of an encoder's states; see undo_encoder_row."""
+    both = 1.0 if off != row else 0.0
+    for c in range(len(left)):
+        rest = 0.0
+        for a in range(len(known)):
+            if a not in (row, off):
+                rest += gain[a, c] * known[at, a, c]
+        across = both * (known[at, off, c] - known[at, row, c])
+        angle = left[c] * known[at, row, c] - rest - gain[off, c] * across + weight[c]
+        known[at, off, c] = (
+            left[c] * known[at, off, c] - rest + gain[row, c] * across + weight[c]
+        )
+        known[at, row, c] = angle
+
+
+@compile_inner
+def undo_encoder_row(
+    known: Array,
+    gain: Array,
+    weight: Array,
+    row: int,
+    off: int,
+    noise: Array,
+    total: Array,
+    left: Array,
+) -> None:
+    """The same of an encoder, which reads the angle `row` and the offset `off`; row: no offset.
+
+    1 − h g = R weight of an exact reading is far below the rounding of h g, and W is as much
+    larger, so `left` (C,) is not taken from a difference. total (W,C): room.
+    """
+    states, width, stretches = known.shape
+    both = 1.0 if off != row else 0.0
+    for c in range(stretches):
+        left[c] = max(1.0 - gain[row, c] - both * gain[off, c], weight[c] * noise[c])
+    weigh_rows(known, gain, row, off, total)
+    for b in range(width):
+        for c in range(stretches):
+            across = both * (known[off, b, c] - known[row, b, c])
+            angle = left[c] * known[row, b, c] - total[b, c] - gain[off, c] * across
+            known[off, b, c] = left[c] * known[off, b, c] - total[b, c] + gain[row, c] * across
+            known[row, b, c] = angle
+    undo_encoder_columns(known, gain, weight, row, off, row, left)
+    if off != row:
+        undo_encoder_columns(known, gain, weight, row, off, off, left)
+    for a in range(states):
+        if a not in (row, off):
+            for c in range(stretches):
+                known[a, row, c] = known[row, a, c]
+                known[a, off, c] = known[off, a, c]
+
+
+@compile_inner
+def smooth_covariances(
+    known: Array, i: int, joints: int, offset: int, p: Array, cov: Array, rows: Array, half: Array
+) -> None:
+    """P − P W P of the angles and, behind these, of what encoders with offsets read.
+
+    offset: state of the first offset · rows (O,K,C), half (O,K,C): room.
+    """
+    outputs, states, stretches = rows.shape
+    for r in range(outputs):
+        for a in range(states):
+            for c in range(stretches):
+                rows[r, a, c] = p[i, r % joints, a, c]
+                if r >= joints:
+                    rows[r, a, c] += p[i, offset + r % joints, a, c]
+                half[r, a, c] = 0.0
+    for r in range(outputs):
+        for a in range(states):
+            for b in range(states):
+                for c in range(stretches):
+                    half[r, b, c] += rows[r, a, c] * known[a, b, c]
+    for r in range(outputs):
+        for q in range(outputs):
+            for c in range(stretches):
+                cov[i, r, q, c] = rows[r, q % joints, c]
+                if q >= joints:
+                    cov[i, r, q, c] += rows[r, offset + q % joints, c]
+            for a in range(states):
+                for c in range(stretches):
+                    cov[i, r, q, c] -= half[r, a, c] * rows[q, a, c]
+
+
+@compile_inner
+def make_symmetric(known: Array) -> None:
+    """W of both halves of itself."""
+    for a in range(len(known)):
+        for b in range(a):
+            for c in range(known.shape[2]):
+                mean = 0.5 * (known[a, b, c] + known[b, a, c])
+                known[a, b, c] = mean
+                known[b, a, c] = mean
+
+
+@compile_inner
+def take_reading(
+    gains: Array, weights: Array, i: int, reading: int, gain: Array, weight: Array
+) -> bool:
+    """Gain (K,C) and weight (C,) of a reading; whether it has any."""
+    anything = False
+    for c in range(len(weight)):
+        weight[c] = weights[i, reading, c]
+        anything |= weight[c] > 0.0
+    for a in range(len(gain) if anything else 0):
+        for c in range(len(weight)):
+            gain[a, c] = gains[i, reading, a, c]
+    return anything
+
+
+@compile_kernel(
+    # dt, encoders, encoder_var, y, jac, reset, move
+    *(read(axes) for axes in (2, 3, 3, 4, 5)),
+    read_flags(3),
+    read(5),
+    # order, length, information, gains, weights, z, p, end
+    whole,
+    whole,
+    *(read(axes) for axes in (3, 4, 3, 3, 4, 3)),
+    # start, smooth, cov
+    *(write(axes) for axes in (3, 3, 4)),
+)
+def carry_adjoints_back(
+    dt: Array,
+    encoders: Array,
+    encoder_var: Array,
+    y: Array,
+    jac: Array,
+    reset: Array,
+    move: Array,
+    order: int,
+    length: int,
+    information: Array,
+    gains: Array,
+    weights: Array,
+    z: Array,
+    p: Array,
+    end: Array,
+    start: Array,
+    smooth: Array,
+    cov: Array,
+) -> None:
+    """Carry the adjoints, or W and Ψ, at the end of every stretch back to its start."""
+    joints, shared = encoders.shape[1:]
+    tracks, rows = y.shape[1:3]
+    states, width, stretches = end.shape
+    square = width > 1
+    offsets = states > order * joints
+    outputs = cov.shape[1]
+    share = np.empty(stretches, np.int64)
+    step = np.empty(stretches)
+    noise = np.empty(stretches)
+    motion = np.empty((states // joints, states // joints))
+    old = np.empty(states // joints)
+    gain = np.empty((states, stretches))
+    weight = np.empty(stretches)
+    slope = np.empty((joints, stretches))
+    total = np.empty((width, stretches))
+    scale = np.empty(stretches)
+    output_rows = np.empty((outputs, states, stretches))
+    half = np.empty((outputs, states, stretches))
+    known = np.empty((states, width, stretches))
+    for c in range(stretches):
+        share[c] = c // (stretches // shared)
+        for a in range(states):
+            for b in range(width):
+                known[a, b, c] = end[a, b, c]
+    for i in range(length - 1, -1, -1):
+        for c in range(stretches):
+            step[c] = dt[i, share[c]]
+        if cov.size > 0:
+            smooth_covariances(known, i, joints, order * joints, p, cov, output_rows, half)
+        if not square:
+            smooth_means(known, i, joints, z, p, smooth)
+            undo_encoder_readings(known, i, share, encoders, information, smooth, offsets)
+            undo_track_readings(known, i, share, y, jac, information, smooth)
+        else:  # the encoders came after the tracks
+            for j in range(joints - 1, -1, -1):
+                if take_reading(gains, weights, i, j, gain, weight):
+                    off = order * joints + j if offsets else j
+                    for c in range(stretches):
+                        noise[c] = encoder_var[i, j, share[c]]
+                    undo_encoder_row(known, gain, weight, j, off, noise, total, scale)
+            for row in range(tracks * rows - 1, -1, -1):
+                if take_reading(gains, weights, i, joints + row, gain, weight):
+                    for j in range(joints):
+                        for c in range(stretches):
+                            slope[j, c] = jac[i, row // rows, row % rows, j, share[c]]
+                    undo_track_row(known, gain, weight, slope, total, scale)
+        if reset.size > 0:
+            for j in range(joints):
+                for c in range(stretches):
+                    if reset[i, j, share[c]]:
+                        undo_restart(known, square, j, joints, order, c)
+        if any_joint_leaps(move, i):
+            for j in range(joints):
+                for c in range(stretches):
+                    choose_motion(move, i, j, share[c], step[c], order, motion)
+                    undo_leap(known, square, j, joints, c, motion, old)
+        else:
+            undo_motion(known, square, joints, order, step)
+        if square:
+            make_symmetric(known)
+    for c in range(stretches):
+        for a in range(states):
+            for b in range(width):
+                start[a, b, c] = known[a, b, c]
+
+
+# One joint's encoder readings alone, for many ratios of process to noise side by side.
+
+
+@compile_kernel(
+    # dt, y, ratio, fresh, counts, order, vague, usual, squares, logs, lag
+    *(read(1), read(1), read(1), read_flags(1), read_flags(1)),
+    whole,
+    number,
+    number,
+    *(write(1), write(1), write(1)),
+)
+def weigh_noise_ratios(
+    dt: Array,
+    y: Array,
+    ratio: Array,
+    fresh: Array,
+    counts: Array,
+    order: int,
+    vague: float,
+    usual: float,
+    squares: Array,
+    logs: Array,
+    lag: Array,
+) -> None:
+    """Filter readings of noise 1 with each ratio as the process noise.
+
+    Sums (R,) of the squared innovations over their variances and of the variances' logarithms; the
+    largest innovation of which the next one reaches a quarter, on the same side. A filter restarts
+    where `fresh` with the variance `vague`, divided by the square of the `usual` dt for each
+    derivative.
+    """
+    for r in range(len(ratio)):
+        x0 = x1 = x2 = 0.0
+        p00 = p01 = p02 = p11 = p12 = p22 = 0.0
+        squares[r] = logs[r] = lag[r] = before = 0.0
+        product = 1.0
+        for i in range(len(dt)):
+            if fresh[i]:
+                x0, x1, x2 = y[i], 0.0, 0.0
+                p00, p11 = vague, vague / (usual * usual)
+                p22 = p11 / (usual * usual) if order == 3 else 0.0
+                p01 = p02 = p12 = 0.0
+            else:
+                step = dt[i]
+                half = 0.5 * step * step
+                x0 = x0 + step * x1 + half * x2
+                x1 = x1 + step * x2
+                # rows 0 and 1 of F P, and then the upper triangle of F P Fᵀ
+                f00 = p00 + step * p01 + half * p02
+                f01 = p01 + step * p11 + half * p12
+                f02 = p02 + step * p12 + half * p22
+                f11 = p11 + step * p12
+                f12 = p12 + step * p22
+                once = ratio[r] * step
+                if order == 3:
+                    thrice = once * step * step
+                    p00 = f00 + step * f01 + half * f02 + thrice * step * step * (1 / 20)
+                    p01 = f01 + step * f02 + thrice * step * (1 / 8)
+                    p02 = f02 + thrice * (1 / 6)
+                    p11 = f11 + step * f12 + thrice * (1 / 3)
+                    p12 = f12 + once * step * (1 / 2)
+                    p22 = p22 + once
+                else:
+                    p00 = f00 + step * f01 + once * step * step * (1 / 3)
+                    p01 = f01 + once * step * (1 / 2)
+                    p11 = f11 + once
+            off = y[i] - x0
+            size = p00 + 1.0
+            gain0, gain1, gain2 = p00 / size, p01 / size, p02 / size
+            x0 += gain0 * off
+            x1 += gain1 * off
+            x2 += gain2 * off
+            p11 -= gain1 * p01
+            p12 -= gain1 * p02
+            p22 -= gain2 * p02
+            p00, p01, p02 = gain0, gain1, gain2
+            if counts[i]:
+                off /= math.sqrt(size)
+                product *= size
+            else:
+                off = 0.0
+            if i % READINGS_AT_ONCE == READINGS_AT_ONCE - 1 or i == len(dt) - 1:
+                logs[r] += math.log(product)
+                product = 1.0
+            squares[r] += off * off
+            # the least of four times this one and the one before, on the same side
+            lag[r] = max(lag[r], min(4.0 * off, before), -max(4.0 * off, before))
+            before = off
