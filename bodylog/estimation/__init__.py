@@ -11,6 +11,7 @@ from ..runtime.blas_threads import one_thread
 from ..settings import EstimationSettings
 from ..types import HARDWARE_ERRORS, Estimate, Features
 from .common_cause import infer_common_causes
+from .inference.kernel_call import load_kernels
 from .measurements import gather
 from .measurements.arm_errors import learned_arm_errors
 from .methods.consistency import (
@@ -106,7 +107,10 @@ def _estimate_with_corrected_times(
 def check_estimation_settings(body: BodyModel, settings: EstimationSettings) -> None:
     """UsageError for a method, form of touch, preset or
     sense that does not exist or that the method cannot use.
+
+    Also loads the compiled filter, before workers start.
     """
+    load_kernels()
     if settings.method not in METHODS:
         raise UsageError(f"method: {settings.method!r} is unknown; possible: {', '.join(METHODS)}")
     method = METHODS[settings.method]

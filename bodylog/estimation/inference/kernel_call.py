@@ -1,5 +1,5 @@
 """Calls of the compiled loops over instants: Numba and
-they are imported at the first call alone.
+these are imported where something is estimated.
 """
 
 from collections.abc import Callable
@@ -12,15 +12,20 @@ import numpy as np
 
 @cache
 def load_kernels() -> ModuleType:
-    """The compiled loops; where no cache of machine code holds them, this compiles them."""
-    from . import kernels
+    """The compiled loops; the first start on a machine compiles them, and logs a warning."""
+    from numba.core.event import install_listener
+
+    from .compiler import CompilationNotice
+
+    with install_listener("numba:compile", CompilationNotice()):
+        from . import kernels
 
     return kernels
 
 
 def bind_kernel_call(function: str, **values: Any) -> Callable[[], None]:
-    """A call of a kernel with numbers and with arrays in
-    C's order, of float64 or bool; None for no array.
+    """A call of a kernel with numbers, and with arrays of
+    float64 or bool in C's order, or None for no array.
 
     Arrays are read and written where they are, at each call.
     """
@@ -31,7 +36,7 @@ def bind_kernel_call(function: str, **values: Any) -> Callable[[], None]:
     given = []
     for name, kind in zip(names, kinds, strict=True):
         value = values[name]
-        if (axes := getattr(kind, "ndim", 0)) > 0:
+        if axes := getattr(kind, "ndim", 0):
             dtype = np.dtype(str(kind.dtype))
             value = np.empty((0,) * axes, dtype) if value is None else value
             assert value.ndim == axes and value.dtype == dtype and value.flags.c_contiguous, name

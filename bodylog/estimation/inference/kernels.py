@@ -72,9 +72,7 @@ def move_by_dt(belief: Array, joints: int, order: int, dt: Array) -> None:
 
 
 @compile_inner
-def propagate_belief(
-    belief: Array, dt: Array, density: Array, drift: Array, growth: Array
-) -> None:
+def propagate_belief(belief: Array, dt: Array, density: Array, drift: Array, growth: Array) -> None:
     """Move the belief by dt (C,), with process noise (M,C) and the walk (M,) of offsets."""
     joints = len(density)
     order = len(growth)
@@ -172,8 +170,8 @@ def leap_belief(
 
     motion (S,S), old (S,): room.
     """
-    states, width, stretches = belief.shape
-    joints = len(density)
+    states = len(belief)
+    joints, stretches = density.shape
     size = states // joints
     order = len(growth)
     mirror_upper_triangle(belief)
@@ -615,18 +613,7 @@ def filter_instants(
         integrate_noise(step, order, growth)
         if any_joint_leaps(move, i):
             leap_belief(
-                belief,
-                i,
-                share,
-                step,
-                density,
-                drift,
-                growth,
-                move,
-                shift,
-                noise,
-                motion,
-                old,
+                belief, i, share, step, density, drift, growth, move, shift, noise, motion, old
             )
         else:
             propagate_belief(belief, step, density, drift, growth)
@@ -684,15 +671,7 @@ def filter_instants(
                 count_innovation(read_by_encoder[states], weight, sum_nats, product)
             condition_belief(belief, read_by_encoder, weight)
             keep_reading(
-                read_by_encoder,
-                weight,
-                encoder_noise[j],
-                i,
-                j,
-                every,
-                information,
-                gains,
-                weights,
+                read_by_encoder, weight, encoder_noise[j], i, j, every, information, gains, weights
             )
         for c in range(stretches):
             nats[i, c] = sum_nats[c] + 0.5 * math.log(product[c])
@@ -808,13 +787,7 @@ def undo_encoder_readings(
 
 @compile_inner
 def undo_track_readings(
-    known: Array,
-    i: int,
-    share: Array,
-    y: Array,
-    jac: Array,
-    information: Array,
-    smooth: Array,
+    known: Array, i: int, share: Array, y: Array, jac: Array, information: Array, smooth: Array
 ) -> None:
     """The same of the tracks' rows."""
     _, tracks, rows, joints, _ = jac.shape
@@ -885,9 +858,7 @@ def undo_encoder_columns(
                 rest += gain[a, c] * known[at, a, c]
         across = both * (known[at, off, c] - known[at, row, c])
         angle = left[c] * known[at, row, c] - rest - gain[off, c] * across + weight[c]
-        known[at, off, c] = (
-            left[c] * known[at, off, c] - rest + gain[row, c] * across + weight[c]
-        )
+        known[at, off, c] = left[c] * known[at, off, c] - rest + gain[row, c] * across + weight[c]
         known[at, row, c] = angle
 
 
