@@ -230,7 +230,7 @@ def count_innovation(innovation: Array, weight: Array, nats: Array, product: Arr
     product (C,): of inverse variances whose logarithm is not yet in nats.
     """
     for c in range(len(weight)):
-        if weight[c] > 0.0:
+        if weight[c] != 0.0:
             nats[c] += 0.5 * innovation[c] * innovation[c] * weight[c]
             product[c] *= TWO_PI / weight[c]
             if not LEAST_PRODUCT < product[c] < MOST_PRODUCT:
@@ -398,7 +398,7 @@ def gate_encoder(
         if offset >= 0:
             total += belief[offset, offset, c] + 2.0 * belief[j, offset, c]
             innovation -= belief[offset, -1, c]
-        total = max(total, noise[c])  # rounding after a reading far surer than the belief
+        total = max(noise[c], total)  # rounding after a reading far surer than the belief
         deviation[c] = innovation / math.sqrt(total)
         over = deviation[c] * deviation[c] / (gate * gate)
         if over > 1.0:
@@ -431,7 +431,7 @@ def project_encoder(
             size += projected[offset, c]
         absent = math.isnan(reading[c])
         projected[-1, c] -= 0.0 if absent else reading[c]
-        size = max(size, noise[c])  # rounding, as in gate_encoder
+        size = max(noise[c], size)  # rounding, as in gate_encoder
         weight[c] = 0.0 if absent else 1.0 / size
 
 
@@ -881,7 +881,7 @@ def undo_encoder_row(
     states, width, stretches = known.shape
     both = 1.0 if off != row else 0.0
     for c in range(stretches):
-        left[c] = max(1.0 - gain[row, c] - both * gain[off, c], weight[c] * noise[c])
+        left[c] = max(weight[c] * noise[c], 1.0 - gain[row, c] - both * gain[off, c])
     weigh_rows(known, gain, row, off, total)
     for b in range(width):
         for c in range(stretches):
@@ -1142,5 +1142,5 @@ def weigh_noise_ratios(
                 product = 1.0
             squares[r] += off * off
             # the least of four times this one and the one before, on the same side
-            lag[r] = max(lag[r], min(4.0 * off, before), -max(4.0 * off, before))
+            lag[r] = max(lag[r], min(before, 4.0 * off), -max(before, 4.0 * off))
             before = off
