@@ -53,22 +53,26 @@ def move_by_dt(belief: Array, joints: int, order: int, dt: Array) -> None:
     """
     moving = (order - 1) * joints
     for a in range(moving):
-        twice = a + 2 * joints < order * joints
         for b in range(a, belief.shape[1]):
             rate = belief[min(a + joints, b), max(a + joints, b)]
-            for c in range(len(dt)):
-                belief[a, b, c] += dt[c] * rate[c]
-            if twice:
+            if a + 2 * joints < order * joints:
                 acceleration = belief[min(a + 2 * joints, b), max(a + 2 * joints, b)]
                 for c in range(len(dt)):
-                    belief[a, b, c] += 0.5 * dt[c] * dt[c] * acceleration[c]
+                    moved = belief[a, b, c] + dt[c] * rate[c]
+                    belief[a, b, c] = moved + 0.5 * dt[c] * dt[c] * acceleration[c]
+            else:
+                for c in range(len(dt)):
+                    belief[a, b, c] += dt[c] * rate[c]
     for a in range(moving):
         for b in range(a, moving):
-            for c in range(len(dt)):
-                belief[a, b, c] += dt[c] * belief[a, b + joints, c]
             if b + 2 * joints < order * joints:
                 for c in range(len(dt)):
-                    belief[a, b, c] += 0.5 * dt[c] * dt[c] * belief[a, b + 2 * joints, c]
+                    moved = belief[a, b, c] + dt[c] * belief[a, b + joints, c]
+                    moved += 0.5 * dt[c] * dt[c] * belief[a, b + 2 * joints, c]
+                    belief[a, b, c] = moved
+            else:
+                for c in range(len(dt)):
+                    belief[a, b, c] += dt[c] * belief[a, b + joints, c]
 
 
 @compile_inner
@@ -407,6 +411,15 @@ def gate_encoder(
 
 
 @compile_inner
+def is_read(reading: Array) -> bool:
+    """Whether an encoder is read in any stretch (C,)."""
+    for c in range(len(reading)):
+        if not math.isnan(reading[c]):
+            return True
+    return False
+
+
+@compile_inner
 def project_encoder(
     belief: Array,
     reading: Array,
@@ -626,7 +639,7 @@ def filter_instants(
         keep_covariances(belief, i, every, joints, joints, prior_cov)
         clear_readings(i, information, weights)
         for j in range(joints):
-            if counted[j]:
+            if counted[j] and is_read(reading[j]):
                 offset = order * joints + j if len(drift) > 0 else -1
                 gate_encoder(
                     belief, reading[j], j, offset, limits, encoder_noise[j], sum_nats, deviation[j]
@@ -663,6 +676,8 @@ def filter_instants(
                     weights,
                 )
         for j in range(joints):
+            if not is_read(reading[j]):
+                continue
             offset = order * joints + j if len(drift) > 0 else -1
             project_encoder(
                 belief, reading[j], j, offset, encoder_noise[j], read_by_encoder, weight
