@@ -73,7 +73,7 @@ class CompilationNotice(event.Listener):
         """A function is about to be compiled."""
         if not self._told:
             logging.getLogger(__name__).warning(
-                "bodylog compiles its filter, which takes some 20 s, once"
+                "bodylog compiles its filter, once: this takes half a minute"
             )
         self._told = True
 
