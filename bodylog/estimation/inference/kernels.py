@@ -413,10 +413,10 @@ def gate_encoder(
 @compile_inner
 def is_read(reading: Array) -> bool:
     """Whether an encoder is read in any stretch (C,)."""
+    anything = False
     for c in range(len(reading)):
-        if not math.isnan(reading[c]):
-            return True
-    return False
+        anything |= not math.isnan(reading[c])
+    return anything
 
 
 @compile_inner
