@@ -2,13 +2,15 @@
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
-C_FILES := $(shell find bodylog -name '*.[ch]')
+KERNELS := bodylog/estimation/inference/kernels.py
 
 .PHONY: demo demo-bare test test-all lint soak bench validation wheel docs site clean
 
-$(VENV)/installed: pyproject.toml setup.py $(C_FILES)
+# The kernels are compiled here, before tests run side by side.
+$(VENV)/installed: pyproject.toml $(KERNELS)
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[all,test,docs]'
+	$(BIN)/python -c 'from bodylog.estimation.inference.kernel_call import load_kernels; load_kernels()'
 	touch $@
 
 # Explore, learn the body from it, replay a second log against it, score it, draw it.
@@ -80,4 +82,4 @@ site: $(VENV)/installed
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 clean:
-	rm -rf $(VENV) build dist demo *.egg-info bodylog/estimation/inference/libkernel.so
+	rm -rf $(VENV) build dist demo *.egg-info

@@ -12,7 +12,7 @@ import numpy as np
 from .types import Array
 
 MAX_ORDER = 3
-"""Most states of a joint, MOST_ORDER of motion.h: angle, rate, acceleration."""
+"""Most states of a joint, as NOISE_SHARES of kernels.py has them: angle, rate, acceleration."""
 
 
 START_STD = (1.0, 1.0, 3.0)
@@ -43,7 +43,7 @@ class MotionModel(Protocol):
 
 @dataclass(frozen=True)
 class WhiteNoise:
-    """White noise in the derivative `order`: what the compiled filter knows, in motion.h.
+    """White noise in the derivative `order`: what the compiled filter knows.
 
     Other models go to it as matrices of each step.
     """

@@ -103,6 +103,10 @@ def _verbosity_option(short: str, long: str, level: int, help_: str) -> click.Op
     def keep(context: click.Context, _option: click.Parameter, given: bool) -> None:
         if given:
             context.meta[VERBOSITY] = level
+            if level < 0:
+                import logging
+
+                logging.getLogger("bodylog").setLevel(logging.ERROR)
 
     return click.Option([short, long], is_flag=True, expose_value=False, callback=keep, help=help_)
 

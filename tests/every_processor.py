@@ -115,6 +115,7 @@ def environment(profile: Profile) -> dict[str, str]:
         "OPENBLAS_NUM_THREADS": "1",
         "OPENBLAS_CORETYPE": profile.kernels,
         "NPY_DISABLE_CPU_FEATURES": " ".join(dispatched(profile.without)),
+        **({} if profile.needs else {"NUMBA_CPU_NAME": "generic"}),
     }
 
 

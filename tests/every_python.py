@@ -14,7 +14,6 @@ from shutil import which
 ROOT = Path(__file__).parents[1]
 SOURCE = (ROOT / "pyproject.toml").read_text()
 PROJECT = tomllib.loads(SOURCE)["project"]
-BUILT_FROM = [ROOT / "pyproject.toml", ROOT / "setup.py", *sorted((ROOT / "bodylog").rglob("*.[ch]"))]
 VERSIONS = [word.split()[-1] for word in PROJECT["classifiers"] if re.search(r":: 3\.\d+$", word)]
 EXTRAS = PROJECT["optional-dependencies"]
 HIGH = {"test", "all", "view", "docs"}
@@ -44,12 +43,11 @@ def _environment(name: str) -> Path:
     """The Python of the environment of that name, reinstalled when what it was built from has changed."""
     folder = ROOT / "build" / f"python-{name}"
     python, stamp = folder / "bin" / "python", folder / "built_from"
-    source = "".join(path.read_text() for path in BUILT_FROM)
-    if not stamp.exists() or stamp.read_text() != source:
+    if not stamp.exists() or stamp.read_text() != SOURCE:
         print(f"{name}: installing into {folder}", flush=True)
         _uv("venv", "--clear", "--python", _interpreter(VERSIONS[0] if name == "lowest" else name), str(folder))
         (_install_lowest if name == "lowest" else _install_newest)(python, folder)
-        stamp.write_text(source)
+        stamp.write_text(SOURCE)
     return python
 
 

@@ -34,7 +34,7 @@ def _build(work: Path) -> Path:
     for left in (ROOT / "build").glob("lib*"):
         shutil.rmtree(left)
     _run(Path(sys.executable), "-m", "build", "--wheel", "--outdir", str(work), str(ROOT))
-    return next(work.glob("*.whl"))
+    return next(work.glob("*-py3-none-any.whl"))
 
 
 def _empty_environment(folder: Path) -> Path:

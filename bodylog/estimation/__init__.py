@@ -11,7 +11,7 @@ from ..runtime.blas_threads import one_thread
 from ..settings import EstimationSettings
 from ..types import HARDWARE_ERRORS, Estimate, Features
 from .common_cause import infer_common_causes
-from .inference import kernel
+from .inference.kernel_call import load_kernels
 from .measurements import gather
 from .measurements.arm_errors import learned_arm_errors
 from .methods.consistency import (
@@ -111,9 +111,9 @@ def check_estimation_settings(body: BodyModel, settings: EstimationSettings) -> 
     """UsageError for a method, form of touch, preset or
     sense that does not exist or that the method cannot use.
 
-    Also without the compiled library, which is no fault of a log.
+    Also loads the compiled filter, before workers start.
     """
-    kernel.load_library()
+    load_kernels()
     if settings.method not in METHODS:
         raise UsageError(f"method: {settings.method!r} is unknown; possible: {', '.join(METHODS)}")
     method = METHODS[settings.method]

@@ -11,7 +11,6 @@ import pytest
 from bodylog import compare
 from bodylog.body import storage
 from bodylog.estimation import METHODS
-from bodylog.estimation.inference import kernel
 from bodylog.settings import EstimationSettings, Settings
 
 from .spoilt import spoil
@@ -138,13 +137,3 @@ def test_encoders_that_never_spoke_are_no_sense(robot):
     mute = replace(features, joints=replace(features.joints, values=np.full_like(features.joints.values, np.nan)))
     assert compare.list_sense_subsets(mute, body, EstimationSettings(without=("touch",)))[0] == [("vision",)]
     assert compare.list_sense_subsets(mute, body, EstimationSettings(senses=("encoders",)))[0] == []
-
-
-@pytest.mark.parametrize("command", ["compare", "estimate", "batch"])
-def test_without_the_compiled_library_the_log_is_not_blamed(tmp_path, monkeypatch, capsys, run_cli, robot, command):
-    monkeypatch.setattr(kernel, "LIBRARY", tmp_path / "libkernel.so")
-    monkeypatch.setattr(kernel, "load_library", kernel.load_library.__wrapped__)
-    out = () if command == "compare" else ("-o", tmp_path / "out")
-    assert run_cli(command, robot / "reach.mcap", "--body", robot / "body.npz", *out) == 2
-    assert "type in bodylog's folder: pip install ." in capsys.readouterr().err
-    assert not (tmp_path / "out" / "reach.mcap").exists()

@@ -13,7 +13,6 @@ from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline, list_track_sets
 from ..noise.noise_model import NoiseModel
 from ..noise.posture_prior import PosturePrior
-from .kernel import LANES
 from .reacquisition import extend_open_silence, joints_left_open
 from .scan import GATE_SIGMA, FilterDynamics, FilterReadings
 
@@ -104,6 +103,8 @@ class FilterProblem:
         return np.stack([fewer.get(view, usual) / usual for view in found])[which]
 
 
+MAX_STRETCHES = 8
+"""Stretches of a log that are filtered side by side."""
 MIN_STRETCH_INSTANTS = 32
 """Least number of instants in a stretch: its end must not depend on its start."""
 
@@ -143,8 +144,8 @@ class Fold:
 
 
 def choose_fold(events: int) -> Fold:
-    """Fold with as many stretches as the kernel filters side by side, if the log is long enough."""
-    count = min(LANES, max(1, events // MIN_STRETCH_INSTANTS))
+    """Fold with MAX_STRETCHES, or fewer if the log is short."""
+    count = min(MAX_STRETCHES, max(1, events // MIN_STRETCH_INSTANTS))
     length = max(1, -(-events // count))
     return Fold(events, length, max(1, -(-events // length)))
 

@@ -1,11 +1,10 @@
 """The Gaussian filter: its dynamics, the readings of stretches of a log side by side, and the trace
-that the kernel (scan.c) makes of them; when repeated sweeps over a log have converged.
+that the kernel (kernels.py) makes of them; when repeated sweeps over a log have converged.
 
 State z (K,C) = joint angles, rates[, accelerations][,
 encoder offsets]; the last axis C is the stretch.
 """
 
-import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
@@ -22,7 +21,7 @@ from ...motion import (
     WhiteNoise,
 )
 from ...types import Array
-from .kernel import bind_kernel_call, list_struct_fields
+from .kernel_call import bind_kernel_call
 
 MAX_SWEEPS = 25
 """Most sweeps: both methods converge within 13 on 15 simulated and recorded logs."""
@@ -206,16 +205,6 @@ BLOCK_INSTANTS = 512
 """Instants of which covariances and gains are kept at a time, so that they stay in the cache."""
 
 
-class _Scan(ctypes.Structure):
-    _fields_ = list_struct_fields(
-        "length stretches joints tracks rows order offsets tiles every own_processes p_rows block",
-        "gate most flat",
-        "dt encoders encoder_var y jac var process drift more move shift noise restart reset "
-        "counted start_z start_p "
-        "prior prior_cov z cov p end_p nats encoder_d information gains weights marks",
-    )
-
-
 class TraceDetail(Enum):
     """What a trace keeps: the filter's beliefs, also what
     smoothed means need, or also what their covariances need.
@@ -307,28 +296,16 @@ def prepare_filter(
     every: int = 1,
 ) -> Callable[[], None]:
     """The filter as a call that reads and writes these arrays."""
-    (length, m, shared), c = readings.encoders.shape, z.shape[1]
-    _, tracks, rows, _ = readings.y.shape
+    m = len(dynamics.process)
     move, shift, noise = readings.moves or (None, None, None)
     counted = np.ones(m, bool) if dynamics.is_prior is None else ~dynamics.is_prior
     gains, weights = trace.back or (None, None)
     return bind_kernel_call(
-        "scan",
-        _Scan,
-        length=length,
-        stretches=c,
-        joints=m,
-        tracks=tracks,
-        rows=rows,
-        order=dynamics.order,
-        offsets=dynamics.drift is not None,
-        tiles=c // shared,
+        "filter_instants",
         every=every,
-        own_processes=dynamics.process.ndim > 1,
-        p_rows=0 if trace.p is None else trace.p.shape[1],
         block=BLOCK_INSTANTS,
         gate=readings.gate,
-        most=GATE_SIGMA * GATE_SIGMA,
+        outlier_cost=0.5 * GATE_SIGMA * GATE_SIGMA,
         flat=FLAT_COST_NATS,
         dt=readings.dt,
         encoders=readings.encoders,
@@ -336,13 +313,13 @@ def prepare_filter(
         y=readings.y,
         jac=readings.jac,
         var=readings.var,
-        process=np.ascontiguousarray(dynamics.process),
+        process=np.ascontiguousarray(dynamics.process.reshape(m, -1)),
         drift=dynamics.drift,
         more=readings.more,
         move=move,
         shift=shift,
         noise=noise,
-        restart=np.square(START_STD),
+        restart=np.square(START_STD[: dynamics.order]),
         reset=readings.reset,
         counted=counted,
         start_z=np.ascontiguousarray(z),

@@ -1,6 +1,6 @@
 """The filter one instant after the other: one step, for a log and beside a robot.
 
-One instant of the filter, by the kernel that filters whole logs (scan.c).
+One instant of the filter, by the kernel that filters whole logs (kernels.py).
 
 Tracks of one instant, linearised until the belief converges.
 """

@@ -1,19 +1,18 @@
 """A filtered log: the belief at every instant, and the linearisation.
 
-Backward pass of the smoother (adjoint.c): smoothed
+Backward pass of the smoother (kernels.py): smoothed
 means x = z − P λ, where λ is the adjoint, and covariances.
 
 Back over a reading y = H x + n of noise R the adjoint is λ − Hᵀ R⁻¹ (y − H x). The information of
 covariances is carried back in Bryson–Frazier form, which needs the filter's gains but no inverse.
 """
 
-import ctypes
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...types import Array
-from .kernel import bind_kernel_call, list_struct_fields
+from .kernel_call import bind_kernel_call
 from .problem import Fold
 from .scan import (
     BLOCK_INSTANTS,
@@ -24,15 +23,6 @@ from .scan import (
     filter_stretches,
 )
 from .tangents import Tangents
-
-
-class _Adjoint(ctypes.Structure):
-    _fields_ = list_struct_fields(
-        "length stretches joints rows order offsets tiles width outputs p_rows",
-        "",
-        "dt encoders encoder_var y jac move information gains weights z p reset end start "
-        "smooth cov",
-    )
 
 
 def smooth_states(
@@ -140,22 +130,11 @@ def _propagate_adjoint_back(
     """What the adjoint, or W and Ψ, (K,W,C) at the `end` of each stretch are at its start."""
     assert trace.information is not None and trace.p is not None
     (gains, weights), start = trace.back or (None, None), np.empty_like(end)
-    (length, m, shared), c = readings.encoders.shape, end.shape[-1]
-    length = length if smooth is None else len(smooth)
     moves = dynamics.with_moves(readings).moves
     bind_kernel_call(
-        "adjoint",
-        _Adjoint,
-        length=length,
-        stretches=c,
-        joints=m,
-        rows=trace.information.shape[1],
+        "carry_adjoints_back",
         order=dynamics.order,
-        offsets=dynamics.offset is not None,
-        tiles=c // shared,
-        width=end.shape[1],
-        outputs=0 if cov is None else cov.shape[1],
-        p_rows=trace.p.shape[1],
+        length=len(readings.dt) if smooth is None else len(smooth),
         dt=readings.dt,
         encoders=readings.encoders,
         encoder_var=readings.encoder_var,

@@ -2,10 +2,9 @@
 acceleration or jerk, by the evidence of its readings.
 
 Evidence of one joint's encoder readings alone, for
-many ratios of process to noise (encoder_evidence.c).
+many ratios of process to noise (kernels.py).
 """
 
-import ctypes
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ import numpy as np
 from scipy.special import wrightomega
 
 from ...types import Array
-from ..inference.kernel import bind_kernel_call, list_struct_fields
+from ..inference.kernel_call import bind_kernel_call
 from ..inference.scan import GATE_SIGMA
 from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_by_pivot, median_step
 from ..measurements.records import Encoders
@@ -25,12 +24,6 @@ SKIPPED_READINGS = 10
 after a restart, which may be at a false reading; of fewer than 30, a third do not count
 at the start. A joint with no more readings than this keeps its given noise. With 3,
 errors among false readings are 13 to 27 % larger."""
-
-
-class _EvidenceStruct(ctypes.Structure):
-    _fields_ = list_struct_fields(
-        "length ratios order", "vague usual", "dt y ratio fresh counts squares logs lag"
-    )
 
 
 def compute_encoder_evidence(
@@ -63,10 +56,7 @@ def compute_encoder_evidence(
     vague = np.finfo(float).eps ** -0.5
     squares, logs, lag = np.empty((3, len(ratios)))
     bind_kernel_call(
-        "evidence",
-        _EvidenceStruct,
-        length=len(t),
-        ratios=len(ratios),
+        "weigh_noise_ratios",
         order=order,
         vague=vague,
         usual=float(np.median(dt[dt > 0.0])),

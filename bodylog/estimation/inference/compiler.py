@@ -1,0 +1,81 @@
+"""How kernels.py is compiled: by Numba, which keeps the machine code in a file for later starts."""
+
+import logging
+import pickle
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from numba import njit, types
+from numba.core import event
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+"""Threads may run kernels side by side, and divisions are IEEE 754's. Without `fastmath` sums are
+not reordered and products not fused, so that numbers do not depend on the processor."""
+INNER_OPTIONS: dict[str, Any] = {**OPTIONS, "_nrt": False}
+"""Without counts of references, which would take a third of a filter's time."""
+CACHE_ERRORS = (RuntimeError, OSError, EOFError, pickle.UnpicklingError)
+"""Where Numba can write neither beside the package nor in the user's cache, where the disk is
+full, and where a file of the cache is broken."""
+
+whole = types.int64
+number = types.float64
+
+
+def read(axes: int) -> Any:
+    """The type of an array of numbers that a kernel reads."""
+    return types.Array(types.float64, axes, "C", readonly=True)
+
+
+def read_flags(axes: int) -> Any:
+    """The type of an array of bool that a kernel reads."""
+    return types.Array(types.boolean, axes, "C", readonly=True)
+
+
+def write(axes: int) -> Any:
+    """The type of an array of numbers that a kernel writes."""
+    return types.Array(types.float64, axes, "C")
+
+
+def compile_inner(function: Function) -> Function:
+    """Compile a function that kernels call, with them; it must not allocate arrays."""
+    compiled: Function = njit(**INNER_OPTIONS)(function)
+    return compiled
+
+
+def compile_kernel(*arguments: Any) -> Callable[[Function], Function]:
+    """Compile a kernel now, for arguments of these types alone, or take it from the cache.
+
+    Without a cache each start compiles.
+    """
+    signature = types.void(*arguments)
+
+    def compile_function(function: Function) -> Function:
+        compiled: Function
+        try:
+            compiled = njit(signature, cache=True, **OPTIONS)(function)
+        except CACHE_ERRORS:
+            compiled = njit(signature, **OPTIONS)(function)
+        return compiled
+
+    return compile_function
+
+
+class CompilationNotice(event.Listener):
+    """Logs once that the kernels are compiled, when they are not in the cache."""
+
+    def __init__(self) -> None:
+        """Nothing has been compiled yet."""
+        self._told = False
+
+    def on_start(self, event: Any) -> None:
+        """A function is about to be compiled."""
+        if not self._told:
+            logging.getLogger(__name__).warning(
+                "bodylog compiles its filter, once: this takes half a minute"
+            )
+        self._told = True
+
+    def on_end(self, event: Any) -> None:
+        """It is compiled."""

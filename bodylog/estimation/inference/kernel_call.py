@@ -1,0 +1,44 @@
+"""Calls of the compiled loops over instants: Numba and
+these are imported where something is estimated.
+"""
+
+from collections.abc import Callable
+from functools import cache, partial
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+
+@cache
+def load_kernels() -> ModuleType:
+    """The compiled loops; the first start on a machine compiles them, and logs a warning."""
+    from numba.core.event import install_listener
+
+    from .compiler import CompilationNotice
+
+    with install_listener("numba:compile", CompilationNotice()):
+        from . import kernels
+
+    return kernels
+
+
+def bind_kernel_call(function: str, **values: Any) -> Callable[[], None]:
+    """A call of a kernel with numbers, and with arrays of
+    float64 or bool in C's order, or None for no array.
+
+    Arrays are read and written where they are, at each call.
+    """
+    kernel = getattr(load_kernels(), function)
+    kinds = kernel.nopython_signatures[0].args
+    names = kernel.py_func.__code__.co_varnames[: len(kinds)]
+    assert values.keys() == set(names), values.keys() ^ set(names)
+    given = []
+    for name, kind in zip(names, kinds, strict=True):
+        value = values[name]
+        if axes := getattr(kind, "ndim", 0):
+            dtype = np.dtype(str(kind.dtype))
+            value = np.empty((0,) * axes, dtype) if value is None else value
+            assert value.ndim == axes and value.dtype == dtype and value.flags.c_contiguous, name
+        given.append(value)
+    return partial(kernel, *given)
