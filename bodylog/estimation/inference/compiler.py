@@ -1,7 +1,6 @@
 """How kernels.py is compiled: by Numba, which keeps the machine code in a file for later starts."""
 
 import logging
-import pickle
 from collections.abc import Callable
 from typing import Any, TypeVar
 
@@ -15,10 +14,6 @@ OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 not reordered and products not fused, so that numbers do not depend on the processor."""
 INNER_OPTIONS: dict[str, Any] = {**OPTIONS, "_nrt": False}
 """Without counts of references, which would take a third of a filter's time."""
-CACHE_ERRORS = (RuntimeError, OSError, EOFError, pickle.UnpicklingError)
-"""Where Numba can write neither beside the package nor in the user's cache, where the disk is
-full, and where a file of the cache is broken."""
-
 whole = types.int64
 number = types.float64
 
@@ -55,7 +50,7 @@ def compile_kernel(*arguments: Any) -> Callable[[Function], Function]:
         compiled: Function
         try:
             compiled = njit(signature, cache=True, **OPTIONS)(function)
-        except CACHE_ERRORS:
+        except Exception:  # no folder for the cache, a full disk, a broken file: each has its own
             compiled = njit(signature, **OPTIONS)(function)
         return compiled
 
