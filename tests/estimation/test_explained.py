@@ -13,10 +13,11 @@ from bodylog.estimation.faults.moved_camera import restore_displacements
 from bodylog.estimation.measurements.arm_errors import ArmErrors
 from bodylog.estimation.methods import explained
 from bodylog.estimation.methods.filtering import build_filter_problem
+from bodylog.estimation.methods.results import Beliefs
 from bodylog.fault_kinds import Fault as FoundFault
 from bodylog.findings import verdict
 from bodylog.settings import EstimationSettings
-from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, FaultKind
+from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, FaultKind, Finding
 from tests.estimation import mechanisms
 from tests.estimation.conftest import Explored
 from tests.estimation.mechanisms import LASTING, LOOSE, Fault, errors_and_nees, true_angles
@@ -90,11 +91,15 @@ def test_what_was_taken_out_of_readings_is_expected_of_them():
     problem = replace(problem, evidence=evidence)
     white = explain_by_white_noise(problem)
     for causal in (True, False):
-        errors = solve_log(problem, white, causal).instants.encoder_errors
+        solved = solve_log(problem, white, causal)
+        errors = solved.instants.encoder_errors
         # a filter learns the step from the first images after it
         known = problem.timeline.t > 5.0
         assert ((np.abs(errors[known]) > 3.0).mean(axis=0) < 0.02).all()
         assert (np.nanmean(np.square(errors[known]), axis=0) > 0.8).all()
+        # a filter that lost the arm is not the one that is reported
+        lost = Beliefs(*[errors] * 6, {}, {}, findings=(Finding("warning", "belief: lost lift"),))
+        assert not explained._with_explanation(problem, lost, white, solved).findings
 
 
 def test_an_encoder_that_drifts_is_named_and_no_error_that_lasts_stands_for_it():

@@ -95,6 +95,21 @@ def test_moved_camera_is_absent_in_logs_without_one(moves, seed):
         assert not cameras(features, world.body)
 
 
+@pytest.mark.parametrize("moves", ["reach", "sines"])
+@pytest.mark.parametrize("count", [3, pytest.param(20, marks=pytest.mark.soak)])
+def test_a_camera_that_moves_beside_an_encoder_that_drifts_is_found(moves, count):
+    off = []
+    for seed in range(count):
+        world = drawn(900 + seed, Drawn(moves, noise=0.002))
+        t = world.features.joints.t
+        drift = np.outer(np.clip(0.02 * (t - 7.0), 0.0, None), np.arange(3) == seed % 3)
+        joints = replace(world.features.joints, values=world.features.joints.values + drift)
+        found = cameras(moved(replace(world.features, joints=joints), 8.0, seed), world.body)
+        off += [(fault.size - 8.0) / fault.std for fault in found[:1] if len(found) == 1]
+    assert len(off) >= 0.9 * count
+    assert np.median(np.abs(off)) < 1.5
+
+
 @pytest.mark.parametrize(("seed", "joint"), [(101, "elbow"), (103, "pan"), (109, "pan")])
 def test_drifting_encoder_is_not_three_moves_of_the_camera(world, seed, joint):
     sound = world(seed, duration=16.0, encoder_std=0.01, camera_hz=20.0)

@@ -5,10 +5,14 @@ with covariance C: noise, model error (correlated by posture), errors of encoder
 wandering offsets of all encoders. A displacement Δ ~ N(0, σ²I) from the k-th mean on, with all k
 equally likely, adds ½ bᵀA⁻¹b − ½ ln|σ²A| to ln p(r), where A = SᵀC⁻¹S + I/σ² and b = SᵀC⁻¹r. It
 must win against no displacement, encoders that wander, one that steps, and all wrong at first.
+
+A blow may move a camera and shift a joint. So steps and steady drifts of single encoders are found
+in the same way, and displacements must win beside them, and over the best explanation without any.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -21,7 +25,13 @@ from ..measurements.arm_errors import follow_links, learned_arm_errors
 from ..measurements.long_arrays import noise_variance
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.track import camera_of_track
-from ..measurements.track_curve import BLUNDER_MEDIANS, Curve, interpolate_curve, track_curve
+from ..measurements.track_curve import (
+    BLUNDER_MEDIANS,
+    MAX_FRAME_GAP_S,
+    interpolate_curve,
+    track_curve,
+)
+from ..noise.encoder_noise import MAX_MEMORY_S
 from .encoder_offset import RANDOM_WALKS
 from .threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
@@ -33,40 +43,86 @@ MAX_READING_MEANS = 160
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
 
 
+CAMERA = (None, False)
+"""The kind of a displacement: of no joint's encoder, and it does not grow."""
+
+
 @dataclass(frozen=True, eq=False)
 class CameraDisplacement:
     """A displacement (2,) px, or (3,) mm, since t (s), its
     covariance, and the nats won against all other explanations.
+
+    joint: of what one encoder reads too much (1,) rad instead · grows: steadily, to that in the end.
     """
 
     t: float
     size: Array
     cov: Array
     nats: float
+    joint: int | None = None
+    grows: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class _DisplacementRows:
-    """Rows of all tracks: t (R,) s · output (R,) 0 or 1 · residuals r (R,) px · jac (R,M) px/rad ·
-    the Cholesky factor (R,R) of their covariance.
+    """Rows of all tracks: keys (R,), a number of track and output plus i t · t (R,) s · output (R,)
+    0 or 1 · residuals r (R,) px · jac (R,M) px/rad · the Cholesky factor (R,R) of their covariance.
     """
 
+    keys: Array
     t: Array
     output: Array
     r: Array
     jac: Array
     chol: Array
 
-    def without(self, moves: Sequence[CameraDisplacement]) -> "_DisplacementRows":
-        """The rows with displacements subtracted."""
-        return replace(
-            self, r=self.r - sum(one.size[self.output] * (self.t >= one.t) for one in moves)
-        )
+    def basis(self, joint: int | None) -> Array:
+        """What a unit of a displacement (R,D), or of what an encoder reads too much (R,1), adds."""
+        if joint is not None:
+            return -self.jac[:, joint : joint + 1]
+        return np.asarray(np.eye(1 + self.output.max())[self.output])
+
+    def select(self, keys: Array) -> "_DisplacementRows":
+        """The rows with these keys."""
+        kept = np.isin(self.keys, keys)
+        cov = (self.chol @ self.chol.T)[np.ix_(kept, kept)]
+        parts = (self.keys, self.t, self.output, self.r, self.jac)
+        keys, t, output, r, jac = (part[kept] for part in parts)
+        return _DisplacementRows(keys, t, output, r, jac, np.linalg.cholesky(cov))
+
+    def columns(self, changes: Sequence[CameraDisplacement]) -> Array:
+        """What units of all sizes of changes add (R,·), side by side."""
+        found = [
+            self.basis(one.joint) * _shape_change(self.t, one.t, one.grows)[:, None]
+            for one in changes
+        ]
+        return np.concatenate([np.empty((len(self.t), 0)), *found], axis=1)
+
+    def prior_std(self, joint: int | None) -> float:
+        """A displacement is a priori as large as an encoder's offset
+        shows, or 1e-3 px if joints do not move the track.
+        """
+        if joint is not None:
+            return PRIOR_STD_RAD
+        return max(PRIOR_STD_RAD * float(np.sqrt(np.square(self.jac).mean())), 1e-3)
+
+    def beside(self, changes: Sequence[CameraDisplacement]) -> "_DisplacementRows":
+        """The rows with changes of unknown sizes."""
+        if not changes:
+            return self
+        wide = [np.full(len(one.size), self.prior_std(one.joint)) for one in changes]
+        more = self.columns(changes) * np.concatenate(wide)
+        return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more @ more.T))
 
     def wandering(self, walk: float) -> "_DisplacementRows":
         """The rows with encoders' offsets that wander by `walk` rad²/s."""
         more = _offset_covariance(self.t, self.jac, walk)
         return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more))
+
+    def cost_beside(self, changes: Sequence[CameraDisplacement]) -> float:
+        """The cost beside changes of unknown sizes, each at one of all times that are as likely."""
+        times = len(changes) * np.log(len(np.unique(self.t)))
+        return self.beside(changes).cost + float(times)
 
     @property
     def cost(self) -> float:
@@ -191,6 +247,29 @@ def _without_added_variance(model: ForwardModel) -> ForwardModel:
     return model
 
 
+@dataclass(frozen=True, eq=False)
+class _Explanation:
+    """Changes that explain rows, and what was taken out of encoders before."""
+
+    rows: _DisplacementRows
+    changes: list[CameraDisplacement]
+    removed: list[CameraDisplacement]
+
+    @property
+    def moves(self) -> list[CameraDisplacement]:
+        """The displacements of the camera."""
+        return [one for one in self.changes if one.joint is None]
+
+    @property
+    def beside(self) -> list[CameraDisplacement]:
+        """What encoders read too much, in all."""
+        return [*self.removed, *(one for one in self.changes if one.joint is not None)]
+
+    def measure_cost(self, keys: Array) -> float:
+        """−ln p (nats) of some rows with the changes."""
+        return self.rows.select(keys).cost_beside([*self.removed, *self.changes])
+
+
 def find_displacements(
     encoders: Encoders, seen: Sequence[Sighting], lasting: Sequence[tuple[float, float]]
 ) -> list[CameraDisplacement]:
@@ -199,77 +278,174 @@ def find_displacements(
 
     lasting: σ (rad) and τ (s) of each encoder's errors that last. Empty where too little is seen.
     """
-    found = [
-        (s, curve)
-        for s in seen
-        if (curve := track_curve(encoders, s, MAX_READING_MEANS // len(seen))) is not None
-    ]
-    rows = _build_displacement_rows(found, np.array(lasting)) if found else None
-    if rows is None or not len(rows.t):
+
+    def see(read: Encoders) -> _DisplacementRows | None:
+        return _build_displacement_rows(read, seen, np.array(lasting))
+
+    rows = see(encoders)
+    if rows is None:
         return []
-    moves = _search_displacements(rows)
-    if moves[0].nats > EVIDENCE_THRESHOLD_NATS:
-        beyond = _gain_over_encoders(rows, moves)
-        moves = [
-            replace(one, nats=min(one.nats, beyond))
-            for one in (moves if beyond > EVIDENCE_THRESHOLD_NATS else moves[:1])
-        ]
-    return sorted(moves, key=lambda one: one.t)
+    first = _best_change(rows)
+    if first.nats <= EVIDENCE_THRESHOLD_NATS:
+        return [first]
+    settled = _best_step(rows, rows.jac, PRIOR_STD_RAD, until=True)
+    at_first = settled.t - rows.t.min() <= MAX_MEMORY_S
+    if at_first and (more := settled.nats + first.nats - rows.cost) < 0.0:
+        return [replace(first, nats=more)]
+    joints = list(product(range(rows.jac.shape[1]), (False, True)))
+    fixed = _explain_rows(rows, encoders, see, joints)
+    found = _explain_rows(rows, encoders, see, [CAMERA, *joints])
+    moves = found.moves
+    if not moves:
+        cost = rows.cost_beside(found.removed or found.changes)
+        return [replace(first, nats=min(first.nats - rows.cost + cost, 0.0))]
+    # images on which a wrong explanation throws no light, as readings jump there, count for neither
+    keys = np.intersect1d(fixed.rows.keys, found.rows.keys)
+    gain = min(
+        (fixed.measure_cost(keys) - found.measure_cost(keys)) / len(moves),
+        _gain_over_settling(found.rows, found.changes),
+        _gain_over_encoders(found.rows.beside(found.beside), moves),
+    )
+    if gain <= EVIDENCE_THRESHOLD_NATS:
+        return [replace(first, nats=gain)]
+    sized = _size_changes(found.rows, [*moves, *found.beside])[: len(moves)]
+    return sorted((replace(one, nats=min(one.nats, gain)) for one in sized), key=lambda one: one.t)
 
 
-def _search_displacements(rows: _DisplacementRows) -> list[CameraDisplacement]:
-    """Add displacements while each wins EVIDENCE_THRESHOLD_NATS, re-estimating the others each
-    time; else the most likely one.
+def _explain_rows(
+    rows: _DisplacementRows,
+    encoders: Encoders,
+    see: Callable[[Encoders], _DisplacementRows | None],
+    kinds: Sequence[tuple[int | None, bool]],
+) -> _Explanation:
+    """The most likely changes of these kinds, with predictions about what the encoders should have
+    read: they are linear in small errors only.
     """
-    moves = [_best_displacement(rows)]
-    while moves[-1].nats > EVIDENCE_THRESHOLD_NATS:
-        more = [*moves, _best_displacement(rows.without(moves))]
-        for k in range(len(more)):
-            more[k] = _best_displacement(rows.without(more[:k] + more[k + 1 :]))
-        if min(one.nats for one in more) <= EVIDENCE_THRESHOLD_NATS:
-            break
-        moves = more
-    return moves
+    changes = _search_changes(rows, kinds)
+    removed = [one for one in changes if one.joint is not None]
+    again = see(_remove_changes(encoders, removed)) if removed else None
+    if again is None:
+        return _Explanation(rows, changes, [])
+    return _Explanation(again, _search_changes(again.beside(removed), kinds), removed)
 
 
-def _best_displacement(rows: _DisplacementRows) -> CameraDisplacement:
-    """The most likely displacement, and the nats it wins."""
-    # a priori as large as an encoder's offset shows, or 1e-3 px if joints do not move the track
-    wide = max(PRIOR_STD_RAD * float(np.sqrt(np.square(rows.jac).mean())), 1e-3)
-    found = _best_step(rows, np.eye(1 + rows.output.max())[rows.output], wide)
-    return replace(found, nats=rows.cost - found.nats)
+def _search_changes(
+    rows: _DisplacementRows, kinds: Sequence[tuple[int | None, bool]]
+) -> list[CameraDisplacement]:
+    """Displacements of the camera, and steps and steady drifts of encoders, each of which wins
+    EVIDENCE_THRESHOLD_NATS beside the others; their sizes are those of all together.
+
+    kinds: joint, None for the camera, and whether it grows.
+    """
+    first = max((_best_change(rows, *kind) for kind in kinds), key=lambda one: one.nats)
+    if kinds[0] == CAMERA:  # alone, a displacement may look like the error of a sound encoder
+        first = _best_change(rows, *CAMERA)
+    beside = rows.beside([first])
+    pairs = [_refine_changes(rows, [first, _best_change(beside, *kind)]) for kind in kinds]
+    apart = [pair for pair in pairs if _stand_apart(pair)]
+    found = min(apart, key=rows.cost_beside, default=[])
+    while True:
+        left = rows.beside(found)
+        more = [
+            *found,
+            max((_best_change(left, *kind) for kind in kinds), key=lambda one: one.nats),
+        ]
+        more = _refine_changes(rows, more)
+        if not _stand_apart(more):
+            return _size_changes(rows, found)
+        found = more
+
+
+def _stand_apart(changes: Sequence[CameraDisplacement]) -> bool:
+    """Whether each change is evident beside the others, and is
+    no part of another: images between which a displacement lies show some of it.
+    """
+    shown = np.diff(sorted(one.t for one in changes if one.joint is None))
+    evident = min(one.nats for one in changes) > EVIDENCE_THRESHOLD_NATS
+    return evident and bool((shown > MAX_FRAME_GAP_S).all())
+
+
+def _refine_changes(
+    rows: _DisplacementRows, changes: Sequence[CameraDisplacement]
+) -> list[CameraDisplacement]:
+    """The changes, each most likely beside the others."""
+    found = list(changes)
+    for k, one in enumerate(changes):
+        others = rows.beside(found[:k] + found[k + 1 :])
+        found[k] = _best_change(others, one.joint, one.grows)
+    return found
+
+
+def _best_change(
+    rows: _DisplacementRows, joint: int | None = None, grows: bool = False
+) -> CameraDisplacement:
+    """The most likely displacement, or change of what one encoder reads, and the nats it wins."""
+    found = _best_step(rows, rows.basis(joint), rows.prior_std(joint), grows=grows)
+    return replace(found, nats=rows.cost - found.nats, joint=joint, grows=grows)
+
+
+def _remove_changes(encoders: Encoders, read: Sequence[CameraDisplacement]) -> Encoders:
+    """The encoders without what they read too much."""
+    values = encoders.values.copy()
+    for one in read:
+        assert one.joint is not None
+        values[:, one.joint] -= one.size * _shape_change(encoders.t, one.t, one.grows)
+    return replace(encoders, values=values)
+
+
+def _size_changes(
+    rows: _DisplacementRows, changes: Sequence[CameraDisplacement]
+) -> list[CameraDisplacement]:
+    """The changes with their sizes and covariances beside each other, at their times; what
+    encoders read too much may have been removed from the rows.
+    """
+    found = []
+    for k, one in enumerate(changes):
+        others = rows.beside([*changes[:k], *changes[k + 1 :]])
+        white = forward_substituted(others.chol, np.column_stack([rows.r, rows.columns([one])]))
+        info = (
+            white[:, 1:].T @ white[:, 1:] + np.eye(len(one.size)) / rows.prior_std(one.joint) ** 2
+        )
+        cov = np.linalg.inv(info)
+        found.append(replace(one, size=cov @ (white[:, 1:].T @ white[:, 0]), cov=cov))
+    return found
 
 
 def _gain_over_encoders(rows: _DisplacementRows, moves: list[CameraDisplacement]) -> float:
-    """Nats won by each move against the best alternative:
-    encoders wander, one steps, or all err at first.
+    """Nats won by each move against encoders that wander, and one that steps.
 
     Negative where residuals exceed the noise: the model is not linear
     over a large offset. A step of one encoder is as simple as one
     displacement, so it is compared with the first displacement alone.
     """
-    white = forward_substituted(rows.chol, rows.without(moves).r[:, None])
+    white = forward_substituted(rows.beside(moves).chol, rows.r[:, None])
     # the mean square is 1 where all noise is as stated
     if (poor := 4.0 * len(white) - np.square(white).sum()) < 0.0:
         return 0.5 * float(poor)
     wandering = [rows.wandering(walk).cost for walk in (RANDOM_WALKS[0], RANDOM_WALKS[2])]
     steps = min(_best_step(rows, lean[:, None], PRIOR_STD_RAD).nats for lean in rows.jac.T)
+    first = rows.cost - _best_change(rows).nats
+    return min(steps - first, (min(wandering) - rows.cost_beside(moves)) / len(moves))
+
+
+def _gain_over_settling(rows: _DisplacementRows, changes: Sequence[CameraDisplacement]) -> float:
+    """Nats won by each change against encoders that all err at first."""
     settled = _best_step(rows, rows.jac, PRIOR_STD_RAD, until=True).nats
-    # each given those before it: given those after it, too, displacements that cancel win twice
-    won = [_best_displacement(rows.without(moves[:k])).nats for k in range(len(moves))]
-    return min(
-        steps - rows.cost + won[0], (min(settled, *wandering) - rows.cost + sum(won)) / len(moves)
-    )
+    return (settled - rows.cost_beside(changes)) / len(changes)
 
 
 def _build_displacement_rows(
-    found: Sequence[tuple[Sighting, Curve]], lasting: Array
-) -> _DisplacementRows:
-    """The tracks' curves beside the encoders, as rows whose
-    covariance is that of a fixed camera and sound encoders.
+    encoders: Encoders, seen: Sequence[Sighting], lasting: Array
+) -> _DisplacementRows | None:
+    """The tracks' curves beside the encoders, as rows whose covariance is that
+    of a fixed camera and sound encoders; None where too little is seen.
 
     lasting (M,2): σ (rad) and τ (s) of each encoder's errors that last.
     """
+    curves = [(s, track_curve(encoders, s, MAX_READING_MEANS // len(seen))) for s in seen]
+    found = [(sighting, curve) for sighting, curve in curves if curve is not None]
+    if not found:
+        return None
     parts = list[tuple[Array, ...]]()
     own = list[Array]()
     for sighting, curve in found:
@@ -283,6 +459,7 @@ def _build_displacement_rows(
             model = np.sqrt(curve.model[sound, d])
             own.append(np.outer(model, model) * correlation + curve.noise[d] * np.eye(len(model)))
             columns = (
+                len(parts) + 1j * curve.at,
                 curve.at,
                 np.full(len(curve.at), d),
                 off[:, d],
@@ -291,9 +468,11 @@ def _build_displacement_rows(
                 speed[:, d],
             )
             parts.append(tuple(column[sound] for column in columns))
-    t, output, r, jac, encoder, speed = (
+    keys, t, output, r, jac, encoder, speed = (
         np.concatenate(column) for column in zip(*parts, strict=True)
     )
+    if not len(t):
+        return None
     # rows of one time share the same means of encoder readings
     cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _offset_covariance(
         t, jac, RANDOM_WALKS[-1]
@@ -304,7 +483,7 @@ def _build_displacement_rows(
     cov += MIN_DELAY_S**2 * np.outer(speed, speed)
     for end, block in zip(np.cumsum([len(block) for block in own]).tolist(), own, strict=True):
         cov[end - len(block) : end, end - len(block) : end] += block
-    return _DisplacementRows(t, output, r, jac, np.linalg.cholesky(cov))
+    return _DisplacementRows(keys, t, output, r, jac, np.linalg.cholesky(cov))
 
 
 def _offset_covariance(t: Array, jac: Array, walk: float) -> Array:
@@ -315,17 +494,25 @@ def _offset_covariance(t: Array, jac: Array, walk: float) -> Array:
     return np.asarray((jac @ jac.T) * (OFFSET_STD**2 + walk * np.minimum.outer(since, since)))
 
 
+def _shape_change(t: Array, since: Array | float, grows: bool) -> Array:
+    """The share of a change that is there at t: a step, or what grows from its time on to the end."""
+    if not grows:
+        return np.asarray(t >= since, float)
+    return np.asarray(np.maximum(t - since, 0.0) / np.maximum(t.max() - since, MIN_DELAY_S))
+
+
 def _best_step(
-    rows: _DisplacementRows, basis: Array, wide: float, until: bool = False
+    rows: _DisplacementRows, basis: Array, wide: float, until: bool = False, grows: bool = False
 ) -> CameraDisplacement:
     """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time.
 
     Its `nats` is the cost, −ln p of all rows, averaged over
-    all times of a step. `until`: it is undone at its time.
+    all times of a step. `until`: it is undone at its time. `grows`: from there on.
     """
     times = np.unique(rows.t)
     d = basis.shape[1]
-    steps = basis[:, :, None] * ((rows.t[:, None] >= times) != until)[:, None, :]
+    shapes = _shape_change(rows.t[:, None], times, grows)
+    steps = basis[:, :, None] * (1.0 - shapes if until else shapes)[:, None, :]
     white = forward_substituted(
         rows.chol, np.column_stack([rows.r, steps.reshape(len(rows.t), -1)])
     )

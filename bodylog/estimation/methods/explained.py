@@ -288,6 +288,7 @@ def _with_explanation(
         before_cov=instants.before_cov,
         encoder_errors=instants.encoder_errors,
         scale=scale,
+        findings=(),  # they are of beliefs that are not reported
         places=places,
     )
 
