@@ -1,7 +1,7 @@
 """The table of commands."""
 
 from collections.abc import Iterator, Mapping
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from typing import Any
 
@@ -106,7 +106,9 @@ def _verbosity_option(short: str, long: str, level: int, help_: str) -> click.Op
             if level < 0:
                 import logging
 
-                logging.getLogger("bodylog").setLevel(logging.ERROR)
+                log = logging.getLogger("bodylog")
+                context.call_on_close(partial(log.setLevel, log.level))
+                log.setLevel(logging.ERROR)
 
     return click.Option([short, long], is_flag=True, expose_value=False, callback=keep, help=help_)
 

@@ -100,3 +100,9 @@ def test_a_kernel_takes_its_own_types_alone():
 
     with pytest.raises(TypeError, match="No matching definition"):
         fill(np.zeros(1, np.float32), 1.0, np.zeros(1))
+
+
+def test_a_quiet_command_silences_its_own_run_alone(run_cli, tmp_path):
+    before = logging.getLogger("bodylog").level
+    assert run_cli("info", "-q", tmp_path / "absent.bag")
+    assert logging.getLogger("bodylog").level == before
