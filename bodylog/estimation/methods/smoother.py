@@ -61,6 +61,14 @@ def estimate_by_smoother(
 ) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
     start_problem = build_filter_problem(features, body, settings)
+    problem, beliefs = _smooth_log(start_problem, body, settings)
+    return explained_estimate("smoother", body, problem, start_problem, beliefs, settings)
+
+
+def _smooth_log(
+    start_problem: FilterProblem, body: BodyModel, settings: EstimationSettings
+) -> tuple[FilterProblem, Beliefs]:
+    """The smoothed beliefs; what they are made of, most of a log's memory, ends here."""
 
     def solved(problem: FilterProblem) -> tuple[FilterProblem, SmoothedWithResiduals]:
         problem, warm = tune_noise(problem, settings)
@@ -93,7 +101,7 @@ def estimate_by_smoother(
         tuple(warn_of_lost_belief(problem, body.joints, smooth)),
         found.places,
     )
-    return explained_estimate("smoother", body, problem, start_problem, beliefs, settings)
+    return problem, beliefs
 
 
 def remove_outliers(problem: FilterProblem, smooth: Smooth) -> SmoothedWithResiduals:
