@@ -37,8 +37,8 @@ def minimise_with_bfgs(
     """Minimise a loss (value, gradient (p,)) from `first`
     (p,); curvature (p,p): a positive definite guess.
 
-    settled: what the slope along the last step promises at most; by default a millionth of the loss ·
-    farthest: most that a step changes a variable by.
+    settled: what the slope along the last step promises at most; by default a millionth of the
+    loss · farthest: most that a step changes a variable by.
     """
     guess = np.linalg.inv(curvature)
     here = first

@@ -11,20 +11,20 @@ from numba.core import caching, event
 from bodylog.estimation.inference.compiler import (
     CompilationNotice,
     compile_kernel,
+    input_array,
     number,
-    read,
-    write,
+    output_array,
 )
 
 KERNEL = """
-from bodylog.estimation.inference.compiler import compile_inner, compile_kernel, number, read, write
+from bodylog.estimation.inference.compiler import compile_inner, compile_kernel, input_array, number, output_array
 
 @compile_inner
 def multiply_and_add(a, factor, found):
     for i in range(len(a)):
         found[i] += a[i] * factor
 
-@compile_kernel(read(1), number, write(1))
+@compile_kernel(input_array(1), number, output_array(1))
 def add_multiple(a, factor, found):
     multiply_and_add(a, factor, found)
 """
@@ -94,7 +94,7 @@ def test_products_are_not_fused_with_sums(tmp_path):
 
 
 def test_a_kernel_takes_its_own_types_alone():
-    @compile_kernel(read(1), number, write(1))
+    @compile_kernel(input_array(1), number, output_array(1))
     def fill(a, factor, found):
         found[0] = a[0] * factor
 

@@ -59,32 +59,32 @@ def measure_condensed_slopes(
     # r after the last gap is (x₁ − what x₀ and c predict) in its precision
     ahead = pairs.info[p:]
     shift = pairs.right[p:]
-    told = _multiply(ahead, states) - _multiply(shift, columns)
-    with_pair = _multiply(ahead, expected.pairs)
-    with_pair -= _multiply(shift, expected.with_columns.swapaxes(0, 1))
-    square = _multiply(with_pair, ahead.swapaxes(0, 1))
-    square -= _multiply(told[:, p:], shift.swapaxes(0, 1)) + ahead[:, p:]
+    by_starts = _multiply_blocks(ahead, states) - _multiply_blocks(shift, columns)
+    with_pair = _multiply_blocks(ahead, expected.pairs)
+    with_pair -= _multiply_blocks(shift, expected.with_columns.swapaxes(0, 1))
+    square = _multiply_blocks(with_pair, ahead.swapaxes(0, 1))
+    square -= _multiply_blocks(by_starts[:, p:], shift.swapaxes(0, 1)) + ahead[:, p:]
     var = np.square(np.maximum(0.0 if noise.error is None else noise.error, LEAST_STD))
-    white = np.zeros(told.shape[2:])
+    white = np.zeros(by_starts.shape[2:])
     process, error, seconds = white.copy(), white.copy(), white.copy()
     for k in reversed(range(len(passed.lasts))):
         if k < len(passed.readings):
-            white += _pass_reading(noise, passed.readings[k], starts, told, square)
+            white += _pass_reading(noise, passed.readings[k], starts, by_starts, square)
         by_start, last_cov = passed.lasts[k]
         gap = readings.gaps[k][:, None]
         decay = np.exp(-gap / noise.seconds)
         gained = readings.unit_motion[:, :, k, :, None] * square[:order, :order]
         process -= 0.5 * noise.process * gained.sum(axis=(0, 1))
         last = square[-1, -1].copy()
-        kept = (told[-1] * by_start).sum(axis=0)
-        noise.retreat(told, gap, decay)
-        noise.retreat(square, gap, decay)
+        kept = (by_starts[-1] * by_start).sum(axis=0)
+        noise.carry_slopes_back(by_starts, gap, decay)
+        noise.carry_slopes_back(square, gap, decay)
         if noise.error is not None:
             kept += (square[:, -1] * last_cov).sum(axis=0)
             faster = gap / noise.seconds * decay
             error += var * np.expm1(-2.0 * gap / noise.seconds) * last
             seconds += faster * (var * decay * last - kept)
-        noise.retreat(square.swapaxes(0, 1), gap, decay)
+        noise.carry_slopes_back(square.swapaxes(0, 1), gap, decay)
     known = readings.between_weight > 0.0
     shares = np.where(known, readings.between_believed - 1.0, 0.0).sum(axis=(0, 1))
     found = {"white": white.sum(axis=0) + 0.5 * shares, "process": process.sum(axis=0)}
@@ -94,27 +94,27 @@ def measure_condensed_slopes(
 
 
 def _pass_reading(
-    noise: JointNoise, step: PassedReading, starts: Array, told: Array, square: Array
+    noise: JointNoise, step: PassedReading, starts: Array, by_starts: Array, square: Array
 ) -> Array:
     """Slopes (K-1,M) by ln v of a reading; E r s' and M in place to what they are before it."""
     of_starts = (step.innovation[:, None] * starts).sum(axis=0)
-    with_slope = (told * step.innovation).sum(axis=1)
+    with_slope = (by_starts * step.innovation).sum(axis=1)
     mean_square = (of_starts * step.innovation).sum(axis=0)
     reach = (square * step.gain).sum(axis=1)
     inverse = step.inverse
     # u = innovation / variance − gain' r
-    own = inverse * of_starts - (step.gain[:, None] * told).sum(axis=0)
+    own = inverse * of_starts - (step.gain[:, None] * by_starts).sum(axis=0)
     pulled = ((reach - 2.0 * inverse * with_slope) * step.gain).sum(axis=0)
     excess = inverse * (inverse * mean_square - 1.0) + pulled
     shared = inverse * with_slope - reach
     noise.add_to_read(shared, 0.5 * excess)
-    noise.add_to_read(told, own)
+    noise.add_to_read(by_starts, own)
     noise.add_to_read(square, shared)
     noise.add_to_read(square.swapaxes(0, 1), shared)
     return np.asarray(-0.5 * step.var * excess)
 
 
-def _multiply(left: Array, right: Array) -> Array:
+def _multiply_blocks(left: Array, right: Array) -> Array:
     """Products (a,c,I,M) of left (a,b,I,M) and right (b,c,I,M)."""
     found = np.zeros((len(left), *right.shape[1:]))
     for column, row in zip(left.swapaxes(0, 1), right, strict=True):

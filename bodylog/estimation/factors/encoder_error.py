@@ -94,7 +94,7 @@ class JointNoise:
         if self.error is not None:
             states[self.order] *= decay
 
-    def retreat(self, states: Array, gap: Array, decay: Array) -> None:
+    def carry_slopes_back(self, states: Array, gap: Array, decay: Array) -> None:
         """Move slopes by states (p,…,I,M) in place to those before
         gaps (I,1) s: the transpose of `advance`.
         """

@@ -128,7 +128,8 @@ def explain(
         bents = [_learn(loaded, one, step_s, lasting) for one in each]
         bent = _best(bents)
         gain = lasting.nats - bent.nats
-        # what lasts long and is gone beside a load stood for it: neither is simpler; play leaves none
+        # what lasts long and is gone beside a load stood for it: neither is simpler;
+        # play leaves none
         rival = not gains and _is_long(lasting.noise) and not _is_long(bent.noise)
         if gain > (0.0 if rival else EVIDENCE_THRESHOLD_NATS):
             gains["load"] = gain

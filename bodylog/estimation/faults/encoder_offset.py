@@ -487,7 +487,7 @@ def _best_offset_hypothesis(
     cost: Callable[[FilterProblem], float],
     tuned: Callable[[FilterProblem], FilterProblem],
 ) -> OffsetHypothesis:
-    """The best random walk of one joint's offset, or its step or steady drift where that costs less.
+    """The best random walk of one joint's offset, or its step or steady drift if that costs less.
 
     These are compared with noise `tuned` with the offset: the problem's own has absorbed it.
     """

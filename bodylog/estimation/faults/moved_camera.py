@@ -48,11 +48,12 @@ CAMERA = (None, False)
 
 
 @dataclass(frozen=True, eq=False)
-class CameraDisplacement:
-    """A displacement (2,) px, or (3,) mm, since t (s), its
-    covariance, and the nats won against all other explanations.
+class SensorChange:
+    """What a sensor shows too much since t (s), its covariance,
+    and the nats won against all other explanations.
 
-    joint: of what one encoder reads too much (1,) rad instead · grows: steadily, to that in the end.
+    size: displacement of the camera's images (2,) px, or points (3,) mm; of the encoder of a
+    `joint`, (1,) rad · grows: steadily, to that size in the end.
     """
 
     t: float
@@ -76,13 +77,13 @@ class _DisplacementRows:
     jac: Array
     chol: Array
 
-    def basis(self, joint: int | None) -> Array:
+    def form_basis(self, joint: int | None) -> Array:
         """What a unit of a displacement (R,D), or of what an encoder reads too much (R,1), adds."""
         if joint is not None:
             return -self.jac[:, joint : joint + 1]
         return np.asarray(np.eye(1 + self.output.max())[self.output])
 
-    def select(self, keys: Array) -> "_DisplacementRows":
+    def select_rows(self, keys: Array) -> "_DisplacementRows":
         """The rows with these keys."""
         kept = np.isin(self.keys, keys)
         cov = (self.chol @ self.chol.T)[np.ix_(kept, kept)]
@@ -90,10 +91,10 @@ class _DisplacementRows:
         keys, t, output, r, jac = (part[kept] for part in parts)
         return _DisplacementRows(keys, t, output, r, jac, np.linalg.cholesky(cov))
 
-    def columns(self, changes: Sequence[CameraDisplacement]) -> Array:
+    def stack_columns(self, changes: Sequence[SensorChange]) -> Array:
         """What units of all sizes of changes add (R,·), side by side."""
         found = [
-            self.basis(one.joint) * _shape_change(self.t, one.t, one.grows)[:, None]
+            self.form_basis(one.joint) * _shape_change(self.t, one.t, one.grows)[:, None]
             for one in changes
         ]
         return np.concatenate([np.empty((len(self.t), 0)), *found], axis=1)
@@ -106,12 +107,12 @@ class _DisplacementRows:
             return PRIOR_STD_RAD
         return max(PRIOR_STD_RAD * float(np.sqrt(np.square(self.jac).mean())), 1e-3)
 
-    def beside(self, changes: Sequence[CameraDisplacement]) -> "_DisplacementRows":
+    def allow_for_changes(self, changes: Sequence[SensorChange]) -> "_DisplacementRows":
         """The rows with changes of unknown sizes."""
         if not changes:
             return self
         wide = [np.full(len(one.size), self.prior_std(one.joint)) for one in changes]
-        more = self.columns(changes) * np.concatenate(wide)
+        more = self.stack_columns(changes) * np.concatenate(wide)
         return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more @ more.T))
 
     def wandering(self, walk: float) -> "_DisplacementRows":
@@ -119,10 +120,10 @@ class _DisplacementRows:
         more = _offset_covariance(self.t, self.jac, walk)
         return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more))
 
-    def cost_beside(self, changes: Sequence[CameraDisplacement]) -> float:
+    def measure_cost_beside(self, changes: Sequence[SensorChange]) -> float:
         """The cost beside changes of unknown sizes, each at one of all times that are as likely."""
         times = len(changes) * np.log(len(np.unique(self.t)))
-        return self.beside(changes).cost + float(times)
+        return self.allow_for_changes(changes).cost + float(times)
 
     @property
     def cost(self) -> float:
@@ -205,14 +206,14 @@ def _remove_blunders(encoders: Encoders) -> Encoders:
     return replace(encoders, values=values)
 
 
-def _displacement_fault(name: str, found: CameraDisplacement) -> Fault:
+def _displacement_fault(name: str, found: SensorChange) -> Fault:
     size = float(np.linalg.norm(found.size))
     std = float(np.sqrt(found.size @ found.cov @ found.size)) / size
     unit = TRACK_AXES[len(found.size)][1]
     return Fault("vision", name, FaultKind.DISPLACED, found.t, size, unit, std)
 
 
-def subtract_displacement(sighting: Sighting, moved: CameraDisplacement) -> Sighting:
+def subtract_displacement(sighting: Sighting, moved: SensorChange) -> Sighting:
     """Return the sighting with the displacement subtracted from its time on."""
     off = (sighting.t >= moved.t)[:, None] * moved.size
     before = np.zeros_like(sighting.values) if sighting.displaced is None else sighting.displaced
@@ -252,37 +253,37 @@ class _Explanation:
     """Changes that explain rows, and what was taken out of encoders before."""
 
     rows: _DisplacementRows
-    changes: list[CameraDisplacement]
-    removed: list[CameraDisplacement]
+    changes: list[SensorChange]
+    removed: list[SensorChange]
 
     @property
-    def moves(self) -> list[CameraDisplacement]:
+    def displacements(self) -> list[SensorChange]:
         """The displacements of the camera."""
         return [one for one in self.changes if one.joint is None]
 
     @property
-    def beside(self) -> list[CameraDisplacement]:
+    def encoder_changes(self) -> list[SensorChange]:
         """What encoders read too much, in all."""
         return [*self.removed, *(one for one in self.changes if one.joint is not None)]
 
     def measure_cost(self, keys: Array) -> float:
         """−ln p (nats) of some rows with the changes."""
-        return self.rows.select(keys).cost_beside([*self.removed, *self.changes])
+        return self.rows.select_rows(keys).measure_cost_beside([*self.removed, *self.changes])
 
 
 def find_displacements(
     encoders: Encoders, seen: Sequence[Sighting], lasting: Sequence[tuple[float, float]]
-) -> list[CameraDisplacement]:
+) -> list[SensorChange]:
     """Return the displacements of one camera's tracks that win EVIDENCE_THRESHOLD_NATS, by time, or
     else the most likely one.
 
     lasting: σ (rad) and τ (s) of each encoder's errors that last. Empty where too little is seen.
     """
 
-    def see(read: Encoders) -> _DisplacementRows | None:
+    def predict_rows(read: Encoders) -> _DisplacementRows | None:
         return _build_displacement_rows(read, seen, np.array(lasting))
 
-    rows = see(encoders)
+    rows = predict_rows(encoders)
     if rows is None:
         return []
     first = _best_change(rows)
@@ -293,29 +294,29 @@ def find_displacements(
     if at_first and (more := settled.nats + first.nats - rows.cost) < 0.0:
         return [replace(first, nats=more)]
     joints = list(product(range(rows.jac.shape[1]), (False, True)))
-    fixed = _explain_rows(rows, encoders, see, joints)
-    found = _explain_rows(rows, encoders, see, [CAMERA, *joints])
-    moves = found.moves
+    fixed = _explain_rows(rows, encoders, predict_rows, joints)
+    found = _explain_rows(rows, encoders, predict_rows, [CAMERA, *joints])
+    moves = found.displacements
     if not moves:
-        cost = rows.cost_beside(found.removed or found.changes)
+        cost = rows.measure_cost_beside(found.removed or found.changes)
         return [replace(first, nats=min(first.nats - rows.cost + cost, 0.0))]
-    # images on which a wrong explanation throws no light, as readings jump there, count for neither
+    # compared by the images that both explanations predict
     keys = np.intersect1d(fixed.rows.keys, found.rows.keys)
     gain = min(
         (fixed.measure_cost(keys) - found.measure_cost(keys)) / len(moves),
         _gain_over_settling(found.rows, found.changes),
-        _gain_over_encoders(found.rows.beside(found.beside), moves),
+        _gain_over_encoders(found.rows.allow_for_changes(found.encoder_changes), moves),
     )
     if gain <= EVIDENCE_THRESHOLD_NATS:
         return [replace(first, nats=gain)]
-    sized = _size_changes(found.rows, [*moves, *found.beside])[: len(moves)]
+    sized = _size_changes(found.rows, [*moves, *found.encoder_changes])[: len(moves)]
     return sorted((replace(one, nats=min(one.nats, gain)) for one in sized), key=lambda one: one.t)
 
 
 def _explain_rows(
     rows: _DisplacementRows,
     encoders: Encoders,
-    see: Callable[[Encoders], _DisplacementRows | None],
+    predict_rows: Callable[[Encoders], _DisplacementRows | None],
     kinds: Sequence[tuple[int | None, bool]],
 ) -> _Explanation:
     """The most likely changes of these kinds, with predictions about what the encoders should have
@@ -323,29 +324,29 @@ def _explain_rows(
     """
     changes = _search_changes(rows, kinds)
     removed = [one for one in changes if one.joint is not None]
-    again = see(_remove_changes(encoders, removed)) if removed else None
+    again = predict_rows(_remove_changes(encoders, removed)) if removed else None
     if again is None:
         return _Explanation(rows, changes, [])
-    return _Explanation(again, _search_changes(again.beside(removed), kinds), removed)
+    return _Explanation(again, _search_changes(again.allow_for_changes(removed), kinds), removed)
 
 
 def _search_changes(
     rows: _DisplacementRows, kinds: Sequence[tuple[int | None, bool]]
-) -> list[CameraDisplacement]:
+) -> list[SensorChange]:
     """Displacements of the camera, and steps and steady drifts of encoders, each of which wins
     EVIDENCE_THRESHOLD_NATS beside the others; their sizes are those of all together.
 
     kinds: joint, None for the camera, and whether it grows.
     """
-    first = max((_best_change(rows, *kind) for kind in kinds), key=lambda one: one.nats)
-    if kinds[0] == CAMERA:  # alone, a displacement may look like the error of a sound encoder
-        first = _best_change(rows, *CAMERA)
-    beside = rows.beside([first])
+    # alone, a displacement may look like the error of a sound encoder
+    begin = [CAMERA] if CAMERA in kinds else kinds
+    first = max((_best_change(rows, *kind) for kind in begin), key=lambda one: one.nats)
+    beside = rows.allow_for_changes([first])
     pairs = [_refine_changes(rows, [first, _best_change(beside, *kind)]) for kind in kinds]
     apart = [pair for pair in pairs if _stand_apart(pair)]
-    found = min(apart, key=rows.cost_beside, default=[])
+    found = min(apart, key=rows.measure_cost_beside, default=[])
     while True:
-        left = rows.beside(found)
+        left = rows.allow_for_changes(found)
         more = [
             *found,
             max((_best_change(left, *kind) for kind in kinds), key=lambda one: one.nats),
@@ -356,7 +357,7 @@ def _search_changes(
         found = more
 
 
-def _stand_apart(changes: Sequence[CameraDisplacement]) -> bool:
+def _stand_apart(changes: Sequence[SensorChange]) -> bool:
     """Whether each change is evident beside the others, and is
     no part of another: images between which a displacement lies show some of it.
     """
@@ -365,26 +366,24 @@ def _stand_apart(changes: Sequence[CameraDisplacement]) -> bool:
     return evident and bool((shown > MAX_FRAME_GAP_S).all())
 
 
-def _refine_changes(
-    rows: _DisplacementRows, changes: Sequence[CameraDisplacement]
-) -> list[CameraDisplacement]:
+def _refine_changes(rows: _DisplacementRows, changes: Sequence[SensorChange]) -> list[SensorChange]:
     """The changes, each most likely beside the others."""
     found = list(changes)
     for k, one in enumerate(changes):
-        others = rows.beside(found[:k] + found[k + 1 :])
+        others = rows.allow_for_changes(found[:k] + found[k + 1 :])
         found[k] = _best_change(others, one.joint, one.grows)
     return found
 
 
 def _best_change(
     rows: _DisplacementRows, joint: int | None = None, grows: bool = False
-) -> CameraDisplacement:
+) -> SensorChange:
     """The most likely displacement, or change of what one encoder reads, and the nats it wins."""
-    found = _best_step(rows, rows.basis(joint), rows.prior_std(joint), grows=grows)
+    found = _best_step(rows, rows.form_basis(joint), rows.prior_std(joint), grows=grows)
     return replace(found, nats=rows.cost - found.nats, joint=joint, grows=grows)
 
 
-def _remove_changes(encoders: Encoders, read: Sequence[CameraDisplacement]) -> Encoders:
+def _remove_changes(encoders: Encoders, read: Sequence[SensorChange]) -> Encoders:
     """The encoders without what they read too much."""
     values = encoders.values.copy()
     for one in read:
@@ -393,16 +392,16 @@ def _remove_changes(encoders: Encoders, read: Sequence[CameraDisplacement]) -> E
     return replace(encoders, values=values)
 
 
-def _size_changes(
-    rows: _DisplacementRows, changes: Sequence[CameraDisplacement]
-) -> list[CameraDisplacement]:
+def _size_changes(rows: _DisplacementRows, changes: Sequence[SensorChange]) -> list[SensorChange]:
     """The changes with their sizes and covariances beside each other, at their times; what
     encoders read too much may have been removed from the rows.
     """
     found = []
     for k, one in enumerate(changes):
-        others = rows.beside([*changes[:k], *changes[k + 1 :]])
-        white = forward_substituted(others.chol, np.column_stack([rows.r, rows.columns([one])]))
+        others = rows.allow_for_changes([*changes[:k], *changes[k + 1 :]])
+        white = forward_substituted(
+            others.chol, np.column_stack([rows.r, rows.stack_columns([one])])
+        )
         info = (
             white[:, 1:].T @ white[:, 1:] + np.eye(len(one.size)) / rows.prior_std(one.joint) ** 2
         )
@@ -411,27 +410,27 @@ def _size_changes(
     return found
 
 
-def _gain_over_encoders(rows: _DisplacementRows, moves: list[CameraDisplacement]) -> float:
+def _gain_over_encoders(rows: _DisplacementRows, moves: list[SensorChange]) -> float:
     """Nats won by each move against encoders that wander, and one that steps.
 
     Negative where residuals exceed the noise: the model is not linear
     over a large offset. A step of one encoder is as simple as one
     displacement, so it is compared with the first displacement alone.
     """
-    white = forward_substituted(rows.beside(moves).chol, rows.r[:, None])
+    white = forward_substituted(rows.allow_for_changes(moves).chol, rows.r[:, None])
     # the mean square is 1 where all noise is as stated
     if (poor := 4.0 * len(white) - np.square(white).sum()) < 0.0:
         return 0.5 * float(poor)
     wandering = [rows.wandering(walk).cost for walk in (RANDOM_WALKS[0], RANDOM_WALKS[2])]
     steps = min(_best_step(rows, lean[:, None], PRIOR_STD_RAD).nats for lean in rows.jac.T)
     first = rows.cost - _best_change(rows).nats
-    return min(steps - first, (min(wandering) - rows.cost_beside(moves)) / len(moves))
+    return min(steps - first, (min(wandering) - rows.measure_cost_beside(moves)) / len(moves))
 
 
-def _gain_over_settling(rows: _DisplacementRows, changes: Sequence[CameraDisplacement]) -> float:
+def _gain_over_settling(rows: _DisplacementRows, changes: Sequence[SensorChange]) -> float:
     """Nats won by each change against encoders that all err at first."""
     settled = _best_step(rows, rows.jac, PRIOR_STD_RAD, until=True).nats
-    return (settled - rows.cost_beside(changes)) / len(changes)
+    return (settled - rows.measure_cost_beside(changes)) / len(changes)
 
 
 def _build_displacement_rows(
@@ -495,7 +494,7 @@ def _offset_covariance(t: Array, jac: Array, walk: float) -> Array:
 
 
 def _shape_change(t: Array, since: Array | float, grows: bool) -> Array:
-    """The share of a change that is there at t: a step, or what grows from its time on to the end."""
+    """The share of a change that is there at t: a step, or growth from its time to the end."""
     if not grows:
         return np.asarray(t >= since, float)
     return np.asarray(np.maximum(t - since, 0.0) / np.maximum(t.max() - since, MIN_DELAY_S))
@@ -503,7 +502,7 @@ def _shape_change(t: Array, since: Array | float, grows: bool) -> Array:
 
 def _best_step(
     rows: _DisplacementRows, basis: Array, wide: float, until: bool = False, grows: bool = False
-) -> CameraDisplacement:
+) -> SensorChange:
     """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time.
 
     Its `nats` is the cost, −ln p of all rows, averaged over
@@ -526,7 +525,7 @@ def _best_step(
     best = int(cost.argmin())
     # all times are equally likely
     total = float(cost[best] - np.log(np.exp(cost[best] - cost).mean()))
-    return CameraDisplacement(float(times[best]), size[best], np.linalg.inv(info[best]), total)
+    return SensorChange(float(times[best]), size[best], np.linalg.inv(info[best]), total)
 
 
 def _nats_at_best_scale(square: Array, chol: Array) -> Array:

@@ -14,21 +14,22 @@ OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
 not reordered and products not fused, so that numbers do not depend on the processor."""
 INNER_OPTIONS: dict[str, Any] = {**OPTIONS, "_nrt": False}
 """Without counts of references, which would take a third of a filter's time."""
+LOG = logging.getLogger(__name__)
 whole = types.int64
 number = types.float64
 
 
-def read(axes: int) -> Any:
+def input_array(axes: int) -> Any:
     """The type of an array of numbers that a kernel reads."""
     return types.Array(types.float64, axes, "C", readonly=True)
 
 
-def read_flags(axes: int) -> Any:
+def input_flags(axes: int) -> Any:
     """The type of an array of bool that a kernel reads."""
     return types.Array(types.boolean, axes, "C", readonly=True)
 
 
-def write(axes: int) -> Any:
+def output_array(axes: int) -> Any:
     """The type of an array of numbers that a kernel writes."""
     return types.Array(types.float64, axes, "C")
 
@@ -50,8 +51,14 @@ def compile_kernel(*arguments: Any) -> Callable[[Function], Function]:
         compiled: Function
         try:
             compiled = njit(signature, cache=True, **OPTIONS)(function)
-        except Exception:  # no folder for the cache, a full disk, a broken file: each has its own
+        except Exception as err:
+            # no folder for the cache, a full disk, a broken file: each has its own kind
             compiled = njit(signature, **OPTIONS)(function)
+            LOG.warning(
+                "%s",
+                f"{function.__name__}: its machine code is not kept, so that each start compiles "
+                f"it: {err!r}; set NUMBA_CACHE_DIR to a new folder that can be written",
+            )
         return compiled
 
     return compile_function
@@ -67,9 +74,7 @@ class CompilationNotice(event.Listener):
     def on_start(self, event: Any) -> None:
         """A function is about to be compiled."""
         if not self._told:
-            logging.getLogger(__name__).warning(
-                "bodylog compiles its filter, once: this takes half a minute"
-            )
+            LOG.warning("bodylog compiles its filter, once: this takes half a minute")
         self._told = True
 
     def on_end(self, event: Any) -> None:

@@ -19,7 +19,15 @@ import math
 import numpy as np
 
 from ...types import Array
-from .compiler import compile_inner, compile_kernel, number, read, read_flags, whole, write
+from .compiler import (
+    compile_inner,
+    compile_kernel,
+    input_array,
+    input_flags,
+    number,
+    output_array,
+    whole,
+)
 
 TWO_PI = 2.0 * math.pi
 LEAST_PRODUCT, MOST_PRODUCT = 1e-100, 1e100
@@ -520,24 +528,24 @@ def clear_readings(i: int, information: Array, weights: Array) -> None:
 
 @compile_kernel(
     # dt, encoders, encoder_var, y, jac, var, reset, more, move, shift, noise
-    *(read(axes) for axes in (2, 3, 3, 4, 5, 4)),
-    read_flags(3),
-    *(read(axes) for axes in (3, 5, 4, 5)),
+    *(input_array(axes) for axes in (2, 3, 3, 4, 5, 4)),
+    input_flags(3),
+    *(input_array(axes) for axes in (3, 5, 4, 5)),
     # process, drift, counted, restart
-    read(2),
-    read(1),
-    read_flags(1),
-    read(1),
+    input_array(2),
+    input_array(1),
+    input_flags(1),
+    input_array(1),
     # gate, outlier_cost, flat, every, block, start_z, start_p
     number,
     number,
     number,
     whole,
     whole,
-    read(2),
-    read(3),
+    input_array(2),
+    input_array(3),
     # prior, prior_cov, z, cov, end_p, nats, encoder_d, p, information, gains, weights, marks
-    *(write(axes) for axes in (3, 4, 3, 4, 3, 2, 3, 4, 3, 4, 3, 4)),
+    *(output_array(axes) for axes in (3, 4, 3, 4, 3, 2, 3, 4, 3, 4, 3, 4)),
 )
 def filter_instants(
     dt: Array,
@@ -974,15 +982,15 @@ def take_reading(
 
 @compile_kernel(
     # dt, encoders, encoder_var, y, jac, reset, move
-    *(read(axes) for axes in (2, 3, 3, 4, 5)),
-    read_flags(3),
-    read(5),
+    *(input_array(axes) for axes in (2, 3, 3, 4, 5)),
+    input_flags(3),
+    input_array(5),
     # order, length, information, gains, weights, z, p, end
     whole,
     whole,
-    *(read(axes) for axes in (3, 4, 3, 3, 4, 3)),
+    *(input_array(axes) for axes in (3, 4, 3, 3, 4, 3)),
     # start, smooth, cov
-    *(write(axes) for axes in (3, 3, 4)),
+    *(output_array(axes) for axes in (3, 3, 4)),
 )
 def carry_adjoints_back(
     dt: Array,
@@ -1076,11 +1084,11 @@ def carry_adjoints_back(
 
 @compile_kernel(
     # dt, y, ratio, fresh, counts, order, vague, usual, squares, logs, lag
-    *(read(1), read(1), read(1), read_flags(1), read_flags(1)),
+    *(input_array(1), input_array(1), input_array(1), input_flags(1), input_flags(1)),
     whole,
     number,
     number,
-    *(write(1), write(1), write(1)),
+    *(output_array(1), output_array(1), output_array(1)),
 )
 def weigh_noise_ratios(
     dt: Array,

@@ -220,8 +220,8 @@ def _allowance_for_faults(
     an offset itself. Play, unless it is there beside the offsets, too, and one load explain several
     offsets at once, and one encoder more that is off from the first reading on counts as one fault
     more. A load is as simple as an offset of one encoder, if it is evident beside errors that last;
-    if not, it must be evident beside offsets of known size. An offset too small for a fault goes where the log is as likely
-    without it. The sizes of a displacement cost no evidence.
+    if not, it must be evident beside offsets of known size. An offset too small for a fault goes
+    where the log is as likely without it. The sizes of a displacement cost no evidence.
     """
     passing = _is_usual(found.noise)
     moves = cameras * EVIDENCE_THRESHOLD_NATS

@@ -184,7 +184,8 @@ def measure_rough_motion(
     read = beliefs.encoder_errors
     nats = beliefs.nats
     if not causal and problem.precision.likeliest is not None:
-        # a smoother's own process is smaller: a filter with it lags, and its innovations have colour
+        # a smoother's own process is smaller:
+        # a filter with it lags, and its innovations have colour
         process = problem.precision.likeliest
         problem = replace(problem, precision=replace(problem.precision, process=process))
     if not causal:

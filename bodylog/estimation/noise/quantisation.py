@@ -103,7 +103,7 @@ SAME_READING = 1e-12
 """rad: readings that differ by less are the same, up to the rounding of their units."""
 
 
-def _changes(y: Array) -> Array:
+def _mark_changes(y: Array) -> Array:
     """Whether each of readings (N,) differs from the one before it (N-1,)."""
     return np.asarray(np.abs(np.diff(y)) > SAME_READING)
 
@@ -124,7 +124,7 @@ def shared_variance(t: Array, y: Array) -> float:
     """Factor on the variance of readings (N,) for
     the errors that repeats share; 1 without repeats.
     """
-    runs = 1 + np.count_nonzero(_changes(y))
+    runs = 1 + np.count_nonzero(_mark_changes(y))
     return max(1.0, min(float(t[-1] - t[0]) / runs / SHARED_ERROR_S, len(y) / runs))
 
 
@@ -144,7 +144,7 @@ def relative_variances(t: Array, y: Array, variance: float) -> Array:
     `variance` (rad²); repeats at rest count as one reading.
     """
     own = quantisation_variance(y) or variance / shared_variance(t, y)
-    runs = np.flatnonzero(np.append(True, _changes(y)))
+    runs = np.flatnonzero(np.append(True, _mark_changes(y)))
     counts = np.diff(runs, append=len(y))
     lasting = t[np.minimum(runs + counts, len(y) - 1)] - t[runs]
     shared = np.clip(lasting / SHARED_ERROR_S, 1.0, counts)

@@ -95,8 +95,8 @@ def measure_delays_left(
     """What is left of each camera's delay beside offsets of encoders, as of `reconsider_delays`;
     nothing where no encoder is off.
 
-    A delay is measured before faults are looked for, and an encoder that begins to drift at 5 mrad/s
-    moves it by 7 ms on a smoothly moving arm (root mean square of 16 drawn logs).
+    A delay is measured before faults are looked for, and an encoder that begins to drift at 5
+    mrad/s moves it by 7 ms on a smoothly moving arm (root mean square of 16 drawn logs).
     """
     off = {
         name for fault in faults if FORMS[fault.sense, fault.kind].offset for name in fault.names

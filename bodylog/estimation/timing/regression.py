@@ -3,8 +3,8 @@
 Encoder readings of one frame interval are averaged to x̄ at t and predict a position g(x̄). The
 track's curve y is there at t + τ: y(t + τ) = g(x̄) + J b(t) + e. Gauss–Newton gives τ and piecewise
 linear encoder offsets b; those of encoders that are known to be off walk at random beside that, by
-steps whose variance the evidence gives. Errors that last longer show in a jackknife over √N parts of N positions;
-the larger standard error is taken.
+steps whose variance the evidence gives. Errors that last longer show in a jackknife over √N parts
+of N positions; the larger standard error is taken.
 """
 
 from collections.abc import Sequence
