@@ -117,10 +117,10 @@ def remove_outliers(problem: FilterProblem, smooth: Smooth) -> SmoothedWithResid
     removed = find_contradicted_readings(gated.left_out)
     if problem.stepwise or not (found.gated or any(far.any() for far in removed)):
         return gated
-    path: Smooth = smooth
+    warm: Smooth = gated
     for _ in range(MAX_SWEEPS):
         try:
-            path = solve_map_path(replace(remove_readings(problem, removed), gate=np.inf), path)
+            path = solve_map_path(replace(remove_readings(problem, removed), gate=np.inf), warm)
         except DidNotConverge:
             break
         found = predict_left_out(problem, path)
@@ -128,6 +128,8 @@ def remove_outliers(problem: FilterProblem, smooth: Smooth) -> SmoothedWithResid
         removed = find_contradicted_readings(found)
         if all(map(np.array_equal, removed, before)):
             return SmoothedWithResiduals.of(path, found)
+        warm = replace(gated, tangents=path.tangents)
+        del path, found  # most of a log's memory, before as much is needed again
     return gated
 
 
