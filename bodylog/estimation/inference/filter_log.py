@@ -215,12 +215,14 @@ def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution
     return Solution(fold, readings, tangents, trace)
 
 
-def filter_roughly(problem: FilterProblem, warm: Solution | None = None) -> Solution:
+def filter_roughly(
+    problem: FilterProblem, warm: Solution | None = None, rest: float = ROUGHLY_CONVERGED_MOVE
+) -> Solution:
     """The filter's solution, roughly; instant by instant
     where sweeps do not converge, as after a silence.
     """
     try:
-        return solve_by_gauss_newton(problem, warm, rest=ROUGHLY_CONVERGED_MOVE)
+        return solve_by_gauss_newton(problem, warm, rest=rest)
     except DidNotConverge:
         return filter_sequentially(problem)
 

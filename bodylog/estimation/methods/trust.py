@@ -189,7 +189,7 @@ def measure_rough_motion(
         process = problem.precision.likeliest
         problem = replace(problem, precision=replace(problem.precision, process=process))
     if not causal:
-        solution = filter_roughly(problem)
+        solution = filter_roughly(replace(problem, path=(problem.timeline.t, x)), rest=1.0)
         trace = solution.trace
         found = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
         x, cov, read, nats = map(solution.fold.unfold, found)
