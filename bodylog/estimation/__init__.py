@@ -11,7 +11,7 @@ from ..runtime.blas_threads import one_thread
 from ..settings import EstimationSettings
 from ..types import HARDWARE_ERRORS, Estimate, Features
 from .common_cause import infer_common_causes
-from .inference.kernel_call import load_kernels
+from .inference.kernel_call import load_kernel
 from .measurements import gather
 from .measurements.arm_errors import learned_arm_errors
 from .methods.consistency import (
@@ -113,10 +113,13 @@ def check_estimation_settings(body: BodyModel, settings: EstimationSettings) -> 
 
     Also loads the compiled filter, before workers start.
     """
-    load_kernels()
+    load_kernel("weigh_noise_ratios")
+    load_kernel("filter_instants")
     if settings.method not in METHODS:
         raise UsageError(f"method: {settings.method!r} is unknown; possible: {', '.join(METHODS)}")
     method = METHODS[settings.method]
+    if not method.can.causal:
+        load_kernel("carry_adjoints_back")
     if settings.touch == "literal" and not method.literal_touch:
         able = " or ".join(name for name, one in METHODS.items() if one.literal_touch)
         raise UsageError(

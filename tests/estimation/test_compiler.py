@@ -10,21 +10,21 @@ from numba.core import caching, event
 
 from bodylog.estimation.inference.compiler import (
     CompilationNotice,
-    compile_kernel,
+    declare_kernel,
     input_array,
     number,
     output_array,
 )
 
 KERNEL = """
-from bodylog.estimation.inference.compiler import compile_inner, compile_kernel, input_array, number, output_array
+from bodylog.estimation.inference.compiler import compile_inner, declare_kernel, input_array, number, output_array
 
 @compile_inner
 def multiply_and_add(a, factor, found):
     for i in range(len(a)):
         found[i] += a[i] * factor
 
-@compile_kernel(input_array(1), number, output_array(1))
+@declare_kernel(input_array(1), number, output_array(1))
 def add_multiple(a, factor, found):
     multiply_and_add(a, factor, found)
 """
@@ -51,7 +51,7 @@ def notices(caplog, folder):
     """What is said while the module is imported."""
     caplog.clear()
     with caplog.at_level(logging.WARNING), event.install_listener("numba:compile", CompilationNotice()):
-        assert works(imported(folder).add_multiple)
+        assert works(imported(folder).add_multiple.compiled)
     return [record.getMessage() for record in caplog.records]
 
 
@@ -89,17 +89,17 @@ def test_a_broken_cache_is_no_error(tmp_path, caplog, content):
 
 
 def test_products_are_not_fused_with_sums(tmp_path):
-    (text,) = imported(tmp_path).add_multiple.inspect_asm().values()
+    (text,) = imported(tmp_path).add_multiple.compiled.inspect_asm().values()
     assert re.search(r"mul", text) and not re.search(r"fn?m(add|sub|la|ls)", text)
 
 
 def test_a_kernel_takes_its_own_types_alone():
-    @compile_kernel(input_array(1), number, output_array(1))
+    @declare_kernel(input_array(1), number, output_array(1))
     def fill(a, factor, found):
         found[0] = a[0] * factor
 
     with pytest.raises(TypeError, match="No matching definition"):
-        fill(np.zeros(1, np.float32), 1.0, np.zeros(1))
+        fill.compiled(np.zeros(1, np.float32), 1.0, np.zeros(1))
 
 
 def test_a_quiet_command_silences_its_own_run_alone(run_cli, tmp_path):

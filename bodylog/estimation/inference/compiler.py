@@ -2,6 +2,8 @@
 
 import logging
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any, TypeVar
 
 from numba import njit, types
@@ -9,11 +11,12 @@ from numba.core import event
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 """Threads may run kernels side by side, and divisions are IEEE 754's. Without `fastmath` sums are
 not reordered and products not fused, so that numbers do not depend on the processor."""
-INNER_OPTIONS: dict[str, Any] = {**OPTIONS, "_nrt": False}
-"""Without counts of references, which would take a third of a filter's time."""
+INNER_OPTIONS: dict[str, Any] = {**OPTIONS, "_nrt": False, "no_cpython_wrapper": True}
+"""Without counts of references, which would take a third of a filter's time, and without entries
+from Python and C, which would take a tenth of the compilation's."""
 LOG = logging.getLogger(__name__)
 whole = types.int64
 number = types.float64
@@ -40,28 +43,32 @@ def compile_inner(function: Function) -> Function:
     return compiled
 
 
-def compile_kernel(*arguments: Any) -> Callable[[Function], Function]:
-    """Compile a kernel now, for arguments of these types alone, or take it from the cache.
+@dataclass(frozen=True, eq=False)
+class Kernel:
+    """A function for arguments of the types of its signature alone, not yet compiled."""
 
-    Without a cache each start compiles.
-    """
-    signature = types.void(*arguments)
+    function: Callable[..., None]
+    signature: Any
 
-    def compile_function(function: Function) -> Function:
-        compiled: Function
+    @cached_property
+    def compiled(self) -> Any:
+        """It as machine code, from the cache if that has it. Without a cache each start compiles."""
         try:
-            compiled = njit(signature, cache=True, **OPTIONS)(function)
+            return njit(self.signature, cache=True, **OPTIONS)(self.function)
         except Exception as err:
             # no folder for the cache, a full disk, a broken file: each has its own kind
-            compiled = njit(signature, **OPTIONS)(function)
+            compiled = njit(self.signature, **OPTIONS)(self.function)
             LOG.warning(
                 "%s",
-                f"{function.__name__}: its machine code is not kept, so that each start compiles "
-                f"it: {err!r}; set NUMBA_CACHE_DIR to a new folder that can be written",
+                f"{self.function.__name__}: its machine code is not kept, so that each start "
+                f"compiles it: {err!r}; set NUMBA_CACHE_DIR to a new folder that can be written",
             )
-        return compiled
+            return compiled
 
-    return compile_function
+
+def declare_kernel(*arguments: Any) -> Callable[[Callable[..., None]], Kernel]:
+    """Make a kernel of a function, for arguments of these types."""
+    return partial(Kernel, signature=types.void(*arguments))
 
 
 class CompilationNotice(event.Listener):
@@ -79,3 +86,7 @@ class CompilationNotice(event.Listener):
 
     def on_end(self, event: Any) -> None:
         """It is compiled."""
+
+
+NOTICE = CompilationNotice()
+"""That of this process."""

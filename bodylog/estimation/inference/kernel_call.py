@@ -4,23 +4,21 @@ these are imported where something is estimated.
 
 from collections.abc import Callable
 from functools import cache, partial
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 
 @cache
-def load_kernels() -> ModuleType:
-    """The compiled loops; the first start on a machine compiles them, and logs a warning."""
+def load_kernel(name: str) -> Any:
+    """A compiled loop over instants; its first use on a machine compiles it, and logs a warning."""
     from numba.core.event import install_listener
 
-    from .compiler import CompilationNotice
+    from . import kernels
+    from .compiler import NOTICE
 
-    with install_listener("numba:compile", CompilationNotice()):
-        from . import kernels
-
-    return kernels
+    with install_listener("numba:compile", NOTICE):
+        return getattr(kernels, name).compiled
 
 
 def bind_kernel_call(function: str, **values: Any) -> Callable[[], None]:
@@ -29,7 +27,7 @@ def bind_kernel_call(function: str, **values: Any) -> Callable[[], None]:
 
     Arrays are read and written where they are, at each call.
     """
-    kernel = getattr(load_kernels(), function)
+    kernel = load_kernel(function)
     kinds = kernel.nopython_signatures[0].args
     names = kernel.py_func.__code__.co_varnames[: len(kinds)]
     assert values.keys() == set(names), values.keys() ^ set(names)

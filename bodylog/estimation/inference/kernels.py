@@ -21,7 +21,7 @@ import numpy as np
 from ...types import Array
 from .compiler import (
     compile_inner,
-    compile_kernel,
+    declare_kernel,
     input_array,
     input_flags,
     number,
@@ -526,7 +526,7 @@ def clear_readings(i: int, information: Array, weights: Array) -> None:
             weights[i, reading, kept] = 0.0
 
 
-@compile_kernel(
+@declare_kernel(
     # dt, encoders, encoder_var, y, jac, var, reset, more, move, shift, noise
     *(input_array(axes) for axes in (2, 3, 3, 4, 5, 4)),
     input_flags(3),
@@ -980,7 +980,7 @@ def take_reading(
     return anything
 
 
-@compile_kernel(
+@declare_kernel(
     # dt, encoders, encoder_var, y, jac, reset, move
     *(input_array(axes) for axes in (2, 3, 3, 4, 5)),
     input_flags(3),
@@ -1082,7 +1082,7 @@ def carry_adjoints_back(
 # One joint's encoder readings alone, for many ratios of process to noise side by side.
 
 
-@compile_kernel(
+@declare_kernel(
     # dt, y, ratio, fresh, counts, order, vague, usual, squares, logs, lag
     *(input_array(1), input_array(1), input_array(1), input_flags(1), input_flags(1)),
     whole,
