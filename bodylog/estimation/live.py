@@ -11,7 +11,7 @@ from bisect import bisect_left
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from math import isfinite
+from math import inf, isfinite
 from typing import Any
 
 import numpy as np
@@ -67,7 +67,7 @@ class Inputs:
         self._joints = body.joints
         self._noise = body.noise.senses
         self._to_angles = to_angles
-        self._newest_angles = np.full(len(body.joints), -np.inf)
+        self._newest_angles = [-inf] * len(body.joints)
         self._newest: dict[str, float] = {}
         self._variance = {
             name: noise_model.typed_track_variance(settings, name) for name in self.models
@@ -142,18 +142,21 @@ class Inputs:
         return self._count(name, {**rejected, "not asked for": name not in self.wanted})
 
     def _accepted_angles(self, t: float, x: Array, late: bool) -> Array:
-        known = np.isfinite(x)
-        fresh = t > self._newest_angles
-        usable = known & fresh & ~self.silent
+        known = np.isfinite(x).tolist()
+        before = self._newest_angles
+        fresh = [sure and t > last for sure, last in zip(known, before, strict=True)]
+        usable = [new and not off for new, off in zip(fresh, self.silent.tolist(), strict=True)]
         if not late:
-            self._newest_angles[known & fresh] = t
+            self._newest_angles = [
+                t if new else last for new, last in zip(fresh, before, strict=True)
+            ]
         rejected = {
             "too late": late,
-            "not a number": not known.any(),
-            "time runs backwards": not (known & fresh).any(),
+            "not a number": not any(known),
+            "time runs backwards": not any(fresh),
         }
-        accepted = self._count("encoders", {**rejected, "not asked for": not usable.any()})
-        return np.where(usable & accepted, x, np.nan)
+        accepted = self._count("encoders", {**rejected, "not asked for": not any(usable)})
+        return x if accepted and all(usable) else np.where(np.array(usable) & accepted, x, np.nan)
 
     def _count(self, sense: str, rejected: Mapping[str, bool]) -> bool:
         counts = self._counts.setdefault(sense, {})

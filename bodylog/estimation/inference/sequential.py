@@ -83,8 +83,13 @@ class FilterStep:
             more=self._more,
             moves=self._leaps,
         )
-        self._trace = allocate_trace(self._readings, dynamics, 1)
-        self._run = prepare_filter(self._readings, dynamics, self._z, self._p, self._trace)
+        to = self._readings
+        trace = self._trace = allocate_trace(to, dynamics, 1)
+        self._run = prepare_filter(to, dynamics, self._z, self._p, trace)
+        read = to.encoders[0], to.encoder_var[0], self._lost[0], self._more[0]
+        made = trace.z[0], trace.end_p, trace.prior[0], trace.prior_cov[0], trace.encoder_d[0]
+        self._before = [part[..., 0] for part in (self._z, self._p, to.dt, *read)]
+        self._after = [part[..., 0] for part in made]
 
     def __call__(
         self,
@@ -107,14 +112,10 @@ class FilterStep:
         process variance. LinAlgError where rounding leaves no number.
         """
         to = self._readings
-        trace = self._trace
-        self._z[:, 0], self._p[..., 0], to.dt[0] = z, p, dt
-        to.encoders[0, :, 0], to.encoder_var[0, :, 0] = encoders, var
-        self._lost[0, :, 0], self._more[0, :, 0] = (
-            False if lost is None else lost,
-            1.0 if more is None else more,
-        )
-        self._leaps[0][:] = np.nan
+        once = False if lost is None else lost, 1.0 if more is None else more
+        for part, given in zip(self._before, (z, p, dt, encoders, var, *once), strict=True):
+            part[:] = given
+        self._leaps[0].fill(np.nan)
         if held is not None and self._dynamics.stationary is not None:
             for part, found in zip(
                 self._leaps, self._dynamics.silent_moves(np.array([dt]), held[None]), strict=True
@@ -123,7 +124,8 @@ class FilterStep:
         if (moved := self._dynamics.with_moves(to)) is not to:
             for part, found in zip(self._leaps, moved.moves or (), strict=True):
                 part[:] = found
-        to.y[:], to.jac[:], to.var[:] = np.nan, 0.0, 1.0
+        if lines:
+            to.y[:], to.jac[:], to.var[:] = np.nan, 0.0, 1.0
         for track, line in enumerate(lines):
             n = len(line.y)
             to.y[0, track, :n, 0], to.jac[0, track, :n, :, 0], to.var[0, track, :n, 0] = (
@@ -132,10 +134,9 @@ class FilterStep:
                 line.var,
             )
         self._run()
-        if not np.isfinite(nats := trace.nats.item()):
+        if not math.isfinite(nats := self._trace.nats.item()):
             raise np.linalg.LinAlgError("rounding leaves no number")
-        after = trace.z[0], trace.end_p, trace.prior[0], trace.prior_cov[0], trace.encoder_d[0]
-        z, p, x, cov, d = (part[..., 0].copy() for part in after)
+        z, p, x, cov, d = (part.copy() for part in self._after)
         return SteppedBelief(z, p, x, cov, d, nats)
 
 
