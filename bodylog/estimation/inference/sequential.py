@@ -166,32 +166,31 @@ def standardise_innovations(x: Array, cov: Array, sights: Sequence[PendingFrame]
 
 
 def find_tangent_point(
-    x: Array,
-    sights: Sequence[PendingFrame],
-    posterior: Callable[[list[Line]], Array],
-    resting: float,
-) -> tuple[Array, list[Line]]:
+    x: Array, sights: Sequence[PendingFrame], given: Callable[..., SteppedBelief], resting: float
+) -> tuple[Array, list[Line], SteppedBelief]:
     """The point (M,) where the belief converges to `resting`
-    rad, or moves least, and the tracks' tangents there.
+    rad, or moves least, the tracks' tangents there, and the belief by these.
 
     The search starts at the angles x (M,) before the instant;
-    `posterior` gives those by all readings and lines.
+    `given` is the belief by all readings and lines.
     """
     went = last = np.zeros(len(x))
     least = math.inf
-    best = (x, list[Line]())
+    best = None
     for _ in range(MAX_SWEEPS):
         lines = [_linearise_frame(sight, x) for sight in sights]
-        move = posterior(lines) - x
+        belief = given(lines=lines)
+        move = belief.z[: len(x)] - x
         size = max(map(abs, move.tolist()))
-        if not size >= least:
+        if best is None or not size >= least:
             least = size
-            best = (x, lines)
+            best = (x, lines, belief)
         if size < resting:
             break
         went = _accelerate_step(move, last, went)
         last = move
         x = x + went
+    assert best is not None  # there is at least one round
     return best
 
 
@@ -401,12 +400,11 @@ class SequentialFilter:
         if adrift:
             after.point, lines = encoded.z[:m], statistical_lines(m, encoded.z, encoded.p, sights)
             after.lines = dict(zip(frames, lines, strict=True))
+            belief = given(lines=lines)
         else:
-            after.point, lines = find_tangent_point(
-                encoded.x, sights, lambda lines: given(lines=lines).z[:m], self._rest
-            )
+            after.point, lines, belief = find_tangent_point(encoded.x, sights, given, self._rest)
         memories = (
             replace(sight, memory=line.memory) for sight, line in zip(sights, lines, strict=True)
         )
         after.seen = {**seen, **dict(zip(frames, memories, strict=True))}
-        return given(lines=lines)
+        return belief
