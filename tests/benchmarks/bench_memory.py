@@ -1,4 +1,4 @@
-"""Memory of reading one topic of a 2 GB log, beyond the arrays that are read."""
+"""Memory of reading one topic of a 2 GB log, beyond the arrays that are read, and of estimating an hour."""
 
 import subprocess
 import sys
@@ -37,10 +37,25 @@ time.sleep(0.02)
 size = sum(array.nbytes for array in arrays.values()) / 1e6
 print(len(table), size, *(most[name] - before[name] for name in most))
 """
+_HOUR = """
+import resource, sys
+from bodylog.estimation import estimate_from_features
+from bodylog.settings import EstimationSettings
+from tests.benchmarks.bench_estimation import learned
+from tests.estimation.conftest import draw
+
+hour = draw(2, duration=3600.0, encoder_hz=100.0, camera_hz=30.0, encoder_std=0.01, pixel_std=0.3).features
+estimate_from_features(hour, learned(120), EstimationSettings(method=sys.argv[1]))
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9)
+"""
 
 
 def main() -> None:
     """Print peak resident memory, of that what is not mapped file, and the result's size, as chunks are stored."""
+    for method in ("filter", "smoother"):
+        command = [sys.executable, "-c", _HOUR, method]
+        most = float(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+        at_most(f"peak memory of `{method}`, an hour of three joints with pictures", most, 1.0, "GB", "all of the process")
     for compression in ("NONE", "LZ4"):
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "large.mcap"

@@ -28,8 +28,8 @@ class LeftOut(NamedTuple):
     (N,M), in standard deviations; frames of sightings.
 
     places: mean (F,D), covariance (F,D,D) and the model's variance (F,D), without the
-    noise of the frame itself · squares (N,M), then (F,): errors over their covariance ·
-    nats, alike: cost of readings that were removed, else 0 · gated: whether the
+    noise of the frame itself · squares (F,) of sightings: errors over their covariance ·
+    nats (N,M), then (F,): cost of readings that were removed, else 0 · gated: whether the
     smoother's forward pass took any for outliers.
     """
 
@@ -56,18 +56,16 @@ def predict_left_out(problem: FilterProblem, smooth: Smooth) -> LeftOut:
     """The problem's readings, by a smoothed log from which some may have been removed."""
     unfold = smooth.fold.unfold
     d = smooth.trace.encoder_d
-    x = unfold(smooth.z)
-    cov = unfold(smooth.cov)
+    var = unfold(np.einsum("looc->loc", smooth.cov))
     encoders, nats = _left_out_encoders(
-        problem, x, np.einsum("eoo->eo", cov), unfold(d), smooth.readings.gate
+        problem, unfold(smooth.z), var, unfold(d), smooth.readings.gate
     )
     frames = [
-        _left_out_frames(problem, smooth, index, x, cov)
-        for index in range(len(problem.evidence.sightings))
+        _left_out_frames(problem, smooth, index) for index in range(len(problem.evidence.sightings))
     ]
     places, squares, costs, far = zip(*frames, strict=True) if frames else ((), (), (), ())
     gated = bool((np.abs(d) > smooth.readings.gate).any()) or any(some.any() for some in far)
-    return LeftOut(encoders, places, (encoders * encoders, *squares), (nats, *costs), gated)
+    return LeftOut(encoders, places, squares, (nats, *costs), gated)
 
 
 def _left_out_encoders(
@@ -97,15 +95,14 @@ def _left_out_encoders(
 
 
 def _left_out_frames(
-    problem: FilterProblem, smooth: Smooth, index: int, x: Array, cov: Array
+    problem: FilterProblem, smooth: Smooth, index: int
 ) -> tuple[tuple[Array, Array, Array], Array, Array, Array]:
-    """Places, squares and nats of a sighting's frames, and
-    which were gated; smoothed x (E,K) and cov (E,O,O).
-    """
+    """Places, squares and nats of a sighting's frames, and which were gated."""
     sighting = problem.evidence.sightings[index]
     at = problem.timeline.sightings[index]
     m = len(problem.start)
-    (values, _, mix), pick, x = sighting.independent, smooth.fold.pick, x[at, :m]
+    (values, _, mix), pick = sighting.independent, smooth.fold.pick
+    x = pick(smooth.z[:, :m], at)
     removed, (mean, jac, var) = (
         np.isnan(pick(smooth.readings.y, at)[:, index, 0]),
         smooth.tangents.predicted(index, x),
@@ -117,7 +114,7 @@ def _left_out_frames(
     residual = (values - mean) / std
     h = jac / std[..., None]
     far = ~removed & _find_gated_frames(smooth, at, index)
-    a = project_covariance(h, cov[at, :m, :m])
+    a = project_covariance(h, pick(smooth.cov[:, :m, :m], at))
     used = ~(removed | far)[:, None, None]
     one = np.eye(h.shape[1])
     inverse, log_total = _invert_with_log_determinant(one + np.where(used, -a, a))
@@ -172,7 +169,7 @@ def find_contradicted_readings(found: LeftOut) -> tuple[Array, ...]:
     """Readings that all others contradict: encoders'
     (N,M) bool, then frames (F,) of each sighting.
     """
-    return tuple(squares > GATE_SIGMA**2 for squares in found.squares)
+    return np.abs(found.encoders) > GATE_SIGMA, *(one > GATE_SIGMA**2 for one in found.squares)
 
 
 def remove_readings(problem: FilterProblem, removed: tuple[Array, ...]) -> FilterProblem:

@@ -62,10 +62,11 @@ def smooth_with_covariances(
 
     The latter, sums of angle and offset, only with offsets: O = M or 2 M. ends (K,C): adjoint at
     each stretch's end, or None if nothing follows any stretch. Covariances and gains of a block of
-    instants are computed again from the belief before it.
+    instants are computed again from the belief before it. Without offsets the smoothed covariances
+    overwrite the filtered ones, which nothing reads then.
     """
     x = np.empty_like(trace.z)
-    cov = np.empty_like(trace.cov)
+    cov = trace.cov if dynamics.drift is None else np.empty_like(trace.cov)
     into = None
     adjoint = np.zeros_like(trace.z[0])
     information = np.zeros_like(trace.end_p)
