@@ -190,7 +190,7 @@ def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> Noise
 
 
 def require_motion_model(name: object, where: str, *others: str) -> None:
-    """UsageError for a motion model that is not in the table, or of an order that the C lacks.
+    """UsageError for a motion model that is not in the table, or of an order that the kernel lacks.
 
     others: names that are possible there beside the table's.
     """
