@@ -149,7 +149,8 @@ def _fit_change(t: Array, off: Array, grows: bool) -> tuple[float, float]:
         """Sums (N,) of values times (t - begin)^degree, from each begin on."""
         terms = (np.where(known, values, 0.0) * begin**k for k in range(degree + 1))
         sums = [np.cumsum(one[::-1])[::-1] for one in terms]
-        return sum(comb(degree, k) * one * (-begin) ** (degree - k) for k, one in enumerate(sums))
+        back = (comb(degree, k) * (-begin) ** (degree - k) for k in range(degree + 1))
+        return np.asarray(sum(one * share for one, share in zip(sums, back, strict=True)))
 
     product = sum_later(off, power)
     square = np.maximum(sum_later(np.ones(len(t)), 2 * power), np.finfo(float).tiny)
