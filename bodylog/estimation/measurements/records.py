@@ -34,10 +34,14 @@ class Encoders:
         return interpolate_values(self.t, self.values, t)
 
     @cached_property
+    def count_variance(self) -> Array:
+        """Variance (M,) rad² of readings that comes from whole counts; 0 where none are seen."""
+        return np.array([quantisation_variance(y[np.isfinite(y)]) for y in self.values.T])
+
+    @cached_property
     def variance(self) -> Array:
         """Variance (M,) rad² of quantisation, or of noise where that is larger."""
-        steps = [quantisation_variance(y[np.isfinite(y)]) for y in self.values.T]
-        return np.asarray(np.fmax(steps, noise_variance(self.values)))
+        return np.asarray(np.fmax(self.count_variance, noise_variance(self.values)))
 
 
 def interpolate_values(t: Array, values: Array, at: Array) -> Array:

@@ -18,12 +18,12 @@ from ..factors.hypotheses import Explanation
 from ..factors.load import Load, bend_under_load
 from ..factors.robust import image_span, mixture_nats
 from ..factors.whole_log import ExplainedLog, SolvedLog, explain_by_white_noise, solve_log
+from ..faults.threshold import SIGNIFICANT_SIGMA
 from ..inference.filter_log import filter_roughly
 from ..inference.problem import FilterProblem
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence
 from ..noise.lasting_error import LEAST_IMAGES, MOST_COUNTS
-from ..noise.quantisation import quantisation_variance
 from .results import Beliefs, standardise_sighting
 
 LEAST_TURN = 10.0
@@ -54,10 +54,6 @@ too small: encoders of a microrad, on joints that turn smoothly, have 0.17 to 0.
 would be taken for rough: sound and slipping ones have 0.98 to 1.02 (12 of 16 s). With 0.25 some of
 a microrad would be.
 """
-FEWEST_READINGS = 1000
-"""Readings of which correlations are known to MOST_COLOUR / 3."""
-FAR_SIGMAS = 3.0
-"""Standard deviations to which errors are cut: images of something else say nothing here."""
 
 
 def reason_to_widen(
@@ -225,10 +221,10 @@ def _compare_images_with_readings(
         var = problem.precision.scale.get(sighting.name, 1.0) * sighting.var[usable]
         mean, jac, model_var = sighting.model.predict(x[rows])
         size = np.einsum("fdd->fd", project_covariance(jac, cov[rows])) + model_var + var
-        off = np.clip((seen - mean) / np.sqrt(size), -FAR_SIGMAS, FAR_SIGMAS)
+        off = np.clip((seen - mean) / np.sqrt(size), -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
         stated = np.sqrt(noise + np.einsum("fmm->fm", cov[earlier]))
         pull = np.einsum("fdm,fd->fm", jac, off / np.sqrt(size))
-        product = pull * stated * np.clip(read[earlier], -FAR_SIGMAS, FAR_SIGMAS)
+        product = pull * stated * np.clip(read[earlier], -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
         weight = np.einsum("fdm,fd->fm", np.square(jac), 1.0 / size)
         there, near = _with_readings_there(x[rows], cov[rows], read[rows], noise)
         mean, jac, model_var = sighting.model.predict(there)
@@ -262,14 +258,13 @@ def _find_coloured(errors: Array, encoders: Encoders, noise: Array) -> Array:
     """Joints (M,) bool whose innovations (N,M), in standard deviations, are not white. Those
     whose noise is that of whole counts have none that are.
     """
-    cut = np.clip(errors, -FAR_SIGMAS, FAR_SIGMAS)
+    cut = np.clip(errors, -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
     found = np.zeros(len(noise), bool)
+    of_counts = noise <= MOST_COUNTS * encoders.count_variance
     for j, column in enumerate(cut.T):
-        values = encoders.values[:, j]
         read = column[np.isfinite(column)]
-        if len(read) < FEWEST_READINGS or not (
-            noise[j] > MOST_COUNTS * quantisation_variance(values[np.isfinite(values)])
-        ):
+        # a correlation of n readings is known to 1/√n
+        if of_counts[j] or len(read) * MOST_COLOUR**2 < SIGNIFICANT_SIGMA**2:
             continue
         square = float(np.mean(np.square(read)))
         if square < LEAST_SQUARE:
@@ -309,7 +304,7 @@ def _measure_misfits(
         series, _, _ = standardise_sighting(sighting, place, scales[sighting.name])
         if len(series.t) < LEAST_IMAGES:
             continue
-        error = np.clip(series.values, -FAR_SIGMAS, FAR_SIGMAS)
+        error = np.clip(series.values, -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
         square = float(np.mean(np.square(error)))
         correlation = float(np.mean(error[1:] * error[:-1])) / square
         yield sighting.name, square * (1.0 + correlation) / max(1.0 - correlation, 1e-9)

@@ -14,7 +14,7 @@ from scipy.special import wrightomega
 from ...types import Array
 from ..inference.kernel_call import bind_kernel_call
 from ..inference.scan import GATE_SIGMA
-from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_by_pivot, median_step
+from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_step
 from ..measurements.records import Encoders
 from ..measurements.timeline import GAP_STEPS, MAX_OUTPUT_RATE_HZ
 from .quantisation import dither_readings, shared_variance
@@ -329,9 +329,9 @@ def _find_far_bends(bend: Array) -> Array:
     moved = bend[bend > 0.0]
     # where most readings repeat, the others are typical
     typical = (
-        median_by_pivot(bend)
+        np.median(bend)
         if 2 * len(moved) > len(bend)
-        else median_by_pivot(moved)
+        else np.median(moved)
         if len(moved)
         else np.inf
     )

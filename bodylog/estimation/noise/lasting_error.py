@@ -23,7 +23,6 @@ from ...linear_algebra import forward_substituted
 from ...types import Array
 from ..measurements.records import Encoders, Sighting, mix_rows
 from .correlated_noise import PIXEL_CORRELATION_PX, correlate_postures
-from .quantisation import quantisation_variance
 
 STRETCHES_PER_LOG = 4
 """Stretches of a log that are looked at: each says what lasts, and time stays constant."""
@@ -159,7 +158,7 @@ def find_lasting_error(
         for piece in _stretch_residuals(encoders, sighting, belief, variance)
     ]
     lasting = _fit_lasting_error(pieces) if pieces else None
-    if lasting is None or lasting.std**2 < MOST_COUNTS * _count_variances(encoders).max():
+    if lasting is None or lasting.std**2 < MOST_COUNTS * encoders.count_variance.max():
         return None
     return lasting
 
@@ -187,7 +186,7 @@ def _stretch_residuals(
     inlying = _find_inliers(residual)
     width = max(ROWS_PER_STRETCH // values.shape[1], 1)
     frames = np.arange(len(usable))[inlying]
-    counts = _count_variances(encoders)
+    counts = encoders.count_variance
     for start in np.unique(
         np.linspace(0, max(len(frames) - width, 0), STRETCHES_PER_LOG).astype(int)
     ):
@@ -209,15 +208,6 @@ def _stretch_residuals(
             counts,
             correlate_postures(sighting.model, angles[rows]),
         )
-
-
-def _count_variances(encoders: Encoders) -> Array:
-    """Variance (M,) rad² of each encoder's readings
-    that comes from whole counts; 0 where none are seen.
-    """
-    return np.array(
-        [quantisation_variance(column[np.isfinite(column)]) for column in encoders.values.T]
-    )
 
 
 def _interpolate_readings(encoders: Encoders, t: Array) -> Array:
