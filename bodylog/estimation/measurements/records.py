@@ -33,6 +33,11 @@ class Encoders:
         """Readings (F,M) rad at t (F,) s, as `interpolate_values`."""
         return interpolate_values(self.t, self.values, t)
 
+    def select_rows(self, rows: Array | slice) -> "Encoders":
+        """Some of the readings."""
+        relative = None if self.relative is None else self.relative[rows]
+        return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], relative)
+
     @cached_property
     def count_variance(self) -> Array:
         """Variance (M,) rad² of readings that comes from whole counts; 0 where none are seen."""

@@ -21,9 +21,10 @@ from ..factors.whole_log import ExplainedLog, SolvedLog, explain_by_white_noise,
 from ..faults.threshold import SIGNIFICANT_SIGMA
 from ..inference.filter_log import filter_roughly
 from ..inference.problem import FilterProblem
+from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence
-from ..noise.lasting_error import LEAST_IMAGES, MOST_COUNTS
+from ..noise.lasting_error import MOST_COUNTS
 from .results import Beliefs, standardise_sighting
 
 LEAST_TURN = 10.0
@@ -148,20 +149,6 @@ class RoughMotion:
     nats: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _ImageEvidence:
-    """What images say of motion that is not assumed, one row each: product (F,M) of the slope of
-    its nats by the angle, 1/rad, and the error of the reading before it, rad · weight (F,M) of a
-    variance in the product, 1/rad² · nats (F,) by the readings and images before it · the instants
-    at (F,).
-    """
-
-    product: Array
-    weight: Array
-    nats: Array
-    at: Array
-
-
 def measure_rough_motion(
     problem: FilterProblem, beliefs: Beliefs, causal: bool
 ) -> RoughMotion | None:
@@ -189,19 +176,22 @@ def measure_rough_motion(
         trace = solution.trace
         found = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
         x, cov, read, nats = map(solution.fold.unfold, found)
-    images = _compare_images_with_readings(problem, x, cov, read)
+    products, weights, image_nats, at = _compare_images_with_readings(problem, x, cov, read)
     noise = problem.precision.encoder
     coloured = _find_coloured(read[problem.timeline.encoders], encoders, noise)
-    variance = np.maximum(np.where(coloured, noise, 0.0), _measure_shared_motion(images))
+    variance = np.maximum(np.where(coloured, noise, 0.0), _measure_shared_motion(products, weights))
     if not variance.any():
         return None
-    return RoughMotion(variance, images.nats, images.at, nats)
+    return RoughMotion(variance, image_nats, at, nats)
 
 
 def _compare_images_with_readings(
     problem: FilterProblem, x: Array, cov: Array, read: Array
-) -> _ImageEvidence:
-    """The evidence of each image that has a reading before it.
+) -> tuple[Array, Array, Array, Array]:
+    """What each image that has a reading before it says of motion that is not assumed: the product
+    (F,M) of the slope of its nats by the angle, 1/rad, and the error of the reading before it, rad;
+    the weight (F,M) of a variance in the product, 1/rad²; its nats (F,) by the readings and images
+    before it; and its instant (F,).
 
     x (E,M) and cov (E,M,M): what a filter expects at each instant · read (E,M): the errors of
     readings from it, in standard deviations.
@@ -234,23 +224,22 @@ def _compare_images_with_readings(
         found.append((product, weight, nats, rows))
     product, weight, nats, rows = map(np.concatenate, zip(*found, strict=True))
     known = np.isfinite(product).all(axis=1)
-    return _ImageEvidence(product[known], weight[known], nats[known], rows[known])
+    return product[known], weight[known], nats[known], rows[known]
 
 
-def _measure_shared_motion(images: _ImageEvidence) -> Array:
+def _measure_shared_motion(products: Array, weights: Array) -> Array:
     """Variance (M,) rad² that errors of images share with those of readings, zero where the log
     shows none.
 
     The errors of an image and of the reading before it are independent. Where both lie on the same
     side of what a filter expects of earlier ones, the joint itself was there: it sticks and slips.
     """
-    product = images.product
-    alike = product.sum() >= ROUGH_SIGMAS * np.sqrt(np.square(product).sum())
-    if len(product) < LEAST_IMAGES or not alike:
-        return np.zeros(product.shape[1])
-    weight = images.weight.sum(axis=0)
+    alike = products.sum() >= ROUGH_SIGMAS * np.sqrt(np.square(products).sum())
+    if len(products) < MIN_READINGS or not alike:
+        return np.zeros(products.shape[1])
+    weight = weights.sum(axis=0)
     shown = np.isfinite(weight) & (weight > 0.0)
-    shared = np.maximum(product.sum(axis=0), 0.0)
+    shared = np.maximum(products.sum(axis=0), 0.0)
     return np.asarray(np.divide(shared, weight, out=np.zeros(len(weight)), where=shown))
 
 
@@ -302,7 +291,7 @@ def _measure_misfits(
             continue
         place = earlier.places[sighting.name]
         series, _, _ = standardise_sighting(sighting, place, scales[sighting.name])
-        if len(series.t) < LEAST_IMAGES:
+        if len(series.t) < MIN_READINGS:
             continue
         error = np.clip(series.values, -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
         square = float(np.mean(np.square(error)))
