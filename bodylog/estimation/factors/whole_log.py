@@ -233,12 +233,11 @@ def _posed(
     problem: FilterProblem, encoders: Encoders, sightings: tuple[Sighting, ...], knots: Array
 ) -> FactorProblem:
     """The log on these knots (K,) s, about no path yet."""
-    relative = np.ones(encoders.values.shape) if encoders.relative is None else encoders.relative
     return FactorProblem(
         knots,
         encoders.t,
         encoders.values,
-        relative,
+        encoders.relative,
         problem.start,
         sightings,
         tuple(_repaired_steps(problem)),

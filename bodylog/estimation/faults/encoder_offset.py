@@ -141,23 +141,22 @@ def _fit_change(t: Array, off: Array, grows: bool) -> tuple[float, float]:
     """Since when residuals (N,) at t (N,) s, NaN where missing, are best described by a change of
     this shape in place of 0, and its size at the end.
     """
-    known = np.isfinite(off)
     power = int(grows)
-    begin = t - t[0]
+    begins = np.linspace(t[0] + MAX_MEMORY_S, t[-1] - MAX_MEMORY_S, RAMPS) if grows else t
+    rows = np.searchsorted(t, begins)
 
     def sum_later(values: Array, degree: int) -> Array:
-        """Sums (N,) of values times (t - begin)^degree, from each begin on."""
-        terms = (np.where(known, values, 0.0) * begin**k for k in range(degree + 1))
-        sums = [np.cumsum(one[::-1])[::-1] for one in terms]
-        back = (comb(degree, k) * (-begin) ** (degree - k) for k in range(degree + 1))
+        """Sums of known values times (t - begin)^degree, from each begin on."""
+        known = np.where(np.isfinite(off), values, 0.0)
+        sums = (np.cumsum((known * t**k)[::-1])[::-1][rows] for k in range(degree + 1))
+        back = (comb(degree, k) * (-begins) ** (degree - k) for k in range(degree + 1))
         return np.asarray(sum(one * share for one, share in zip(sums, back, strict=True)))
 
     product = sum_later(off, power)
     square = np.maximum(sum_later(np.ones(len(t)), 2 * power), np.finfo(float).tiny)
-    inside = (begin >= MAX_MEMORY_S) & (begin[-1] - begin >= MAX_MEMORY_S) | (not grows)
-    best = int(np.where(inside, product**2 / square, -np.inf).argmax())
-    rise = (t[-1] - t[best]) ** power
-    return float(t[best]), float(product[best] / square[best] * rise)
+    best = int((product**2 / square).argmax())
+    rise = (t[-1] - begins[best]) ** power
+    return float(begins[best]), float(product[best] / square[best] * rise)
 
 
 def _price_size_and_time(size: float, std: float, times: int) -> float:
@@ -186,6 +185,8 @@ def _with_readings(problem: FilterProblem, joint: int, y: Array) -> FilterProble
     )
 
 
+RAMPS = 64
+"""Times tried at which a steady drift may begin."""
 TRAILING_S = (0.0, 0.25, 0.5, 1.0, 1.5)
 """s by which a filter may show a drift late."""
 RANDOM_WALKS = (1e-4, 1e-5, 1e-3, 1e-7)

@@ -21,13 +21,13 @@ class Encoders:
     """Encoder rows: t (N,) s strictly rising · values
     (N,M) rad, NaN where missing · source_ns (N,).
 
-    relative: variance (N,M) of each reading over its encoder's, None where all are 1.
+    own_variance: variance (N,M) of each reading over its encoder's, None where all are 1.
     """
 
     t: Array
     values: Array
     source_ns: Array
-    relative: Array | None = None
+    own_variance: Array | None = None
 
     def at(self, t: Array) -> Array:
         """Readings (F,M) rad at t (F,) s, as `interpolate_values`."""
@@ -35,8 +35,12 @@ class Encoders:
 
     def select_rows(self, rows: Array | slice) -> "Encoders":
         """Some of the readings."""
-        relative = None if self.relative is None else self.relative[rows]
-        return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], relative)
+        return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], self.relative[rows])
+
+    @cached_property
+    def relative(self) -> Array:
+        """Variance (N,M) of each reading over its encoder's."""
+        return np.ones(self.values.shape) if self.own_variance is None else self.own_variance
 
     @cached_property
     def count_variance(self) -> Array:

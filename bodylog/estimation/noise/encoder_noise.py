@@ -261,7 +261,7 @@ def _row_means(found: Encoders, part: Array) -> Encoders:
     each = readings_per_average(found.t[part])
     joints = found.values.shape[1]
     part = part[: len(part) // each * each]
-    weights = np.ones((len(part), joints)) if found.relative is None else 1.0 / found.relative[part]
+    weights = 1.0 / found.relative[part]
     weights, values = (a.reshape(-1, each, joints) for a in (weights, found.values[part]))
     total = weights.sum(axis=1)
     t = found.t[part].reshape(-1, each).mean(axis=1)
@@ -286,8 +286,7 @@ def _merge_encoders(parts: list[Encoders]) -> Encoders:
         at = np.searchsorted(t, part.t)
         read = np.isfinite(part.values[0])
         values[np.ix_(at, read)], source[at] = part.values[:, read], part.source_ns
-        if part.relative is not None:
-            relative[np.ix_(at, read)] = part.relative[:, read]
+        relative[np.ix_(at, read)] = part.relative[:, read]
     return Encoders(t, values, source, relative)
 
 
