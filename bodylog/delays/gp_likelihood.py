@@ -24,7 +24,7 @@ from ..estimation.measurements.arm_errors import (
     RowExposure,
     read_slack,
 )
-from ..estimation.measurements.long_arrays import MIN_READINGS, median_by_pivot
+from ..estimation.measurements.long_arrays import MIN_READINGS
 from ..estimation.measurements.records import Encoders, Sighting
 from ..estimation.measurements.track_curve import (
     BLUNDER_MEDIANS,
@@ -333,7 +333,7 @@ def _align_curve(one: _PriorCurve, rows: Array, slack: Array, sizes: Array) -> _
     place = place - loose @ sizes[2:]
     off = np.linalg.norm(place - curve.predicted, axis=1)
     # positions far from the learned mean are blunders, too
-    most = BLUNDER_MEDIANS * median_by_pivot(off[sound]) if sound.any() else 0.0
+    most = BLUNDER_MEDIANS * float(np.median(off[sound])) if sound.any() else 0.0
     kept = np.flatnonzero(sound & (off <= most))
     placed, moved = (
         _scatter_weights(part[kept], first[kept], len(curve.t)) for part in (value, slope)

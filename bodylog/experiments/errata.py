@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..estimation.methods.algorithm1 import measure_stable_step
 from ..types import Array
 from . import drawn
 from .cases import explore_by_preset, sample_signals
@@ -58,18 +59,10 @@ def find_stable_step(model: Map, x: Array, unit_px: float) -> float:
     with σ_v = 5 of this unit² shrinks every mode at x (M,).
     """
     m = len(x)
-    slope = slope_by_differences(model, x) / unit_px
-    a = np.zeros((4 * m + 2, 4 * m + 2))
-    eye = np.eye(m)
-    seen = slice(4 * m, None)
-    belief, error_x, prior, error_p = (slice(k * m, (k + 1) * m) for k in range(4))
-    a[belief, error_x], a[error_x, belief], a[error_x, prior] = -eye, eye, -eye
-    a[error_x, error_x], a[prior, error_x] = -eye, eye
-    a[belief, error_p], a[error_p, belief], a[error_p, error_p] = eye, -eye, -eye
-    a[belief, seen], a[seen, belief], a[seen, seen] = slope.T, -slope, -5.0 * np.eye(2)
-    modes = np.linalg.eigvals(a)
-    modes = modes[modes.real < -1e-9]
-    return float((-2.0 * modes.real / np.abs(modes) ** 2).min())
+    slope = np.concatenate([np.eye(m), slope_by_differences(model, x) / unit_px])
+    return measure_stable_step(
+        slope[None], np.append(np.ones((1, m)), [[5.0, 5.0]], 1), np.ones(m), 1.0
+    )
 
 
 def slope_by_differences(model: Map, x: Array) -> Array:

@@ -15,7 +15,6 @@ from ..inference.problem import FilterProblem
 from ..inference.tangents import OFFSET_STD
 from ..measurements.records import Encoders, Sighting, unmix_rows
 from ..noise.lasting_error import MOST_COUNTS
-from ..noise.quantisation import quantisation_variance
 from .columns import Column, EncoderShift
 from .encoder_error import LEAST_STD, JointNoise
 from .gauss_newton import Solution, path_of, solve
@@ -225,11 +224,8 @@ def _outliers(problem: FactorProblem) -> float:
 def _is_of_counts(noise: Noise, encoders: Encoders) -> bool:
     """Whether what lasts is no more than whole counts make, which white noise has already."""
     joints = noise.joints
-    counts = np.array(
-        [quantisation_variance(column[np.isfinite(column)]) for column in encoders.values.T]
-    )
     return joints.error is not None and bool(
-        (np.square(joints.error) < MOST_COUNTS * counts)[joints.learned].all()
+        (np.square(joints.error) < MOST_COUNTS * encoders.count_variance)[joints.learned].all()
     )
 
 
@@ -237,12 +233,11 @@ def _posed(
     problem: FilterProblem, encoders: Encoders, sightings: tuple[Sighting, ...], knots: Array
 ) -> FactorProblem:
     """The log on these knots (K,) s, about no path yet."""
-    relative = np.ones(encoders.values.shape) if encoders.relative is None else encoders.relative
     return FactorProblem(
         knots,
         encoders.t,
         encoders.values,
-        relative,
+        encoders.relative,
         problem.start,
         sightings,
         tuple(_repaired_steps(problem)),

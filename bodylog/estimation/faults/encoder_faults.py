@@ -16,21 +16,10 @@ from ...body_model import BodyModel
 from ...types import Array, Fault, FaultKind, Finding, Hypothesis
 from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.records import Encoders, Evidence
+from ..noise.quantisation import fault_in_units
 from .jumping import find_jumps, find_level_shifts, unwrap_turns
 from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, motion_nats
 from .threshold import EVIDENCE_THRESHOLD_NATS
-
-
-class ReadingFault(NamedTuple):
-    """A fault of one encoder: its kind, since when and
-    until when (s; None: to the end), size ± std (rad).
-    """
-
-    kind: FaultKind
-    since: float
-    until: float | None = None
-    size: float = 0.0
-    std: float | None = None
 
 
 class ScreenedEncoder(NamedTuple):
@@ -39,7 +28,7 @@ class ScreenedEncoder(NamedTuple):
     """
 
     values: Array
-    faults: Sequence[ReadingFault]
+    faults: Sequence[Fault]
     nats: Mapping[str, float]
 
 
@@ -68,12 +57,12 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
     complete = angles and np.isfinite(encoders.values).any(axis=0).all()
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
     found = {
-        name: _screen_encoder(encoders.t, y, partial(motion_nats, in_units, images, joint))
+        name: _screen_encoder(name, encoders.t, y, partial(motion_nats, in_units, images, joint))
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))
     }
     faults = [
-        _convert_fault_unit(fault, name, size, evidence.unit)
-        for name, one in found.items()
+        fault_in_units(fault, evidence.unit, 1.0 / size)
+        for one in found.values()
         for fault in one.faults
     ]
     hypotheses = [
@@ -94,14 +83,6 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
     )
 
 
-def _convert_fault_unit(fault: ReadingFault, name: str, size: float, unit: str) -> Fault:
-    """A joint's fault, with its size in readings of `size` rad a unit."""
-    std = None if fault.std is None else fault.std / size
-    return Fault(
-        "encoders", name, fault.kind, fault.since, fault.size / size, unit, std, until=fault.until
-    )
-
-
 def _convert_screened_unit(
     read: Encoders, angled: Encoders, screened: Encoders, size: float
 ) -> Encoders:
@@ -115,7 +96,7 @@ def _convert_screened_unit(
 def repair_readings(encoders: Encoders) -> Encoders:
     """The readings (angles) without faulty stretches and jumps."""
     encoders = _unwrap_columns(encoders)
-    each = [_screen_encoder(encoders.t, y, lambda begin, end: 0.0) for y in encoders.values.T]
+    each = [_screen_encoder("", encoders.t, y, lambda begin, end: 0.0) for y in encoders.values.T]
     return _with_columns(encoders, [one.values for one in each])
 
 
@@ -127,7 +108,9 @@ def _with_columns(encoders: Encoders, columns: Sequence[Array]) -> Encoders:
     return replace(encoders, values=np.stack(columns, axis=1)) if columns else encoders
 
 
-def _screen_encoder(t: Array, y: Array, moved: Callable[[int, int], float]) -> ScreenedEncoder:
+def _screen_encoder(
+    name: str, t: Array, y: Array, moved: Callable[[int, int], float]
+) -> ScreenedEncoder:
     """Screen one encoder's readings y (N,) rad at t (N,) s;
     `moved`: nats of images that it moved in [begin, end).
 
@@ -136,22 +119,30 @@ def _screen_encoder(t: Array, y: Array, moved: Callable[[int, int], float]) -> S
     if not np.isfinite(y).any():
         return ScreenedEncoder(y, (), {})
     values = y.copy()
-    found = list[ReadingFault]()
+    found = list[Fault]()
+
+    def add(
+        kind: FaultKind,
+        since: float,
+        until: float | None = None,
+        size: float = 0.0,
+        std: float | None = None,
+    ) -> None:
+        found.append(Fault("encoders", name, kind, since, size, "rad", std, until=until))
+
     nats: dict[str, float] = {FaultKind.FROZEN: 0.0, FaultKind.DEAD: 0.0, "jumped": 0.0}
     for one in (find_final_silence(t, y), *find_frozen_readings(t, y, moved)):
         nats[one.kind] = max(nats[one.kind], one.nats)
         if one.nats > EVIDENCE_THRESHOLD_NATS:
-            found.append(
-                ReadingFault(one.kind, float(t[one.begin]), _find_recovery_time(t, y, one))
-            )
+            add(one.kind, float(t[one.begin]), _find_recovery_time(t, y, one))
             values[one.begin : one.end] = np.nan
     moves = find_level_shifts(t, values)
     nats["jumped"] = max((won for *_, won in moves), default=0.0)
     for begin, end, size in _find_excursions(t, values, moves):
-        found.append(ReadingFault(FaultKind.GLITCH, float(t[begin]), float(t[end]), size))
+        add(FaultKind.GLITCH, float(t[begin]), float(t[end]), size)
         values[begin:end] = np.nan
     for at, size, std in find_jumps(t, values):
-        found.append(ReadingFault(FaultKind.JUMPING, float(t[at]), None, size, std))
+        add(FaultKind.JUMPING, float(t[at]), None, size, std)
         values[at:] -= size
     return ScreenedEncoder(values, found, nats)
 

@@ -16,6 +16,7 @@ s. A filter that lags behind the arm has an e, but no b.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ from ..measurements.timeline import list_span_starts
 from ..noise.correlated_noise import count_effective_frames
 from ..noise.encoder_noise import MAX_MEMORY_S
 from ..noise.quantisation import step_size
-from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
+from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
 
 class OffsetHypothesis(NamedTuple):
@@ -53,121 +54,109 @@ def total_free_energy(solution: Solution) -> float:
     return float(solution.fold.unfold(solution.trace.nats).sum())
 
 
-def find_likeliest_step(
+def find_likeliest_changes(
     problem: FilterProblem, wandering: FilterProblem, joint: int, solved: Solution
-) -> OffsetHypothesis | None:
-    """The most likely step of one joint's encoder, given
-    the problem without and with a `wandering` offset of it.
+) -> list[OffsetHypothesis]:
+    """The most likely step of one joint's encoder, and its most likely steady drift from some time
+    on, given the problem without and with a `wandering` offset of it.
 
-    None where the log determines no step.
+    A drift stands beside a slow random walk: a walk is as likely before it begins as later, so one
+    that is slow enough for the sound readings trails a steady drift. A step or drift that the log
+    does not determine is left out.
     """
     encoders = problem.evidence.encoders
     assert encoders is not None
     y = encoders.values[:, joint]
     t = encoders.t
 
-    def off(posed: FilterProblem) -> Array:
+    def measure_residuals(posed: FilterProblem) -> Array:
         solution = filter_roughly(posed, solved)
-        return np.asarray(
-            y - solution.fold.unfold(solution.trace.z[:, joint])[problem.timeline.encoders]
-        )
+        angles = solution.fold.unfold(solution.trace.z[:, joint])
+        return np.asarray(y - angles[problem.timeline.encoders])
 
-    def without(row: int, size: float) -> FilterProblem:
-        return _with_readings(problem, joint, np.where(np.arange(len(y)) >= row, y - size, y))
-
-    def nats(row: int, size: float) -> float:
-        return total_free_energy(filter_roughly(without(row, size), solved))
-
-    late, size = _fit_two_levels(off(wandering))
+    followed = measure_residuals(wandering)
+    late, size = _fit_change(t, followed, grows=False)
     # a filter takes a step for motion at first: just before, images alone tell the angle
-    unsure = (t > t[late] - MAX_MEMORY_S) & (t <= t[late])
-    masked = np.where(unsure, np.nan, np.where(t > t[late], y - size, y))
-    seen, _ = _fit_two_levels(off(_with_readings(problem, joint, masked)))
-    steps = np.where(unsure, np.sign(size) * np.diff(y, prepend=np.nan), np.nan)
-    rows = seen, int(np.nan_to_num(steps, nan=-np.inf).argmax())
-    row = min(rows, key=lambda row: nats(row, size))
+    unsure = (t > late - MAX_MEMORY_S) & (t <= late)
+    masked = np.where(unsure, np.nan, np.where(t > late, y - size, y))
+    again = measure_residuals(_with_readings(problem, joint, masked))
+    shifts = np.where(unsure, np.sign(size) * np.diff(y, prepend=np.nan), np.nan)
+    largest = float(t[np.nan_to_num(shifts, nan=-np.inf).argmax()])
+    begins = {_fit_change(t, again, grows=False)[0], largest}
     # an encoder that is off so soon is off from the start
-    row = row if t[row] - t[0] >= MAX_MEMORY_S else 0
-    lowest = _fit_parabola_minimum(
-        [nats(row, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
-    )
-    if lowest is None:
-        return None
-    cost, more, std = lowest
-    size += more
-    prior = _price_size_and_time(size, std, len(t) if row else 1)
-    kind = FaultKind.JUMPING if row else FaultKind.DRIFTING
-    name = problem.evidence.joints[joint]
-    fault = Fault("encoders", name, kind, float(t[row]), size, problem.evidence.unit, std)
-    return OffsetHypothesis(without(row, size), cost + prior, fault, prior, "step")
+    steps = {one if one - t[0] >= MAX_MEMORY_S else float(t[0]): size for one in sorted(begins)}
+    found = [_size_likeliest_change(problem, joint, solved, steps, grows=False)]
+    if t[-1] - t[0] > 2.0 * MAX_MEMORY_S:
+        late, size = _fit_change(t, followed, grows=True)
+        rows = np.searchsorted(t, np.maximum(late - np.array(TRAILING_S), t[0] + MAX_MEMORY_S))
+        slope = size / (t[-1] - late)
+        drifts = {one: float(slope * (t[-1] - one)) for one in np.unique(t[rows]).tolist()}
+        slow = _with_walk(problem, joint, RANDOM_WALKS[1])
+        found.append(_size_likeliest_change(slow, joint, solved, drifts, grows=True))
+    return [one for one in found if one is not None]
 
 
-def find_likeliest_ramp(
-    problem: FilterProblem, wandering: FilterProblem, joint: int, solved: Solution
+def _size_likeliest_change(
+    problem: FilterProblem, joint: int, solved: Solution, tried: Mapping[float, float], grows: bool
 ) -> OffsetHypothesis | None:
-    """The most likely steady drift of one joint's encoder from some time on, beside a slow random
-    walk, given the problem without and with a `wandering` offset of it.
-
-    A random walk is as likely before it begins as later, so one that is slow enough for the sound
-    readings trails a steady drift. None where the log determines no drift.
+    """The most likely of changes {since s: size rad} of what an encoder reads, at its most likely
+    size; None where the log determines none.
     """
     encoders = problem.evidence.encoders
     assert encoders is not None
     y = encoders.values[:, joint]
     t = encoders.t
-    slow = _with_walk(problem, joint, RANDOM_WALKS[1])
 
     def without(since: float, size: float) -> FilterProblem:
-        return _with_readings(slow, joint, y - size * _shape_drift(t, since))
+        return _with_readings(problem, joint, y - size * shape_change(t, since, grows))
 
     def nats(since: float, size: float) -> float:
         return total_free_energy(filter_roughly(without(since, size), solved))
 
-    followed = filter_roughly(wandering, solved)
-    angles = followed.fold.unfold(followed.trace.z[:, joint])
-    fitted = _fit_ramp(t, y - angles[problem.timeline.encoders])
-    if fitted is None:
-        return None
-    late, size = fitted
-    slope = size / (t[-1] - late)
-    earliest = t[0] + MAX_MEMORY_S
-    rows = np.searchsorted(t, np.maximum(late - np.array(TRAILING_S), earliest))
-    begins = np.unique(t[rows]).tolist()
-    since = min(begins, key=lambda one: nats(one, slope * (t[-1] - one)))
-    size = slope * (t[-1] - since)
+    since = min(tried, key=lambda one: nats(one, tried[one]))
     lowest = _fit_parabola_minimum(
-        [nats(since, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
+        [nats(since, tried[since] + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
     )
     if lowest is None:
         return None
     cost, more, std = lowest
-    size += more
+    size = tried[since] + more
+    prior = _price_size_and_time(size, std, len(t) if since > t[0] else 1)
+    steps = since > t[0] and not grows
+    kind = FaultKind.JUMPING if steps else FaultKind.DRIFTING
     name = problem.evidence.joints[joint]
-    fault = Fault(
-        "encoders", name, FaultKind.DRIFTING, since, float(size), problem.evidence.unit, std
-    )
-    prior = _price_size_and_time(size, std, len(t))
-    return OffsetHypothesis(without(since, size), cost + prior, fault, prior, "drift")
+    fault = Fault("encoders", name, kind, since, size, problem.evidence.unit, std)
+    form = "drift" if grows else "step"
+    return OffsetHypothesis(without(since, size), cost + prior, fault, prior, form)
 
 
-def _shape_drift(t: Array, since: float) -> Array:
-    """What a drift since a time has become at t (N,) s, over what it is at the end."""
-    return np.asarray(np.maximum(t - since, 0.0) / (t[-1] - since))
+def shape_change(t: Array, since: Array | float, grows: bool) -> Array:
+    """The share of a change that is there at t: a step, or growth from its time to the end."""
+    if not grows:
+        return np.asarray(t >= since, float)
+    return np.asarray(np.maximum(t - since, 0.0) / np.maximum(t.max() - since, MIN_DELAY_S))
 
 
-def _fit_ramp(t: Array, off: Array) -> tuple[float, float] | None:
-    """Since when residuals (N,) at t (N,) s, NaN where missing, rise most steadily from 0, and how
-    far until the end; None where the log is too short.
+def _fit_change(t: Array, off: Array, grows: bool) -> tuple[float, float]:
+    """Since when residuals (N,) at t (N,) s, NaN where missing, are best described by a change of
+    this shape in place of 0, and its size at the end.
     """
-    begins = np.linspace(t[0] + MAX_MEMORY_S, t[-1] - MAX_MEMORY_S, RAMPS)
-    known = np.isfinite(off)
-    if t[-1] - t[0] <= 2.0 * MAX_MEMORY_S or not known.any():
-        return None
-    rises = np.array([_shape_drift(t, one)[known] for one in begins])
-    square = np.square(rises).sum(axis=1)
-    product = rises @ off[known]
-    best = int((np.square(product) / square).argmax())
-    return float(begins[best]), float(product[best] / square[best])
+    power = int(grows)
+    begins = np.linspace(t[0] + MAX_MEMORY_S, t[-1] - MAX_MEMORY_S, RAMPS) if grows else t
+    rows = np.searchsorted(t, begins)
+
+    def sum_later(values: Array, degree: int) -> Array:
+        """Sums of known values times (t - begin)^degree, from each begin on."""
+        known = np.where(np.isfinite(off), values, 0.0)
+        sums = (np.cumsum((known * t**k)[::-1])[::-1][rows] for k in range(degree + 1))
+        back = (comb(degree, k) * (-begins) ** (degree - k) for k in range(degree + 1))
+        return np.asarray(sum(one * share for one, share in zip(sums, back, strict=True)))
+
+    product = sum_later(off, power)
+    square = np.maximum(sum_later(np.ones(len(t)), 2 * power), np.finfo(float).tiny)
+    best = int((product**2 / square).argmax())
+    rise = (t[-1] - begins[best]) ** power
+    return float(begins[best]), float(product[best] / square[best] * rise)
 
 
 def _price_size_and_time(size: float, std: float, times: int) -> float:
@@ -194,16 +183,6 @@ def _with_readings(problem: FilterProblem, joint: int, y: Array) -> FilterProble
     return replace(
         problem, evidence=replace(problem.evidence, encoders=replace(encoders, values=values))
     )
-
-
-def _fit_two_levels(off: Array) -> tuple[int, float]:
-    """The row from which on residuals (N,), NaN where missing, are best described by one level
-    instead of 0, and that level.
-    """
-    count = np.maximum(np.isfinite(off)[::-1].cumsum()[::-1], 1)
-    level = np.nan_to_num(off)[::-1].cumsum()[::-1] / count
-    row = int((count * level**2).argmax())
-    return row, float(level[row])
 
 
 RAMPS = 64
@@ -496,9 +475,8 @@ def _best_offset_hypothesis(
     )
     walks = (_with_walk(allowed, joint, walk) for walk in RANDOM_WALKS)
     best = min((OffsetHypothesis(one, cost(one)) for one in walks), key=lambda way: way.nats)
-    step = find_likeliest_step(allowed, best.problem, joint, solved)
-    ramp = find_likeliest_ramp(allowed, best.problem, joint, solved)
-    way = min((one for one in (best, step, ramp) if one is not None), key=lambda one: one.nats)
+    changes = find_likeliest_changes(allowed, best.problem, joint, solved)
+    way = min((best, *changes), key=lambda one: one.nats)
     # against no offset it counts with the problem's noise:
     # less of it makes an offset of a poor body's errors
     found = replace(

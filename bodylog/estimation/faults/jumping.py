@@ -6,7 +6,7 @@ import numpy as np
 
 from ...types import Array
 from ..inference.tangents import OFFSET_STD
-from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_by_pivot, median_step
+from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_step
 from ..noise.quantisation import step_size
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
@@ -60,7 +60,7 @@ def _estimate_reading_noise(v: Array) -> float:
     """
     bends = np.abs(np.diff(v, 2))
     # a normal scatter σ has second differences of √6 σ, whose median size is 0.67 of that
-    scatter = float(median_by_pivot(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
+    scatter = float(np.median(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
     rounding = step_size(v) / 12.0**0.5
     return float(max(scatter, rounding))
 
@@ -140,10 +140,10 @@ def _estimate_step_scale(steps: Array) -> float:
 
     For coarse encoders, whose median step is 0, the median nonzero step.
     """
-    if half := median_by_pivot(np.abs(steps - median_by_pivot(steps))):
+    if half := float(np.median(np.abs(steps - np.median(steps)))):
         return half / log(2.0)
     moved = np.abs(steps[steps != 0.0])
-    return median_by_pivot(moved) if len(moved) else 0.0
+    return float(np.median(moved)) if len(moved) else 0.0
 
 
 def _extrapolate_level(v: Array) -> float:

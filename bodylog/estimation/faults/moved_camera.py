@@ -32,7 +32,7 @@ from ..measurements.track_curve import (
     track_curve,
 )
 from ..noise.encoder_noise import MAX_MEMORY_S
-from .encoder_offset import RANDOM_WALKS
+from .encoder_offset import RANDOM_WALKS, shape_change
 from .threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
 TRACKED = tuple(axes for axes, _ in TRACK_AXES.values())
@@ -94,7 +94,7 @@ class _DisplacementRows:
     def stack_columns(self, changes: Sequence[SensorChange]) -> Array:
         """What units of all sizes of changes add (R,·), side by side."""
         found = [
-            self.form_basis(one.joint) * _shape_change(self.t, one.t, one.grows)[:, None]
+            self.form_basis(one.joint) * shape_change(self.t, one.t, one.grows)[:, None]
             for one in changes
         ]
         return np.concatenate([np.empty((len(self.t), 0)), *found], axis=1)
@@ -388,7 +388,7 @@ def _remove_changes(encoders: Encoders, read: Sequence[SensorChange]) -> Encoder
     values = encoders.values.copy()
     for one in read:
         assert one.joint is not None
-        values[:, one.joint] -= one.size * _shape_change(encoders.t, one.t, one.grows)
+        values[:, one.joint] -= one.size * shape_change(encoders.t, one.t, one.grows)
     return replace(encoders, values=values)
 
 
@@ -493,13 +493,6 @@ def _offset_covariance(t: Array, jac: Array, walk: float) -> Array:
     return np.asarray((jac @ jac.T) * (OFFSET_STD**2 + walk * np.minimum.outer(since, since)))
 
 
-def _shape_change(t: Array, since: Array | float, grows: bool) -> Array:
-    """The share of a change that is there at t: a step, or growth from its time to the end."""
-    if not grows:
-        return np.asarray(t >= since, float)
-    return np.asarray(np.maximum(t - since, 0.0) / np.maximum(t.max() - since, MIN_DELAY_S))
-
-
 def _best_step(
     rows: _DisplacementRows, basis: Array, wide: float, until: bool = False, grows: bool = False
 ) -> SensorChange:
@@ -510,7 +503,7 @@ def _best_step(
     """
     times = np.unique(rows.t)
     d = basis.shape[1]
-    shapes = _shape_change(rows.t[:, None], times, grows)
+    shapes = shape_change(rows.t[:, None], times, grows)
     steps = basis[:, :, None] * (1.0 - shapes if until else shapes)[:, None, :]
     white = forward_substituted(
         rows.chol, np.column_stack([rows.r, steps.reshape(len(rows.t), -1)])

@@ -22,7 +22,7 @@ from ...body_model import BodyModel
 from ...types import Array, Fault, FaultKind
 from ..inference.reacquisition import LONG_SILENCE_S
 from ..inference.tangents import OFFSET_STD
-from ..measurements.long_arrays import all_of_row, find_finite_rows
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..noise.encoder_noise import MAX_MEMORY_S
 from ..noise.quantisation import step_size
@@ -234,7 +234,7 @@ def find_equal_stretches(t: Array, y: Array) -> list[tuple[int, int]]:
     readings y (N,) or (N,D) at t (N,) s, the first included.
     """
     same = np.diff(y, axis=0) == 0.0
-    same = same if y.ndim == 1 else all_of_row(same)
+    same = same if y.ndim == 1 else same.all(axis=1)
     edges = np.flatnonzero(np.diff(same, prepend=False, append=False)).tolist()
     runs = zip(edges[::2], edges[1::2], strict=True)
     return [(a, b + 1) for a, b in runs if t[b] - t[a] > LONG_SILENCE_S]

@@ -82,7 +82,7 @@ def _left_out_encoders(
     read = x[at, :m] + (
         0.0 if problem.dynamics.offset is None else x[at, problem.dynamics.offset :]
     )
-    noise = problem.precision.encoder * (1.0 if found.relative is None else found.relative)
+    noise = problem.precision.encoder * found.relative
     # rounding
     used = np.abs(d[at]) <= gate
     a = np.maximum(var[at, -m:], 0.0)

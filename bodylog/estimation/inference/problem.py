@@ -210,8 +210,7 @@ def encoder_rows(problem: FilterProblem, until: int | None = None) -> tuple[Arra
     if found is not None:
         rows = int(np.searchsorted(at, len(t)))
         encoders[at[:rows]] = found.values[:rows]
-        if found.relative is not None:
-            var[at[:rows]] *= found.relative[:rows]
+        var[at[:rows]] *= found.relative[:rows]
     return (
         (encoders, var)
         if problem.posture_prior is None

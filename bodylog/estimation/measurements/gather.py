@@ -13,7 +13,7 @@ from ...settings import EstimationSettings
 from ...types import Array, Features, Finding, Health, Series
 from ..noise.quantisation import unit_of
 from . import posture, touch, track
-from .long_arrays import any_of_row, index_true_rows
+from .long_arrays import index_true_rows
 from .records import Encoders, Evidence, Sense, build_health
 from .track import find_ascending_times, find_longest_gap
 
@@ -136,13 +136,13 @@ def _select_encoder_rows(
     """
     known = np.isfinite(read)
     # rows that hold only joints of other topics are no readings of these
-    ours = index_true_rows(any_of_row(known) | ~any_of_row(np.isfinite(joints.values)))
+    ours = index_true_rows(np.asarray(known.any(axis=1) | ~np.isfinite(joints.values).any(axis=1)))
     t = joints.t[ours]
     source = joints.source_ns[ours]
     values = read[ours].astype(float)
     known = known[ours]
     rising = find_ascending_times(t)
-    broken = ~any_of_row(known)
+    broken = ~known.any(axis=1)
     used = [name in wanted for name in names]
     known = known & used
     values[~known] = np.nan
@@ -151,7 +151,7 @@ def _select_encoder_rows(
     reasons |= {f"without {names[j]}": (~known[keep, j]).sum() for j in np.flatnonzero(used)}
     found = Encoders(t[keep], values[keep], source[keep])
     return found, build_health(
-        len(t), any_of_row(known[keep]).sum(), reasons, find_longest_gap(found.t)
+        len(t), known[keep].any(axis=1).sum(), reasons, find_longest_gap(found.t)
     )
 
 

@@ -21,23 +21,36 @@ class Encoders:
     """Encoder rows: t (N,) s strictly rising · values
     (N,M) rad, NaN where missing · source_ns (N,).
 
-    relative: variance (N,M) of each reading over its encoder's, None where all are 1.
+    own_variance: variance (N,M) of each reading over its encoder's, None where all are 1.
     """
 
     t: Array
     values: Array
     source_ns: Array
-    relative: Array | None = None
+    own_variance: Array | None = None
 
     def at(self, t: Array) -> Array:
         """Readings (F,M) rad at t (F,) s, as `interpolate_values`."""
         return interpolate_values(self.t, self.values, t)
 
+    def select_rows(self, rows: Array | slice) -> "Encoders":
+        """Some of the readings."""
+        return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], self.relative[rows])
+
+    @cached_property
+    def relative(self) -> Array:
+        """Variance (N,M) of each reading over its encoder's."""
+        return np.ones(self.values.shape) if self.own_variance is None else self.own_variance
+
+    @cached_property
+    def count_variance(self) -> Array:
+        """Variance (M,) rad² of readings that comes from whole counts; 0 where none are seen."""
+        return np.array([quantisation_variance(y[np.isfinite(y)]) for y in self.values.T])
+
     @cached_property
     def variance(self) -> Array:
         """Variance (M,) rad² of quantisation, or of noise where that is larger."""
-        steps = [quantisation_variance(y[np.isfinite(y)]) for y in self.values.T]
-        return np.asarray(np.fmax(steps, noise_variance(self.values)))
+        return np.asarray(np.fmax(self.count_variance, noise_variance(self.values)))
 
 
 def interpolate_values(t: Array, values: Array, at: Array) -> Array:

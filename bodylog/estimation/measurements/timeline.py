@@ -37,11 +37,7 @@ def list_track_sets(sightings: Sequence[Sighting], t: Array) -> tuple[list[View]
     code = np.zeros(len(t), int)
     for bit, track in enumerate(tracks):
         code |= _is_in_view(track, t).astype(int) << bit
-    if (code == code[0]).all():
-        found = code[:1]
-        which = np.zeros(len(t), int)
-    else:
-        found, which = np.unique(code, return_inverse=True)
+    found, which = np.unique(code, return_inverse=True)
     return [tuple(s.name for bit, s in enumerate(tracks) if one >> bit & 1) for one in found], which
 
 
@@ -49,12 +45,10 @@ def _is_in_view(track: Sighting, t: Array) -> Array:
     """Whether a track is in view at times t (E,), with sightings shortly before and after."""
     seen = track.t[seen_rows(track.values)]
     around = np.concatenate([[min(t[0], seen[0])], seen, [max(t[-1], seen[-1])]])
-    quick = (
-        np.diff(around) <= GAP_STEPS * median_step(track.t)
-        if len(track.t) > 1
-        else np.zeros(2, bool)
-    )
-    return np.ones(len(t), bool) if quick.all() else quick[np.searchsorted(seen, t)]
+    if len(track.t) < 2:
+        return np.zeros(len(t), bool)
+    quick = np.diff(around) <= GAP_STEPS * median_step(track.t)
+    return np.asarray(quick[np.searchsorted(seen, t)])
 
 
 MAX_OUTPUT_RATE_HZ = 100.0
@@ -127,10 +121,7 @@ def _check_grid(rate: float, t: Array) -> None:
 
 def merge_clocks(*clocks: Array) -> Array:
     """Distinct times (E,) of ascending clocks, in order."""
-    # a stable sort merges ordered runs; np.unique would sort from scratch
-    t = np.sort(np.concatenate(clocks), kind="stable")
-    new = t[1:] != t[:-1]
-    return t if new.all() else t[np.append(True, new)]
+    return np.unique(np.concatenate(clocks))
 
 
 def list_span_starts(t: Array, width: float) -> Array:

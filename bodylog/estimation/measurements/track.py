@@ -47,8 +47,6 @@ def _read_track(name: str, track: Series, body: BodyModel, rows: RowExposure | N
 def find_ascending_times(t: Array) -> Array:
     """True where a time is later than all before it."""
     t = np.where(np.isfinite(t), t, -np.inf)
-    if (t[1:] > t[:-1]).all() and not np.isneginf(t[:1]).any():
-        return np.ones(len(t), bool)
     before = np.concatenate([[-np.inf], np.maximum.accumulate(t)[:-1]])
     return np.asarray(t > before)
 

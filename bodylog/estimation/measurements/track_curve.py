@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from ...types import Array
-from .long_arrays import MIN_READINGS, any_of_row, median_by_pivot, median_step, noise_variance
+from .long_arrays import MIN_READINGS, median_step, noise_variance
 from .long_arrays import find_finite_rows as seen_rows
 from .records import Encoders, Sighting
 from .timeline import list_span_starts
@@ -208,7 +208,7 @@ def _clean_track(seen: Sighting) -> tuple[Array, Array, Array]:
     """
     shown = np.flatnonzero(seen_rows(seen.values))
     shown = shown[
-        np.append(True, any_of_row(np.diff(seen.values[shown], axis=0) != 0.0))[: len(shown)]
+        np.append(True, (np.diff(seen.values[shown], axis=0) != 0.0).any(axis=1))[: len(shown)]
     ]
     t = seen.t[shown]
     places = seen.values[shown]
@@ -217,12 +217,8 @@ def _clean_track(seen: Sighting) -> tuple[Array, Array, Array]:
     share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
     off = np.abs(places[1:-1] - (1.0 - share) * places[:-2] - share * places[2:]).max(axis=1)
     # at either end nothing tells a false frame from a false neighbour
-    kept = np.pad(off <= BLUNDER_MEDIANS * median_by_pivot(off), 1, "edge")
-    return (
-        t[kept],
-        places[kept],
-        np.array([median_by_pivot(column) for column in seen.var[shown].T]),
-    )
+    kept = np.pad(off <= BLUNDER_MEDIANS * np.median(off), 1, "edge")
+    return (t[kept], places[kept], np.median(seen.var[shown], axis=0))
 
 
 def _average_span_readings(

@@ -176,3 +176,26 @@ def _divide_by_hessian(hessian: Array, move: Array, dt: float) -> Array:
     system = np.where(finite[:, None, None], eye + dt * hessian, eye)
     solved = np.linalg.solve(system, move[:, :, None])[..., 0]
     return np.where(finite[:, None], solved, np.nan)
+
+
+def measure_stable_step(slope: Array, sigma: Array, sigma_x: Array, rate: float) -> float:
+    """Largest Δt (s) for which one explicit step shrinks every mode, linearised at N postures.
+
+    slope (N,R,M): ∂g/∂x̂ of R readings · sigma (N,R), sigma_x (M,): variances · rate: λ, 1/s.
+    """
+    n, _, m = slope.shape
+    i = np.eye(m) + np.zeros((n, 1, 1))
+    o = np.zeros((n, m, m))
+    none = np.zeros_like(slope)
+    # rows and columns: x, e_x, μ, the senses' errors
+    a = np.block(
+        [
+            [o, -i, o, slope.swapaxes(1, 2)],
+            [i, -sigma_x * i, -i, none.swapaxes(1, 2)],
+            [o, rate * i, o, none.swapaxes(1, 2)],
+            [-slope, none, none, -sigma[:, None] * np.eye(sigma.shape[1])],
+        ]
+    )
+    modes = np.linalg.eigvals(a)
+    modes = modes[modes.real < -1e-9]
+    return float((-2.0 * modes.real / np.abs(modes) ** 2).min()) if len(modes) else np.inf

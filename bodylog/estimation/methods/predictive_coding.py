@@ -21,6 +21,7 @@ from .algorithm1 import (
     SensedErrors,
     descend_free_energy,
     gauss_newton_hessian,
+    measure_stable_step,
 )
 from .contract import Method
 from .grid import TRIED_GAINS, GridProblem, beliefs_at_instants, build_grid_problem
@@ -126,24 +127,9 @@ def _without_encoders(
 
 
 def stable_step(plan: GridProblem) -> float:
-    """Largest Δt (s) for which one explicit step shrinks
-    every mode, linearised at every posture of the log.
-    """
-    n, m = plan.postures.shape
+    """Largest stable Δt (s) at every posture of the log."""
     _, jac, own = plan.predict(plan.postures)
-    sigma = plan.rows[1].min(axis=0) + own
-    i = np.eye(m) + np.zeros((n, 1, 1))
-    o = np.zeros((n, m, m))
-    none = np.zeros_like(jac)
-    a = np.block([  # rows and columns: x, e_x, μ, the senses' errors
-        [o, -i, o, jac.swapaxes(1, 2)],
-        [i, -plan.sigma_x * i, -i, none.swapaxes(1, 2)],
-        [o, plan.learning * i, o, none.swapaxes(1, 2)],
-        [-jac, none, none, -sigma[:, None] * np.eye(sigma.shape[1])],
-    ])  # fmt: skip
-    modes = np.linalg.eigvals(a)
-    modes = modes[modes.real < -1e-9]
-    return float((-2.0 * modes.real / np.abs(modes) ** 2).min()) if len(modes) else np.inf
+    return measure_stable_step(jac, plan.rows[1].min(axis=0) + own, plan.sigma_x, plan.learning)
 
 
 METHODS = {

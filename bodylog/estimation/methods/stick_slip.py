@@ -148,8 +148,7 @@ def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
     """
     centre = 0.5 * (encoders.t[0] + encoders.t[-1])
     rows = np.abs(encoders.t - centre) <= 0.5 * LEARNED_S
-    relative = np.ones(encoders.values.shape) if encoders.relative is None else encoders.relative
-    read = (encoders.t[rows], encoders.values[rows], relative[rows])
+    read = (encoders.t[rows], encoders.values[rows], encoders.relative[rows])
     std = np.sqrt(variance)
     grid = np.array(np.meshgrid(*GRID, indexing="ij")).reshape(3, -1)[..., None]
     best = _most_evident(read, grid * np.stack([variance, std, np.ones(len(std))])[:, None])
@@ -222,10 +221,8 @@ def follow_slips(
     count = len(line.t)
     readings = np.full((count, m), np.nan)
     readings[line.encoders] = encoders.values
-    noise = np.ones((count, m))
-    if encoders.relative is not None:
-        noise[line.encoders] = encoders.relative
-    noise = noise * slips.white
+    noise = np.tile(slips.white, (count, 1))
+    noise[line.encoders] *= encoders.relative
     frames: list[list[tuple[int, int]]] = [[] for _ in range(count)]
     spans = {}
     for number, (sighting, at) in enumerate(

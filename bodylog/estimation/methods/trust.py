@@ -18,12 +18,13 @@ from ..factors.hypotheses import Explanation
 from ..factors.load import Load, bend_under_load
 from ..factors.robust import image_span, mixture_nats
 from ..factors.whole_log import ExplainedLog, SolvedLog, explain_by_white_noise, solve_log
+from ..faults.threshold import SIGNIFICANT_SIGMA
 from ..inference.filter_log import filter_roughly
 from ..inference.problem import FilterProblem
+from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence
-from ..noise.lasting_error import LEAST_IMAGES, MOST_COUNTS
-from ..noise.quantisation import quantisation_variance
+from ..noise.lasting_error import MOST_COUNTS
 from .results import Beliefs, standardise_sighting
 
 LEAST_TURN = 10.0
@@ -54,10 +55,6 @@ too small: encoders of a microrad, on joints that turn smoothly, have 0.17 to 0.
 would be taken for rough: sound and slipping ones have 0.98 to 1.02 (12 of 16 s). With 0.25 some of
 a microrad would be.
 """
-FEWEST_READINGS = 1000
-"""Readings of which correlations are known to MOST_COLOUR / 3."""
-FAR_SIGMAS = 3.0
-"""Standard deviations to which errors are cut: images of something else say nothing here."""
 
 
 def reason_to_widen(
@@ -152,20 +149,6 @@ class RoughMotion:
     nats: Array
 
 
-@dataclass(frozen=True, eq=False)
-class _ImageEvidence:
-    """What images say of motion that is not assumed, one row each: product (F,M) of the slope of
-    its nats by the angle, 1/rad, and the error of the reading before it, rad · weight (F,M) of a
-    variance in the product, 1/rad² · nats (F,) by the readings and images before it · the instants
-    at (F,).
-    """
-
-    product: Array
-    weight: Array
-    nats: Array
-    at: Array
-
-
 def measure_rough_motion(
     problem: FilterProblem, beliefs: Beliefs, causal: bool
 ) -> RoughMotion | None:
@@ -193,19 +176,22 @@ def measure_rough_motion(
         trace = solution.trace
         found = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
         x, cov, read, nats = map(solution.fold.unfold, found)
-    images = _compare_images_with_readings(problem, x, cov, read)
+    products, weights, image_nats, at = _compare_images_with_readings(problem, x, cov, read)
     noise = problem.precision.encoder
     coloured = _find_coloured(read[problem.timeline.encoders], encoders, noise)
-    variance = np.maximum(np.where(coloured, noise, 0.0), _measure_shared_motion(images))
+    variance = np.maximum(np.where(coloured, noise, 0.0), _measure_shared_motion(products, weights))
     if not variance.any():
         return None
-    return RoughMotion(variance, images.nats, images.at, nats)
+    return RoughMotion(variance, image_nats, at, nats)
 
 
 def _compare_images_with_readings(
     problem: FilterProblem, x: Array, cov: Array, read: Array
-) -> _ImageEvidence:
-    """The evidence of each image that has a reading before it.
+) -> tuple[Array, Array, Array, Array]:
+    """What each image that has a reading before it says of motion that is not assumed: the product
+    (F,M) of the slope of its nats by the angle, 1/rad, and the error of the reading before it, rad;
+    the weight (F,M) of a variance in the product, 1/rad²; its nats (F,) by the readings and images
+    before it; and its instant (F,).
 
     x (E,M) and cov (E,M,M): what a filter expects at each instant · read (E,M): the errors of
     readings from it, in standard deviations.
@@ -225,10 +211,10 @@ def _compare_images_with_readings(
         var = problem.precision.scale.get(sighting.name, 1.0) * sighting.var[usable]
         mean, jac, model_var = sighting.model.predict(x[rows])
         size = np.einsum("fdd->fd", project_covariance(jac, cov[rows])) + model_var + var
-        off = np.clip((seen - mean) / np.sqrt(size), -FAR_SIGMAS, FAR_SIGMAS)
+        off = np.clip((seen - mean) / np.sqrt(size), -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
         stated = np.sqrt(noise + np.einsum("fmm->fm", cov[earlier]))
         pull = np.einsum("fdm,fd->fm", jac, off / np.sqrt(size))
-        product = pull * stated * np.clip(read[earlier], -FAR_SIGMAS, FAR_SIGMAS)
+        product = pull * stated * np.clip(read[earlier], -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
         weight = np.einsum("fdm,fd->fm", np.square(jac), 1.0 / size)
         there, near = _with_readings_there(x[rows], cov[rows], read[rows], noise)
         mean, jac, model_var = sighting.model.predict(there)
@@ -238,23 +224,22 @@ def _compare_images_with_readings(
         found.append((product, weight, nats, rows))
     product, weight, nats, rows = map(np.concatenate, zip(*found, strict=True))
     known = np.isfinite(product).all(axis=1)
-    return _ImageEvidence(product[known], weight[known], nats[known], rows[known])
+    return product[known], weight[known], nats[known], rows[known]
 
 
-def _measure_shared_motion(images: _ImageEvidence) -> Array:
+def _measure_shared_motion(products: Array, weights: Array) -> Array:
     """Variance (M,) rad² that errors of images share with those of readings, zero where the log
     shows none.
 
     The errors of an image and of the reading before it are independent. Where both lie on the same
     side of what a filter expects of earlier ones, the joint itself was there: it sticks and slips.
     """
-    product = images.product
-    alike = product.sum() >= ROUGH_SIGMAS * np.sqrt(np.square(product).sum())
-    if len(product) < LEAST_IMAGES or not alike:
-        return np.zeros(product.shape[1])
-    weight = images.weight.sum(axis=0)
+    alike = products.sum() >= ROUGH_SIGMAS * np.sqrt(np.square(products).sum())
+    if len(products) < MIN_READINGS or not alike:
+        return np.zeros(products.shape[1])
+    weight = weights.sum(axis=0)
     shown = np.isfinite(weight) & (weight > 0.0)
-    shared = np.maximum(product.sum(axis=0), 0.0)
+    shared = np.maximum(products.sum(axis=0), 0.0)
     return np.asarray(np.divide(shared, weight, out=np.zeros(len(weight)), where=shown))
 
 
@@ -262,14 +247,13 @@ def _find_coloured(errors: Array, encoders: Encoders, noise: Array) -> Array:
     """Joints (M,) bool whose innovations (N,M), in standard deviations, are not white. Those
     whose noise is that of whole counts have none that are.
     """
-    cut = np.clip(errors, -FAR_SIGMAS, FAR_SIGMAS)
+    cut = np.clip(errors, -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
     found = np.zeros(len(noise), bool)
+    of_counts = noise <= MOST_COUNTS * encoders.count_variance
     for j, column in enumerate(cut.T):
-        values = encoders.values[:, j]
         read = column[np.isfinite(column)]
-        if len(read) < FEWEST_READINGS or not (
-            noise[j] > MOST_COUNTS * quantisation_variance(values[np.isfinite(values)])
-        ):
+        # a correlation of n readings is known to 1/√n
+        if of_counts[j] or len(read) * MOST_COLOUR**2 < SIGNIFICANT_SIGMA**2:
             continue
         square = float(np.mean(np.square(read)))
         if square < LEAST_SQUARE:
@@ -307,9 +291,9 @@ def _measure_misfits(
             continue
         place = earlier.places[sighting.name]
         series, _, _ = standardise_sighting(sighting, place, scales[sighting.name])
-        if len(series.t) < LEAST_IMAGES:
+        if len(series.t) < MIN_READINGS:
             continue
-        error = np.clip(series.values, -FAR_SIGMAS, FAR_SIGMAS)
+        error = np.clip(series.values, -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
         square = float(np.mean(np.square(error)))
         correlation = float(np.mean(error[1:] * error[:-1])) / square
         yield sighting.name, square * (1.0 + correlation) / max(1.0 - correlation, 1e-9)

@@ -14,7 +14,7 @@ from scipy.special import wrightomega
 from ...types import Array
 from ..inference.kernel_call import bind_kernel_call
 from ..inference.scan import GATE_SIGMA
-from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_by_pivot, median_step
+from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_step
 from ..measurements.records import Encoders
 from ..measurements.timeline import GAP_STEPS, MAX_OUTPUT_RATE_HZ
 from .quantisation import dither_readings, shared_variance
@@ -261,7 +261,7 @@ def _row_means(found: Encoders, part: Array) -> Encoders:
     each = readings_per_average(found.t[part])
     joints = found.values.shape[1]
     part = part[: len(part) // each * each]
-    weights = np.ones((len(part), joints)) if found.relative is None else 1.0 / found.relative[part]
+    weights = 1.0 / found.relative[part]
     weights, values = (a.reshape(-1, each, joints) for a in (weights, found.values[part]))
     total = weights.sum(axis=1)
     t = found.t[part].reshape(-1, each).mean(axis=1)
@@ -286,8 +286,7 @@ def _merge_encoders(parts: list[Encoders]) -> Encoders:
         at = np.searchsorted(t, part.t)
         read = np.isfinite(part.values[0])
         values[np.ix_(at, read)], source[at] = part.values[:, read], part.source_ns
-        if part.relative is not None:
-            relative[np.ix_(at, read)] = part.relative[:, read]
+        relative[np.ix_(at, read)] = part.relative[:, read]
     return Encoders(t, values, source, relative)
 
 
@@ -329,9 +328,9 @@ def _find_far_bends(bend: Array) -> Array:
     moved = bend[bend > 0.0]
     # where most readings repeat, the others are typical
     typical = (
-        median_by_pivot(bend)
+        np.median(bend)
         if 2 * len(moved) > len(bend)
-        else median_by_pivot(moved)
+        else np.median(moved)
         if len(moved)
         else np.inf
     )

@@ -15,9 +15,8 @@ The stated share of V is that of noise and motion where their sum is least, (1 â
 p/(p âˆ’ 1).
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -188,9 +187,6 @@ def stack_candidates(
         z,
         p,
     )
-
-
-Measured = TypeVar("Measured", Encoders, Sighting)
 
 
 def with_preferred_order(problem: FilterProblem) -> FilterProblem:
@@ -422,10 +418,10 @@ def cut_to_middle(problem: FilterProblem) -> FilterProblem:
     low, high = span = _find_middle_span(seen_at, np.empty(0) if found is None else found.t)
     if span == (-np.inf, np.inf):
         return problem
-    sightings = [_select_record_rows(s, (s.t >= low) & (s.t <= high)) for s in evidence.sightings]
+    sightings = [s.select_rows((s.t >= low) & (s.t <= high)) for s in evidence.sightings]
     if found is None:
         return _with_measurements(problem, None, sightings)
-    part = _select_record_rows(found, (found.t >= low) & (found.t <= high))
+    part = found.select_rows((found.t >= low) & (found.t <= high))
     start = found.at(np.array([low]))[0]
     return replace(
         _with_measurements(problem, part, sightings),
@@ -467,7 +463,7 @@ def drop_undetermined_images(problem: FilterProblem) -> FilterProblem:
     sure = np.asarray(~held.any(axis=1))
     line = problem.timeline
     pairs = zip(problem.evidence.sightings, line.sightings, strict=True)
-    sightings = [_select_record_rows(sighting, sure[at]) for sighting, at in pairs]
+    sightings = [sighting.select_rows(sure[at]) for sighting, at in pairs]
     return (
         problem if sure.all() else _with_measurements(problem, problem.evidence.encoders, sightings)
     )
@@ -479,12 +475,3 @@ def _with_measurements(
     """The problem with only these measurements."""
     evidence = replace(problem.evidence, encoders=encoders, sightings=tuple(sightings))
     return replace(problem, evidence=evidence, timeline=build_timeline(evidence, None))
-
-
-def _select_record_rows(record: Measured, rows: Array) -> Measured:
-    """A record of measurements with only some of its rows (N,) bool."""
-    parts: Mapping[str, Any] = {one.name: getattr(record, one.name) for one in fields(record)}
-    kept: Mapping[str, Any] = {
-        name: part[rows] for name, part in parts.items() if isinstance(part, np.ndarray)
-    }
-    return replace(record, **kept)

@@ -21,18 +21,15 @@ import numpy as np
 
 from ...linear_algebra import forward_substituted
 from ...types import Array
+from ..faults.threshold import SIGNIFICANT_SIGMA
+from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Sighting, mix_rows
 from .correlated_noise import PIXEL_CORRELATION_PX, correlate_postures
-from .quantisation import quantisation_variance
 
 STRETCHES_PER_LOG = 4
 """Stretches of a log that are looked at: each says what lasts, and time stays constant."""
 ROWS_PER_STRETCH = 128
 """Rows of residuals in a stretch."""
-LEAST_IMAGES = 24
-"""Images from which on their residuals tell whether an error lasts: a spread of 24 is known to 15 %."""
-SCORE_SIGMA = 3.0
-"""Standard deviations of the score from which the evidence is computed."""
 TIMES_S = (0.15, 0.6, 2.5)
 """Time constants that the score is computed for."""
 SHORTEST_S = 0.1
@@ -128,25 +125,15 @@ class Residuals:
         return np.asarray(np.abs(self.t[:, None] - self.t[None, :]))
 
 
-@dataclass(frozen=True, eq=False)
-class FrameBelief:
-    """What is believed at a sighting's frames: angles and
-    rates (F,M), and encoder offsets (F,M), 0 without any.
-    """
-
-    angles: Array
-    rates: Array
-    offsets: Array
-
-
 def find_lasting_error(
     encoders: Encoders | None,
     sightings: Sequence[Sighting],
-    beliefs: Sequence[FrameBelief],
+    beliefs: Sequence[Array],
     variance: Array,
 ) -> LastingError | None:
     """The lasting error that a log shows; None where it shows none, or tells nothing.
 
+    beliefs (F,2M) or (F,3M) at each sighting's frames: angles, rates and any offsets of encoders ·
     variance (M,) rad² of the readings' noise.
     """
     if encoders is None or len(encoders.t) < 2:
@@ -159,26 +146,27 @@ def find_lasting_error(
         for piece in _stretch_residuals(encoders, sighting, belief, variance)
     ]
     lasting = _fit_lasting_error(pieces) if pieces else None
-    if lasting is None or lasting.std**2 < MOST_COUNTS * _count_variances(encoders).max():
+    if lasting is None or lasting.std**2 < MOST_COUNTS * encoders.count_variance.max():
         return None
     return lasting
 
 
 def _stretch_residuals(
-    encoders: Encoders, sighting: Sighting, belief: FrameBelief, variance: Array
+    encoders: Encoders, sighting: Sighting, belief: Array, variance: Array
 ) -> Iterator[Residuals]:
     """Yield the residuals of a track's images from the readings, stretch by stretch."""
     read = _interpolate_readings(encoders, sighting.t)
-    # images follow an encoder with an offset, and one that
-    # never changes may stand anywhere within its count
-    tells = (belief.offsets == 0.0).all(axis=0) & (np.diff(encoders.values, axis=0) != 0.0).any(
-        axis=0
-    )
+    m = len(variance)
+    # one that never changes may stand anywhere within its count
+    tells = (np.diff(encoders.values, axis=0) != 0.0).any(axis=0)
+    if belief.shape[1] > 2 * m:
+        # images follow an encoder with an offset
+        tells &= (belief[:, 2 * m :] == 0.0).all(axis=0)
     has_reading = np.isfinite(read) & tells
-    angles = np.where(has_reading, read, belief.angles)
+    angles = np.where(has_reading, read, belief[:, :m])
     values, var, mix = sighting.independent
     usable = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(angles).all(axis=1))
-    if len(usable) < LEAST_IMAGES or not has_reading.any():
+    if len(usable) < MIN_READINGS or not has_reading.any():
         return
     mean, jac, model_var = mix_rows(
         None if mix is None else mix[usable], sighting.model.predict(angles[usable])
@@ -187,14 +175,14 @@ def _stretch_residuals(
     inlying = _find_inliers(residual)
     width = max(ROWS_PER_STRETCH // values.shape[1], 1)
     frames = np.arange(len(usable))[inlying]
-    counts = _count_variances(encoders)
+    counts = encoders.count_variance
     for start in np.unique(
         np.linspace(0, max(len(frames) - width, 0), STRETCHES_PER_LOG).astype(int)
     ):
         part = frames[start : start + width]
         rows = usable[part]
         shown = has_reading[rows][:, None, :]
-        late = np.einsum("fdm,fm->fd", jac[part], belief.rates[rows])
+        late = np.einsum("fdm,fm->fd", jac[part], belief[rows, m : 2 * m])
         yield _build_piece_residuals(
             residual[part],
             mean[part],
@@ -209,15 +197,6 @@ def _stretch_residuals(
             counts,
             correlate_postures(sighting.model, angles[rows]),
         )
-
-
-def _count_variances(encoders: Encoders) -> Array:
-    """Variance (M,) rad² of each encoder's readings
-    that comes from whole counts; 0 where none are seen.
-    """
-    return np.array(
-        [quantisation_variance(column[np.isfinite(column)]) for column in encoders.values.T]
-    )
 
 
 def _interpolate_readings(encoders: Encoders, t: Array) -> Array:
@@ -329,7 +308,7 @@ def _score_lasting_error(pieces: Sequence[Residuals], factors: Array) -> tuple[f
 def _fit_lasting_error(pieces: Sequence[Residuals]) -> LastingError | None:
     """The lasting error of most evidence, if it wins EVIDENCE_NATS over none."""
     score, seconds = _score_lasting_error(pieces, _STATED)
-    if score < SCORE_SIGMA:
+    if score < SIGNIFICANT_SIGMA:
         return None
     factors, none = _minimise_cost(
         lambda p: _residual_nats(pieces, np.exp(p)), np.log(_STATED), _LIMITS[:3]

@@ -160,7 +160,7 @@ def weigh_repeated_readings(
     for own, column, variance in zip(found.T, encoders.values.T, precision.encoder, strict=True):
         if (known := np.isfinite(column)).any():
             own[known] = relative_variances(encoders.t[known], column[known], variance)
-    return replace(evidence, encoders=replace(encoders, relative=found))
+    return replace(evidence, encoders=replace(encoders, own_variance=found))
 
 
 def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:

@@ -68,12 +68,13 @@ def in_units(found: Estimate, unit: str, rad_per_unit: float) -> Estimate:
         rate=replace(found.rate, values=scale * found.rate.values),
         cov=scale**2 * found.cov,
         bias=bias,
-        faults=tuple(_fault_in_units(fault, unit, scale) for fault in found.faults),
+        faults=tuple(fault_in_units(fault, unit, scale) for fault in found.faults),
         settings=_settings_in_units(found.settings, scale),
     )
 
 
-def _fault_in_units(fault: Fault, unit: str, scale: float) -> Fault:
+def fault_in_units(fault: Fault, unit: str, scale: float) -> Fault:
+    """A fault of angles in a unit, of which a rad has `scale`."""
     std = None if fault.std is None else scale * fault.std
     return replace(fault, size=scale * fault.size, std=std, unit=unit)
 
