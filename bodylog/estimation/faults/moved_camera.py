@@ -168,8 +168,8 @@ class _ModelWithAddedVariance:
 
 
 def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
-    """Undo camera displacements in the tracks; the
-    uncertainty of each is added to the model's variance.
+    """Undo camera displacements in the tracks, the uncertainty of each added to the model's
+    variance, and measure play that the arm has got since its exploration.
 
     Errors of the arm's encoders that last are those of its exploration, and so is its play, unless
     the log shows more.
@@ -185,12 +185,19 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     sightings = list(evidence.sightings)
     faults = list[Fault]()
     hypotheses = list[Hypothesis]()
+    worn = np.zeros(len(body.joints))
     tracks = [
         k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs in TRACKED
     ]
     for name in dict.fromkeys(camera_of_track(sightings[k].name) for k in tracks):
         own = [k for k in tracks if camera_of_track(sightings[k].name) == name]
-        for found in find_displacements(encoders, [sightings[k] for k in own], lasting):
+        seen = [sightings[k] for k in own]
+        rows = _build_displacement_rows(encoders, seen, np.array(lasting))
+        if rows is not None and (more := _measure_worn_play(encoders, rows)).any():
+            slack = read_slack(encoders.t, encoders.values, np.maximum(more, LEAST_PLAY))
+            encoders = replace(encoders, values=encoders.values + more * slack)
+            worn = worn + more
+        for found in find_displacements(encoders, seen, lasting):
             hypotheses.append(
                 Hypothesis(
                     "camera moved",
@@ -205,7 +212,7 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
                 for k in own:
                     sightings[k] = subtract_displacement(sightings[k], found)
     found_in = replace(evidence, sightings=tuple(sightings), faults=(*evidence.faults, *faults))
-    return replace(found_in, hypotheses=(*evidence.hypotheses, *hypotheses))
+    return replace(found_in, hypotheses=(*evidence.hypotheses, *hypotheses), worn=worn)
 
 
 def _remove_blunders(encoders: Encoders) -> Encoders:
@@ -302,12 +309,6 @@ def find_displacements(
     if rows is None:
         return []
     first = _best_change(rows)
-    worn = _follow_worn_links(encoders, rows.allow_for_changes([first]))
-    again = None if worn is None else predict_rows(worn)
-    if worn is not None and again is not None:
-        encoders = worn
-        rows = again
-        first = _best_change(rows)
     if first.nats <= EVIDENCE_THRESHOLD_NATS:
         return [first]
     settled = _best_step(rows, rows.jac, PRIOR_STD_RAD, until=True)
@@ -334,12 +335,13 @@ def find_displacements(
     return sorted((replace(one, nats=min(one.nats, gain)) for one in sized), key=lambda one: one.t)
 
 
-def _follow_worn_links(encoders: Encoders, rows: _DisplacementRows) -> Encoders | None:
-    """The encoders with readings of the links, where play that
-    came after the exploration wins EVIDENCE_THRESHOLD_NATS; None elsewhere.
+def _measure_worn_play(encoders: Encoders, rows: _DisplacementRows) -> Array:
+    """Half of the play (M,) rad that joints have beyond what encoders were made to follow,
+    beside the most likely displacement; zero where it does not win EVIDENCE_THRESHOLD_NATS.
 
-    Links that trail their motors' links through more play trail them through the sum of both.
+    Links that trail their motors' links through more play trail the motors through the sum of both.
     """
+    rows = rows.allow_for_changes([_best_change(rows)])
     half = np.zeros(rows.jac.shape[1])
     for _ in range(PLAY_ROUNDS):
         slack = read_slack(encoders.t, encoders.values, np.maximum(half, LEAST_PLAY))
@@ -348,10 +350,8 @@ def _follow_worn_links(encoders: Encoders, rows: _DisplacementRows) -> Encoders 
         white = forward_substituted(rows.chol, np.column_stack([rows.r, columns]))
         info = white[:, 1:].T @ white[:, 1:] + np.eye(len(half))
         half = PLAY_STD * np.maximum(np.linalg.solve(info, white[:, 1:].T @ white[:, 0]), 0.0)
-    if rows.cost - rows.allow_for_columns(columns).cost <= EVIDENCE_THRESHOLD_NATS:
-        return None
-    slack = read_slack(encoders.t, encoders.values, np.maximum(half, LEAST_PLAY))
-    return replace(encoders, values=encoders.values + half * slack)
+    gain = rows.cost - rows.allow_for_columns(columns).cost
+    return half if gain > EVIDENCE_THRESHOLD_NATS else np.zeros(len(half))
 
 
 def _explain_rows(
