@@ -17,6 +17,7 @@ from bodylog.estimation.methods.results import Beliefs
 from bodylog.fault_kinds import Fault as FoundFault
 from bodylog.findings import verdict
 from bodylog.settings import EstimationSettings
+from bodylog.sim.hardware import Hardware
 from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, FaultKind, Finding
 from tests.estimation import mechanisms
 from tests.estimation.conftest import Explored
@@ -76,6 +77,19 @@ def test_play_is_measured_and_taken_out_and_no_delay_stands_for_it():
     lines = verdict.verdict_of_estimate(found, ())
     assert sum("° of play; corrected" in line for line in lines) == 3
     assert not any("timestamps" in line for line in lines)
+
+
+def test_play_that_came_after_the_exploration_is_found_where_joints_rest_for_long():
+    # errors of images at one place stood for it, and the rest for a delay of 5 ms
+    arm = mechanisms.Mechanism(5e-4, Hardware(play=4e-3))
+    features = mechanisms.replayed(7703, arm, Fault(), reaches=True)
+    found = estimate_from_features(
+        features, mechanisms.learned(1000, mechanisms.SOUND), EstimationSettings()
+    )
+    error, nees = errors_and_nees(found, mechanisms.links_of(7703, arm, Fault(), reaches=True))
+    assert nees < 1.5 and np.sqrt(np.mean(error**2)) < 1e-3
+    assert not found.faults and "delay" not in found.settings
+    assert found.settings[HARDWARE_ERRORS]["play"].keys() == set(found.joints.names)
 
 
 def test_what_was_taken_out_of_readings_is_expected_of_them():

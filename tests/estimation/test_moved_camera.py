@@ -198,3 +198,27 @@ def test_a_moved_camera_is_found_once_beside_the_play_and_the_outliers_of_the_ar
     (fault,) = find_moves(replace(features, tracks={"effector": replace(track, values=off)}))
     assert abs(fault.since - 8.0) < 0.2 and abs(fault.size - 4.0) < 0.8
     assert not find_moves(features)
+
+
+@pytest.mark.parametrize("seed", [7721, 7722])
+def test_play_that_came_after_the_exploration_is_no_moved_camera_and_hides_none(world, seed):
+    arm = Mechanism(1e-3, Hardware(play=17.5e-3))
+    features = replayed(seed, arm, Fault(), reaches=seed % 2 == 1)
+    body = world(0, duration=1.0).body
+    track = features.tracks["effector"]
+    off = track.values + np.array([5.0, 0.0]) * (track.t >= 8.0)[:, None]
+    seen = replace(features, tracks={"effector": replace(track, values=off)})
+    (fault,) = cameras(seen, body)
+    assert abs(fault.since - 8.0) < 0.2 and abs(fault.size - 5.0) < 0.8
+    evidence = screen_measurements(features, body, EstimationSettings())
+    assert not evidence.faults
+    assert np.abs(evidence.worn - 0.5 * 17.5e-3).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    "errors", [Hardware(), Hardware(correlated=2e-3, correlation_s=2.0), Hardware(stick=4e-3)]
+)
+def test_no_play_is_measured_where_joints_have_none(world, errors):
+    features = replayed(7721, Mechanism(1e-3, errors), Fault(), reaches=True)
+    body = world(0, duration=1.0).body
+    assert not screen_measurements(features, body, EstimationSettings()).worn.any()

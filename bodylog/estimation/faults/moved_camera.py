@@ -8,6 +8,7 @@ must win against no displacement, encoders that wander, one that steps, and all 
 
 A blow may move a camera and shift a joint. So steps and steady drifts of single encoders are found
 in the same way, and displacements must win beside them, and over the best explanation without any.
+Play that an arm has got since its exploration is measured beside the most likely displacement.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,7 +22,13 @@ from ...body_model import BodyModel, ForwardModel
 from ...linear_algebra import forward_substituted
 from ...types import TRACK_AXES, Array, Fault, FaultKind, Hypothesis
 from ..inference.tangents import OFFSET_STD
-from ..measurements.arm_errors import follow_links, learned_arm_errors
+from ..measurements.arm_errors import (
+    LEAST_PLAY,
+    PLAY_STD,
+    follow_links,
+    learned_arm_errors,
+    read_slack,
+)
 from ..measurements.long_arrays import noise_variance
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.track import camera_of_track
@@ -39,6 +46,10 @@ TRACKED = tuple(axes for axes, _ in TRACK_AXES.values())
 """Outputs of tracks in images, and of points in space."""
 NO_ERRORS = (0.0, 1.0)
 """σ (rad) and τ (s) of encoders without errors that last."""
+PLAY_ROUNDS = 4
+"""Rounds in which the place of links within their play and its size are found: of 10 drawn logs
+with 1° of play, the size is within 1 % of that of the round before.
+"""
 MAX_READING_MEANS = 160
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
 
@@ -112,7 +123,10 @@ class _DisplacementRows:
         if not changes:
             return self
         wide = [np.full(len(one.size), self.prior_std(one.joint)) for one in changes]
-        more = self.stack_columns(changes) * np.concatenate(wide)
+        return self.allow_for_columns(self.stack_columns(changes) * np.concatenate(wide))
+
+    def allow_for_columns(self, more: Array) -> "_DisplacementRows":
+        """The rows with errors along columns (R,C), each of one standard deviation."""
         return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more @ more.T))
 
     def wandering(self, walk: float) -> "_DisplacementRows":
@@ -154,10 +168,11 @@ class _ModelWithAddedVariance:
 
 
 def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
-    """Undo camera displacements in the tracks; the
-    uncertainty of each is added to the model's variance.
+    """Undo camera displacements in the tracks, the uncertainty of each added to the model's
+    variance, and measure play that the arm has got since its exploration.
 
-    The arm's play, and errors of its encoders that last, are those of its exploration.
+    Errors of the arm's encoders that last are those of its exploration, and so is its play, unless
+    the log shows more.
     Without effect if encoders read another function of the angle.
     """
     if evidence.encoders is None or "encoders" in body.senses:
@@ -170,12 +185,19 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     sightings = list(evidence.sightings)
     faults = list[Fault]()
     hypotheses = list[Hypothesis]()
+    worn = np.zeros(len(body.joints))
     tracks = [
         k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs in TRACKED
     ]
     for name in dict.fromkeys(camera_of_track(sightings[k].name) for k in tracks):
         own = [k for k in tracks if camera_of_track(sightings[k].name) == name]
-        for found in find_displacements(encoders, [sightings[k] for k in own], lasting):
+        seen = [sightings[k] for k in own]
+        rows = _build_displacement_rows(encoders, seen, np.array(lasting))
+        if rows is not None and (more := _measure_worn_play(encoders, rows)).any():
+            slack = read_slack(encoders.t, encoders.values, np.maximum(more, LEAST_PLAY))
+            encoders = replace(encoders, values=encoders.values + more * slack)
+            worn = worn + more
+        for found in find_displacements(encoders, seen, lasting):
             hypotheses.append(
                 Hypothesis(
                     "camera moved",
@@ -190,7 +212,7 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
                 for k in own:
                     sightings[k] = subtract_displacement(sightings[k], found)
     found_in = replace(evidence, sightings=tuple(sightings), faults=(*evidence.faults, *faults))
-    return replace(found_in, hypotheses=(*evidence.hypotheses, *hypotheses))
+    return replace(found_in, hypotheses=(*evidence.hypotheses, *hypotheses), worn=worn)
 
 
 def _remove_blunders(encoders: Encoders) -> Encoders:
@@ -311,6 +333,25 @@ def find_displacements(
         return [replace(first, nats=gain)]
     sized = _size_changes(found.rows, [*moves, *found.encoder_changes])[: len(moves)]
     return sorted((replace(one, nats=min(one.nats, gain)) for one in sized), key=lambda one: one.t)
+
+
+def _measure_worn_play(encoders: Encoders, rows: _DisplacementRows) -> Array:
+    """Half of the play (M,) rad that joints have beyond what encoders were made to follow,
+    beside the most likely displacement; zero where it does not win EVIDENCE_THRESHOLD_NATS.
+
+    Links that trail their motors' links through more play trail the motors through the sum of both.
+    """
+    rows = rows.allow_for_changes([_best_change(rows)])
+    half = np.zeros(rows.jac.shape[1])
+    for _ in range(PLAY_ROUNDS):
+        slack = read_slack(encoders.t, encoders.values, np.maximum(half, LEAST_PLAY))
+        at_rows = np.column_stack([np.interp(rows.t, encoders.t, column) for column in slack.T])
+        columns = PLAY_STD * rows.jac * at_rows
+        white = forward_substituted(rows.chol, np.column_stack([rows.r, columns]))
+        info = white[:, 1:].T @ white[:, 1:] + np.eye(len(half))
+        half = PLAY_STD * np.maximum(np.linalg.solve(info, white[:, 1:].T @ white[:, 0]), 0.0)
+    gain = rows.cost - rows.allow_for_columns(columns).cost
+    return half if gain > EVIDENCE_THRESHOLD_NATS else np.zeros(len(half))
 
 
 def _explain_rows(

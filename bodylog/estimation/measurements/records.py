@@ -158,7 +158,8 @@ class Evidence:
 
     faults: sensors with faults, whose readings are removed · hypotheses: alternatives compared ·
     read (N,M) rad: all encoder readings, unused ones included · joints: their names (M,) · unit of
-    the readings, rad_per_unit its size.
+    the readings, rad_per_unit its size · worn (M,) rad: half of the play that images show beyond
+    the exploration's, empty where they show none.
     """
 
     encoders: Encoders | None
@@ -171,6 +172,7 @@ class Evidence:
     joints: tuple[str, ...] = ()
     unit: str = "rad"
     rad_per_unit: float = 1.0
+    worn: Array = field(default_factory=lambda: np.empty(0))
 
 
 class Measured(NamedTuple):

@@ -61,8 +61,10 @@ def explained_estimate(
     halves = _known_halves(body)
     prior = _known_lasting(body)
     lasting = find_evident_error(kept, problem, beliefs.z, settings)
-    if lasting is None and (halves.any() or prior.known) and settings.precision == "auto":
-        square = float(np.mean(np.square(halves)))
+    worn = problem.evidence.worn
+    expected = halves.any() or prior.known or worn.any()
+    if lasting is None and expected and settings.precision == "auto":
+        square = float(np.mean(np.square(halves + worn if worn.any() else halves)))
         square += np.exp(2.0 * prior.error[0]) if prior.known else 0.0
         lasting = LastingError(square**0.5, 0.0, 0.0)
     # a load looks like an encoder that drifts, by less than counts as a fault, too
