@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bodylog.estimation.inference import kernel_call
+from bodylog.estimation.inference import kernel_call, kernels
+from bodylog.estimation.inference.compiler import Kernel
 
 EVIDENCE = {name: np.zeros(3) for name in ("dt", "y", "ratio", "squares", "logs", "lag")}
 EVIDENCE |= {"fresh": np.ones(3, bool), "counts": np.ones(3, bool), "order": 2, "vague": 1.0, "usual": 1.0}
@@ -30,3 +31,9 @@ def test_an_array_that_is_read_may_be_read_only():
     ratio = np.zeros(3)
     ratio.flags.writeable = False
     kernel_call.bind_kernel_call("weigh_noise_ratios", **EVIDENCE | {"ratio": ratio})()
+
+
+def test_an_installation_compiles_every_kernel():
+    kernel_call.load_kernels()
+    declared = {name for name, one in vars(kernels).items() if isinstance(one, Kernel)}
+    assert set(kernel_call.KERNELS) == declared

@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+KERNELS = ("weigh_noise_ratios", "filter_instants", "carry_adjoints_back")
+"""The compiled loops, in the order in which an estimate asks for them."""
+
 
 @cache
 def load_kernel(name: str) -> Any:
@@ -19,6 +22,12 @@ def load_kernel(name: str) -> Any:
 
     with install_listener("numba:compile", NOTICE):
         return getattr(kernels, name).compiled
+
+
+def load_kernels() -> None:
+    """Load every compiled loop, as an installation does, so that no estimate waits for one."""
+    for name in KERNELS:
+        load_kernel(name)
 
 
 def bind_kernel_call(function: str, **values: Any) -> Callable[[], None]:
