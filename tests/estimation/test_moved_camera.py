@@ -222,3 +222,20 @@ def test_no_play_is_measured_where_joints_have_none(world, errors):
     features = replayed(7721, Mechanism(1e-3, errors), Fault(), reaches=True)
     body = world(0, duration=1.0).body
     assert not screen_measurements(features, body, EstimationSettings()).worn.any()
+
+
+@pytest.mark.parametrize("seed", [7801, 7803, 7805])
+def test_an_encoder_that_drifts_beside_a_move_is_no_play(world, seed):
+    features = replayed(seed, Mechanism(1e-3, Hardware()), Fault(), reaches=True)
+    joints, track = features.joints, features.tracks["effector"]
+    drift = np.outer(np.clip(0.02 * (joints.t - 8.0), 0.0, None), [1.0, 0.0, 0.0])
+    off = track.values + np.array([5.0, 0.0]) * (track.t >= 5.0)[:, None]
+    seen = replace(
+        features,
+        joints=replace(joints, values=joints.values + drift),
+        tracks={"effector": replace(track, values=off)},
+    )
+    evidence = screen_measurements(seen, world(0, duration=1.0).body, EstimationSettings())
+    (fault,) = evidence.faults
+    assert abs(fault.since - 5.0) < 0.2 and abs(fault.size - 5.0) < 0.8
+    assert not evidence.worn.any()

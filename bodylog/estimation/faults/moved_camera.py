@@ -336,12 +336,28 @@ def find_displacements(
 
 
 def _measure_worn_play(encoders: Encoders, rows: _DisplacementRows) -> Array:
-    """Half of the play (M,) rad that joints have beyond what encoders were made to follow,
-    beside the most likely displacement; zero where it does not win EVIDENCE_THRESHOLD_NATS.
+    """Half of the play (M,) rad that joints have beyond what encoders were made to follow; zero
+    where it does not win EVIDENCE_THRESHOLD_NATS.
+
+    A step or a drift of an encoder may resemble play: beside the most likely displacement, play must
+    win over such a change, or be evident beside both.
+    """
+    joints = range(rows.jac.shape[1])
+    pair = _best_pair(rows, [CAMERA, *product(joints, (False, True))])
+    explained = rows.measure_cost_beside(pair)
+    for changes in ([_best_change(rows)], pair):
+        beside = rows.allow_for_changes(changes)
+        half, cost = _fit_play(encoders, beside)
+        if min(beside.cost, explained) - cost > EVIDENCE_THRESHOLD_NATS:
+            return half
+    return np.zeros(len(joints))
+
+
+def _fit_play(encoders: Encoders, rows: _DisplacementRows) -> tuple[Array, float]:
+    """Half of each joint's play (M,) rad, and what the rows cost beside it.
 
     Links that trail their motors' links through more play trail the motors through the sum of both.
     """
-    rows = rows.allow_for_changes([_best_change(rows)])
     half = np.zeros(rows.jac.shape[1])
     for _ in range(PLAY_ROUNDS):
         slack = read_slack(encoders.t, encoders.values, np.maximum(half, LEAST_PLAY))
@@ -350,8 +366,7 @@ def _measure_worn_play(encoders: Encoders, rows: _DisplacementRows) -> Array:
         white = forward_substituted(rows.chol, np.column_stack([rows.r, columns]))
         info = white[:, 1:].T @ white[:, 1:] + np.eye(len(half))
         half = PLAY_STD * np.maximum(np.linalg.solve(info, white[:, 1:].T @ white[:, 0]), 0.0)
-    gain = rows.cost - rows.allow_for_columns(columns).cost
-    return half if gain > EVIDENCE_THRESHOLD_NATS else np.zeros(len(half))
+    return half, rows.allow_for_columns(columns).cost
 
 
 def _explain_rows(
@@ -379,13 +394,7 @@ def _search_changes(
 
     kinds: joint, None for the camera, and whether it grows.
     """
-    # alone, a displacement may look like the error of a sound encoder
-    begin = [CAMERA] if CAMERA in kinds else kinds
-    first = max((_best_change(rows, *kind) for kind in begin), key=lambda one: one.nats)
-    beside = rows.allow_for_changes([first])
-    pairs = [_refine_changes(rows, [first, _best_change(beside, *kind)]) for kind in kinds]
-    apart = [pair for pair in pairs if _stand_apart(pair)]
-    found = min(apart, key=rows.measure_cost_beside, default=[])
+    found = _best_pair(rows, kinds)
     while True:
         left = rows.allow_for_changes(found)
         more = [
@@ -396,6 +405,19 @@ def _search_changes(
         if not _stand_apart(more):
             return _size_changes(rows, found)
         found = more
+
+
+def _best_pair(
+    rows: _DisplacementRows, kinds: Sequence[tuple[int | None, bool]]
+) -> list[SensorChange]:
+    """The most likely two changes of these kinds that stand apart; empty where none do."""
+    # alone, a displacement may look like the error of a sound encoder
+    begin = [CAMERA] if CAMERA in kinds else kinds
+    first = max((_best_change(rows, *kind) for kind in begin), key=lambda one: one.nats)
+    beside = rows.allow_for_changes([first])
+    pairs = [_refine_changes(rows, [first, _best_change(beside, *kind)]) for kind in kinds]
+    apart = [pair for pair in pairs if _stand_apart(pair)]
+    return min(apart, key=rows.measure_cost_beside, default=[])
 
 
 def _stand_apart(changes: Sequence[SensorChange]) -> bool:
