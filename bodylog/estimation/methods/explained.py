@@ -4,6 +4,7 @@ place of those of a filter that knows white noise alone.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -61,12 +62,17 @@ def explained_estimate(
     halves = _known_halves(body)
     prior = _known_lasting(body)
     lasting = find_evident_error(kept, problem, beliefs.z, settings)
-    worn = problem.evidence.worn
-    expected = halves.any() or prior.known or worn.any()
-    if lasting is None and expected and settings.precision == "auto":
-        square = float(np.mean(np.square(halves + worn if worn.any() else halves)))
+    if lasting is None and (halves.any() or prior.known) and settings.precision == "auto":
+        square = float(np.mean(np.square(halves)))
         square += np.exp(2.0 * prior.error[0]) if prior.known else 0.0
         lasting = LastingError(square**0.5, 0.0, 0.0)
+    explain = partial(
+        _try_explanation, method, body, problem, first, beliefs, settings, (halves, prior)
+    )
+    if lasting is None and problem.evidence.worn.any() and settings.precision == "auto":
+        made = explain(float(np.sqrt(np.mean(np.square(problem.evidence.worn)))), False)
+        if isinstance(made, Estimate):
+            return made
     # a load looks like an encoder that drifts, by less than counts as a fault, too
     if lasting is None and not beliefs.faults and not has_offsets(problem, first):
         if settings.precision != "auto":
@@ -76,13 +82,7 @@ def explained_estimate(
             return kept
         slipping = estimate_stick_slip(method, body, problem, beliefs, settings, rough)
         return results.with_rough_motion(kept, rough.variance) if slipping is None else slipping
-    std = FIRST_BEND if lasting is None else lasting.std
-    try:
-        made = _explain_estimate(
-            method, body, problem, first, beliefs, settings, std, (halves, prior), lasting is None
-        )
-    except np.linalg.LinAlgError as singular:
-        made = f"their explanation has no solution ({singular})"
+    made = explain(FIRST_BEND if lasting is None else lasting.std, lasting is None)
     if isinstance(made, Estimate):
         return made
     if lasting is not None:
@@ -96,6 +96,26 @@ def explained_estimate(
     return replace(kept, findings=(*kept.findings, Finding("warning", text)))
 
 
+def _try_explanation(
+    method: str,
+    body: BodyModel,
+    problem: FilterProblem,
+    first: FilterProblem,
+    beliefs: Beliefs,
+    settings: EstimationSettings,
+    known: tuple[Array, LastingPrior],
+    std: float,
+    is_white: bool,
+) -> Estimate | str:
+    """What `_explain_estimate` returns, or that it has no solution."""
+    try:
+        return _explain_estimate(
+            method, body, problem, first, beliefs, settings, known, std, is_white
+        )
+    except np.linalg.LinAlgError as singular:
+        return f"their explanation has no solution ({singular})"
+
+
 def _explain_estimate(
     method: str,
     body: BodyModel,
@@ -103,8 +123,8 @@ def _explain_estimate(
     first: FilterProblem,
     beliefs: Beliefs,
     settings: EstimationSettings,
-    std: float,
     known: tuple[Array, LastingPrior],
+    std: float,
     is_white: bool,
 ) -> Estimate | str:
     """The estimate that allows for errors of about std rad, or why it is not to be trusted.

@@ -132,7 +132,7 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
         f"errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "
         f"({lasting.nats:.0f} nats, by images): play, load, a bent link or electronics"
         if lasting.nats
-        else f"joints have play or errors that last, {1e3 * lasting.std:.2g} mrad by the exploration or by images"
+        else f"joints have play or errors that last, {1e3 * lasting.std:.2g} mrad in the exploration"
     )
     text = (
         f"encoders: {seen}; error bars of white noise are too small (NEES about {nees:.2g}) and are widened by it; see "
