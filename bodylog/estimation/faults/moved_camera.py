@@ -340,17 +340,14 @@ def _measure_worn_play(encoders: Encoders, rows: _DisplacementRows) -> Array:
     where it does not win EVIDENCE_THRESHOLD_NATS.
 
     A step or a drift of an encoder may resemble play: beside the most likely displacement, play must
-    win over such a change, or be evident beside both.
+    win over such a change, too.
     """
     joints = range(rows.jac.shape[1])
     pair = _best_pair(rows, [CAMERA, *product(joints, (False, True))])
-    explained = rows.measure_cost_beside(pair)
-    for changes in ([_best_change(rows)], pair):
-        beside = rows.allow_for_changes(changes)
-        half, cost = _fit_play(encoders, beside)
-        if min(beside.cost, explained) - cost > EVIDENCE_THRESHOLD_NATS:
-            return half
-    return np.zeros(len(joints))
+    beside = rows.allow_for_changes([_best_change(rows)])
+    half, cost = _fit_play(encoders, beside)
+    gain = min(beside.cost, rows.measure_cost_beside(pair)) - cost
+    return half if gain > EVIDENCE_THRESHOLD_NATS else np.zeros(len(half))
 
 
 def _fit_play(encoders: Encoders, rows: _DisplacementRows) -> tuple[Array, float]:
