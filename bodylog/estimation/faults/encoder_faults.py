@@ -121,7 +121,7 @@ def _screen_encoder(
     values = y.copy()
     found = list[Fault]()
 
-    def add(
+    def add_fault(
         kind: FaultKind,
         since: float,
         until: float | None = None,
@@ -134,15 +134,15 @@ def _screen_encoder(
     for one in (find_final_silence(t, y), *find_frozen_readings(t, y, moved)):
         nats[one.kind] = max(nats[one.kind], one.nats)
         if one.nats > EVIDENCE_THRESHOLD_NATS:
-            add(one.kind, float(t[one.begin]), _find_recovery_time(t, y, one))
+            add_fault(one.kind, float(t[one.begin]), _find_recovery_time(t, y, one))
             values[one.begin : one.end] = np.nan
     moves = find_level_shifts(t, values)
     nats["jumped"] = max((won for *_, won in moves), default=0.0)
     for begin, end, size in _find_excursions(t, values, moves):
-        add(FaultKind.GLITCH, float(t[begin]), float(t[end]), size)
+        add_fault(FaultKind.GLITCH, float(t[begin]), float(t[end]), size)
         values[begin:end] = np.nan
     for at, size, std in find_jumps(t, values):
-        add(FaultKind.JUMPING, float(t[at]), None, size, std)
+        add_fault(FaultKind.JUMPING, float(t[at]), None, size, std)
         values[at:] -= size
     return ScreenedEncoder(values, found, nats)
 

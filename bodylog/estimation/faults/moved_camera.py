@@ -342,12 +342,14 @@ def _measure_worn_play(encoders: Encoders, rows: _DisplacementRows) -> Array:
     A step or a drift of an encoder may resemble play: beside the most likely displacement, play must
     win over such a change, too.
     """
-    joints = range(rows.jac.shape[1])
-    pair = _best_pair(rows, [CAMERA, *product(joints, (False, True))])
     beside = rows.allow_for_changes([_best_change(rows)])
     half, cost = _fit_play(encoders, beside)
-    gain = min(beside.cost, rows.measure_cost_beside(pair)) - cost
-    return half if gain > EVIDENCE_THRESHOLD_NATS else np.zeros(len(half))
+    none = np.zeros(len(half))
+    if beside.cost - cost <= EVIDENCE_THRESHOLD_NATS:
+        return none
+    pair = _best_pair(rows, [CAMERA, *product(range(len(half)), (False, True))])
+    gain = rows.measure_cost_beside(pair) - cost
+    return half if gain > EVIDENCE_THRESHOLD_NATS else none
 
 
 def _fit_play(encoders: Encoders, rows: _DisplacementRows) -> tuple[Array, float]:

@@ -4,7 +4,6 @@ place of those of a filter that knows white noise alone.
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -66,9 +65,16 @@ def explained_estimate(
         square = float(np.mean(np.square(halves)))
         square += np.exp(2.0 * prior.error[0]) if prior.known else 0.0
         lasting = LastingError(square**0.5, 0.0, 0.0)
-    explain = partial(
-        _try_explanation, method, body, problem, first, beliefs, settings, (halves, prior)
-    )
+
+    def explain(std: float, is_white: bool) -> Estimate | str:
+        known = (halves, prior)
+        try:
+            return _explain_estimate(
+                method, body, problem, first, beliefs, settings, std, known, is_white
+            )
+        except np.linalg.LinAlgError as singular:
+            return f"their explanation has no solution ({singular})"
+
     if lasting is None and problem.evidence.worn.any() and settings.precision == "auto":
         made = explain(float(np.sqrt(np.mean(np.square(problem.evidence.worn)))), False)
         if isinstance(made, Estimate):
@@ -96,26 +102,6 @@ def explained_estimate(
     return replace(kept, findings=(*kept.findings, Finding("warning", text)))
 
 
-def _try_explanation(
-    method: str,
-    body: BodyModel,
-    problem: FilterProblem,
-    first: FilterProblem,
-    beliefs: Beliefs,
-    settings: EstimationSettings,
-    known: tuple[Array, LastingPrior],
-    std: float,
-    is_white: bool,
-) -> Estimate | str:
-    """What `_explain_estimate` returns, or that it has no solution."""
-    try:
-        return _explain_estimate(
-            method, body, problem, first, beliefs, settings, known, std, is_white
-        )
-    except np.linalg.LinAlgError as singular:
-        return f"their explanation has no solution ({singular})"
-
-
 def _explain_estimate(
     method: str,
     body: BodyModel,
@@ -123,8 +109,8 @@ def _explain_estimate(
     first: FilterProblem,
     beliefs: Beliefs,
     settings: EstimationSettings,
-    known: tuple[Array, LastingPrior],
     std: float,
+    known: tuple[Array, LastingPrior],
     is_white: bool,
 ) -> Estimate | str:
     """The estimate that allows for errors of about std rad, or why it is not to be trusted.

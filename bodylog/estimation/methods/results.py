@@ -18,7 +18,7 @@ from ..measurements.long_arrays import find_finite_rows as seen_rows
 from ..measurements.posture import PostureModel
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
-from ..noise.lasting_error import LastingError, find_lasting_error
+from ..noise.lasting_error import FrameBelief, LastingError, find_lasting_error
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,11 @@ def find_evident_error(
     """
     if settings.precision != "auto":
         return None
-    beliefs = [z[at] for at in problem.timeline.sightings]
+    m = len(problem.start)
+    offsets = z[:, 2 * m :] if z.shape[1] > 2 * m else np.zeros((len(z), m))
+    beliefs = [
+        FrameBelief(z[at, :m], z[at, m : 2 * m], offsets[at]) for at in problem.timeline.sightings
+    ]
     evidence = problem.evidence
     lasting = find_lasting_error(
         evidence.encoders, evidence.sightings, beliefs, problem.precision.encoder

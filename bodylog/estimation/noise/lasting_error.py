@@ -125,15 +125,25 @@ class Residuals:
         return np.asarray(np.abs(self.t[:, None] - self.t[None, :]))
 
 
+@dataclass(frozen=True, eq=False)
+class FrameBelief:
+    """What is believed at a sighting's frames: angles and rates (F,M), and encoder offsets (F,M),
+    0 without any.
+    """
+
+    angles: Array
+    rates: Array
+    offsets: Array
+
+
 def find_lasting_error(
     encoders: Encoders | None,
     sightings: Sequence[Sighting],
-    beliefs: Sequence[Array],
+    beliefs: Sequence[FrameBelief],
     variance: Array,
 ) -> LastingError | None:
     """The lasting error that a log shows; None where it shows none, or tells nothing.
 
-    beliefs (F,2M) or (F,3M) at each sighting's frames: angles, rates and any offsets of encoders ·
     variance (M,) rad² of the readings' noise.
     """
     if encoders is None or len(encoders.t) < 2:
@@ -152,18 +162,16 @@ def find_lasting_error(
 
 
 def _stretch_residuals(
-    encoders: Encoders, sighting: Sighting, belief: Array, variance: Array
+    encoders: Encoders, sighting: Sighting, belief: FrameBelief, variance: Array
 ) -> Iterator[Residuals]:
     """Yield the residuals of a track's images from the readings, stretch by stretch."""
     read = _interpolate_readings(encoders, sighting.t)
-    m = len(variance)
-    # one that never changes may stand anywhere within its count
-    tells = (np.diff(encoders.values, axis=0) != 0.0).any(axis=0)
-    if belief.shape[1] > 2 * m:
-        # images follow an encoder with an offset
-        tells &= (belief[:, 2 * m :] == 0.0).all(axis=0)
+    # images follow an encoder with an offset, and one that never changes may stand anywhere within
+    # its count
+    changes = (np.diff(encoders.values, axis=0) != 0.0).any(axis=0)
+    tells = changes & (belief.offsets == 0.0).all(axis=0)
     has_reading = np.isfinite(read) & tells
-    angles = np.where(has_reading, read, belief[:, :m])
+    angles = np.where(has_reading, read, belief.angles)
     values, var, mix = sighting.independent
     usable = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(angles).all(axis=1))
     if len(usable) < MIN_READINGS or not has_reading.any():
@@ -182,7 +190,7 @@ def _stretch_residuals(
         part = frames[start : start + width]
         rows = usable[part]
         shown = has_reading[rows][:, None, :]
-        late = np.einsum("fdm,fm->fd", jac[part], belief[rows, m : 2 * m])
+        late = np.einsum("fdm,fm->fd", jac[part], belief.rates[rows])
         yield _build_piece_residuals(
             residual[part],
             mean[part],
