@@ -219,7 +219,7 @@ def _role_from_path(role: str, declared: str, topics: Sequence[Topic], name: str
         for topic in topics
         if topic.name != path.topic and not _is_mistaken_topic(role, topic)
     ]
-    none = "none, the log has no other" if topics else "none, the log is empty"
+    none = "none, the log has no other" if topics else "none, no topic of the log can be read"
     possible = f"possible: {', '.join(sorted(likely or others)[:10]) or none}"
     if not same:
         raise LogError(

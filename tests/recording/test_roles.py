@@ -125,7 +125,7 @@ def test_roles_list_topics_for_a_missing_one():
         assign_roles(topics(("/a", JOINTS), ("/b", JOINTS), ("/w", FLOATS)), TopicSettings(joints="/q"), "x.mcap")
     with pytest.raises(LogError, match=r"possible: /w$"):
         assign_roles(topics(("/w", "std_msgs/msg/String")), TopicSettings(joints="/q"), "x.mcap")
-    with pytest.raises(LogError, match="the log is empty"):
+    with pytest.raises(LogError, match="no topic of the log can be read"):
         assign_roles([], TopicSettings(joints="/q"), "x.mcap")
 
 
