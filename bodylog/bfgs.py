@@ -46,10 +46,10 @@ def minimise_with_bfgs(
     value, gradient = loss(here)
     for _ in range(_STEPS):
         step = _bounded_step(here, gradient, inverse, low, high, farthest)
-        fall = float(step @ gradient)
-        if -fall <= (_SETTLED * max(1.0, abs(value)) if settled is None else settled):
+        least = _SETTLED * max(1.0, abs(value)) if settled is None else settled
+        if -float(step @ gradient) <= least:
             break
-        found = _search_along_step(loss, here, value, gradient, step, low, high)
+        found = _search_along_step(loss, here, value, gradient, step, low, high, least)
         if found is None:
             if inverse is guess:
                 break
@@ -78,11 +78,20 @@ def _bounded_step(
 
 
 def _search_along_step(
-    loss: Loss, here: Array, value: float, gradient: Array, step: Array, low: Array, high: Array
+    loss: Loss,
+    here: Array,
+    value: float,
+    gradient: Array,
+    step: Array,
+    low: Array,
+    high: Array,
+    least: float,
 ) -> tuple[Array, float, Array] | None:
-    """The first point along the step, shortened each time, with enough decrease, or None."""
+    """The first point along the step, shortened each time, with enough decrease, or None if what
+    the slope promises is no more than `least`: a loss that is rounded may show less.
+    """
     share = 1.0
-    for _ in range(20):
+    while -share * float(gradient @ step) > least:
         there = np.minimum(np.maximum(here + share * step, low), high)
         found, slope = loss(there)
         fall = float(gradient @ (there - here))
