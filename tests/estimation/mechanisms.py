@@ -7,6 +7,7 @@ import numpy as np
 
 from bodylog import body
 from bodylog.body_model import BodyModel
+from bodylog.delays import camera_delay
 from bodylog.evaluation.scores import truth_at_times
 from bodylog.settings import Settings
 from bodylog.sim.hardware import Hardware, add_play, add_stick, encoder_noise, rounded_to_counts
@@ -44,18 +45,34 @@ REALISTIC = Mechanism(
 
 @dataclass(frozen=True)
 class Fault:
-    """What goes wrong during a run: drift (rad/s) or offset (rad) of one joint since 8 s, or a load's sag (rad)."""
+    """What goes wrong during a run: drift (rad/s) or offset (rad) of one joint since 8 s, or a load's sag (rad).
+
+    moments: s, when the load is taken, put down, taken, … in turn, within 0.2 s; all the time without any.
+    """
 
     joint: int = 1
     drift: float = 0.0
     offset: float = 0.0
     payload: float = 0.0
+    moments: tuple[float, ...] = ()
+
+    def sag(self, t: Array) -> Array:
+        """What the lift sags by (N,1) rad under the load at times t (N,) s, level."""
+        changes = (np.clip((t - one) / 0.2, 0.0, 1.0) * (-1.0) ** i for i, one in enumerate(self.moments))
+        return self.payload * (sum(changes) if self.moments else np.ones(len(t)))[:, None]
 
 
 @cache
 def learned(seed: int, mechanism: Mechanism) -> BodyModel:
     """The body learned from 40 s of babbling."""
     return body.learn_body([replayed(seed, mechanism, Fault(), duration=40.0)], Settings(), {}).model
+
+
+@cache
+def fitted(mechanism: Mechanism) -> BodyModel:
+    """The body that `fit` learns from 40 s of babbling, with the errors of its mechanism."""
+    features = replayed(7699, mechanism, Fault(), duration=40.0)
+    return camera_delay.learn_with_delays([features], Settings(), {}, None).model
 
 
 def replayed(
@@ -68,7 +85,7 @@ def replayed(
     motors = (_reaching if reaches else _wandering)(t, rng)
     hardware = mechanism.hardware
     motors = add_stick(motors, hardware.stick)
-    sagging = (hardware.sag + hardware.payload + fault.payload) * np.cos(motors[:, 1:2]) * _GRAVITY
+    sagging = (hardware.sag + hardware.payload + fault.sag(t)) * np.cos(motors[:, 1:2]) * _GRAVITY
     links = add_play(motors, hardware.play) + sagging
     at_frames = np.column_stack([np.interp(frames, t, column) for column in links.T])
     seen = Arm().place(at_frames) + rng.normal(0.0, PIXEL_STD, (len(frames), 2))
@@ -96,7 +113,7 @@ def links_of(seed: int, mechanism: Mechanism, fault: Fault, reaches: bool = Fals
     quiet = Mechanism(0.0, replace(bare, counts=0.0, jitter=0.0))
     motors = replayed(seed, quiet, Fault(), reaches=reaches).joints
     links = add_play(motors.values, mechanism.hardware.play)
-    links = links + fault.payload * np.cos(motors.values[:, 1:2]) * _GRAVITY
+    links = links + fault.sag(motors.t) * np.cos(motors.values[:, 1:2]) * _GRAVITY
     return replace(motors, values=links)
 
 

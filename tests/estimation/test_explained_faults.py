@@ -9,9 +9,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from bodylog.delays import camera_delay
 from bodylog.estimation import estimate_from_features
-from bodylog.settings import EstimationSettings, Settings
+from bodylog.settings import EstimationSettings
 from bodylog.types import FaultKind
 from tests.estimation import mechanisms
 from tests.estimation.mechanisms import REALISTIC, SOUND, Fault, errors_and_nees, links_of
@@ -66,18 +65,11 @@ KINDS = {
 
 
 @cache
-def learned(arm):
-    """The body that `fit` learns of an arm."""
-    features = mechanisms.replayed(7699, ARMS[arm], Fault(), duration=40.0)
-    return camera_delay.learn_with_delays([features], Settings(), {}, None).model
-
-
-@cache
 def estimate_log(arm, name, seed):
     """The estimate of a log with a fault."""
     fault, spoil, _ = KINDS[name]
     features = spoil(mechanisms.replayed(seed, ARMS[arm], fault, reaches=seed % 2 == 1))
-    return estimate_from_features(features, learned(arm), EstimationSettings())
+    return estimate_from_features(features, mechanisms.fitted(ARMS[arm]), EstimationSettings())
 
 
 def judge_log(arm, name, seed):

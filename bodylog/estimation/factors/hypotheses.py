@@ -12,10 +12,11 @@ from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..measurements.arm_errors import PLAY_STD
 from ..measurements.track import camera_of_track
+from .carried_load import list_timed_loads
 from .columns import Column, Delay, Play
 from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
-from .load import FIRST_BEND, count_groups
+from .load import FIRST_BEND, Load, count_groups
 from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import CHANGE, FactorProblem, Noise
 from .solve import column_nats
@@ -86,7 +87,7 @@ def explain(
     step_s: float,
     is_of_counts: Callable[[Noise], bool],
     halves: Array,
-    loads: tuple[Column, ...],
+    loads: tuple[Load, ...],
 ) -> Explanation:
     """The most probable explanation of a log: white noise alone, or errors of its hardware.
 
@@ -122,18 +123,14 @@ def explain(
     else:
         gains.clear()
     if loads:
-        loaded = replace(problem, columns=(*problem.columns, *loads))
-        groups = (FIRST_BEND,) * count_groups(loads)
-        each = [replace(one, groups=groups) for one in _lasting(white.noise)]
-        bents = [_learn(loaded, one, step_s, lasting) for one in each]
-        bent = _best(bents)
-        gain = lasting.nats - bent.nats
+        bent, loads, cost = _time_likeliest_load(problem, loads, step_s, white, lasting)
+        gain = lasting.nats - bent.nats - cost
         # what lasts long and is gone beside a load stood for it: neither is simpler;
         # play leaves none
         rival = not gains and _is_long(lasting.noise) and not _is_long(bent.noise)
         if gain > (0.0 if rival else EVIDENCE_THRESHOLD_NATS):
             gains["load"] = gain
-            problem = loaded
+            problem = replace(problem, columns=(*problem.columns, *loads))
             lasting = bent
     found = learn_noise(
         problem, lasting.noise, lasting.path, step_s, rounds=2, curvature=lasting.curvature
@@ -145,6 +142,33 @@ def explain(
     if "load" in gains:
         found = mix_silent_groups(found, problem.columns)
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
+
+
+def _time_likeliest_load(
+    problem: FactorProblem, loads: tuple[Load, ...], step_s: float, white: Learned, before: Learned
+) -> tuple[Learned, tuple[Load, ...], float]:
+    """The noise beside a load that is carried all the time, or when it is most probable,
+    the load's columns, and −ln p of when it is carried.
+    """
+    timed = list_timed_loads(problem, white.noise, white.path, loads)
+    tried = ((_learn_load(problem, one, step_s, white, before), one, cost) for one, cost in timed)
+    best = next(tried)
+    for again in tried:
+        least = EVIDENCE_THRESHOLD_NATS if best[2] else 0.0
+        if best[0].nats + best[2] - again[0].nats - again[2] <= least:
+            break
+        best = again
+    return best
+
+
+def _learn_load(
+    problem: FactorProblem, loads: tuple[Load, ...], step_s: float, white: Learned, before: Learned
+) -> Learned:
+    """The noise beside a load by evidence, with errors at encoders or at links."""
+    loaded = replace(problem, columns=(*problem.columns, *loads))
+    groups = (FIRST_BEND,) * count_groups(loads)
+    each = [replace(one, groups=groups) for one in _lasting(white.noise)]
+    return _best([_learn(loaded, one, step_s, before) for one in each])
 
 
 def _list_plays(halves: Array) -> Iterator[Play]:

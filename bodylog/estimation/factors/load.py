@@ -14,6 +14,8 @@ from .images import Images
 
 FIRST_BEND = 5e-3
 """rad of what a joint bends by, with which the search begins."""
+WIDE_BEND = 0.02
+"""rad of what a joint bends by before any load is known, 1.1°."""
 LEAST_LEVER = 1e-3
 """Share of the longest lever below which a joint carries nothing."""
 COMPLIANCE_SPREAD = 1.0
@@ -24,9 +26,29 @@ one arm differ by factors of up to five, and of the simulated one by none.
 
 @dataclass(frozen=True)
 class Load(Column):
-    """What links bend by as the posture alone decides, rad."""
+    """What links bend by as the posture alone decides, rad, while the load is carried.
+
+    moments: s, when it is taken, put down, taken, … in turn; −∞ for what is there from the start.
+    """
 
     bends: bool = True
+    moments: tuple[float, ...] = (-np.inf,)
+
+    def moves_links(self, path: Path) -> Array:
+        """What a unit bends the links by while the load is carried."""
+        return self.bends_links(path.angles) * self._is_carried(path.knots)[:, None]
+
+    def bends_links(self, angles: Array) -> Array:
+        """What a unit bends links by (K,M) rad at angles (K,M)."""
+        return np.zeros(angles.shape)
+
+    def _is_carried(self, t: Array) -> Array:
+        return np.asarray(np.searchsorted(self.moments, t, side="right") % 2 == 1)
+
+
+def _keep_constant(angles: Array) -> Array:
+    """1 at all angles (K,M)."""
+    return np.ones(len(angles))
 
 
 @dataclass(frozen=True)
@@ -34,12 +56,12 @@ class PostureLoad(Load):
     """What a joint bends by: any shape of the posture, (K,M) rad -> (K,), times the size."""
 
     joint: int = 0
-    shape: Callable[[Array], Array] = np.ones_like
+    shape: Callable[[Array], Array] = _keep_constant
 
-    def moves_links(self, path: Path) -> Array:
+    def bends_links(self, angles: Array) -> Array:
         """The shape at the angles, for this joint."""
-        own = np.zeros(path.angles.shape)
-        own[:, self.joint] = self.shape(path.angles)
+        own = np.zeros(angles.shape)
+        own[:, self.joint] = self.shape(angles)
         return own
 
 
@@ -68,11 +90,11 @@ class Payload(Load):
     joints: tuple[int, ...] = ()
     still: tuple[str, ...] = ()
 
-    def moves_links(self, path: Path) -> Array:
+    def bends_links(self, angles: Array) -> Array:
         """Minus the levers at the angles, for these joints."""
-        own = np.zeros(path.angles.shape)
+        own = np.zeros(angles.shape)
         carrying = list(self.joints)
-        own[:, carrying] = -self.levers(path.angles)[:, carrying] / self.longest
+        own[:, carrying] = -self.levers(angles)[:, carrying] / self.longest
         return own
 
     def displaces_images(self, images: Images, path: Path) -> Array:
@@ -80,20 +102,24 @@ class Payload(Load):
         model = images.sighting.model
         if not (self.still and isinstance(model, _Carried)):
             return super().displaces_images(images, path)
-        shown, levers = model.show_still_joints(path.at_images(images).links)
+        seen = path.at_images(images)
+        shown, levers = model.show_still_joints(seen.links)
         sinks = np.array([name in self.still for name in model.still_joints])
-        return np.asarray(-(shown * levers[:, None] * sinks).sum(axis=-1) / self.longest)
+        sunk = -(shown * levers[:, None] * sinks).sum(axis=-1) / self.longest
+        return np.asarray(sunk * self._is_carried(seen.knots)[:, None])
 
 
-def bend_under_load(columns: Sequence[Column], sizes: Array, angles: Array) -> Array:
-    """How far joints bend (N,M) rad at angles (N,M), by those of the columns that are a load."""
+def bend_under_load(columns: Sequence[Column], sizes: Array, t: Array, angles: Array) -> Array:
+    """How far joints bend (N,M) rad at times t (N,) s and angles (N,M), by those of the columns
+    that are a load.
+    """
     rest = np.zeros(angles.shape)
-    path = Path(np.arange(len(angles)), angles, rest, angles, rest)
+    path = Path(t, angles, rest, angles, rest)
     loads = ((c, size) for c, size in zip(columns, sizes, strict=True) if isinstance(c, Load))
     return sum((size * column.moves_links(path) for column, size in loads), rest)
 
 
-def load_columns(body: BodyModel, readings: Array) -> tuple[Column, ...]:
+def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
     """A load's columns for readings (N,M) rad: by the levers of the
     hand where a URDF tells them, else any linear function of the posture.
     """
@@ -158,7 +184,7 @@ def _bend_linearly(known: Array) -> Iterator[Load]:
     """
     middle = known.mean(axis=0)
     for j in range(known.shape[1]):
-        yield PostureLoad("posture", 1.0, group=j, joint=j, shape=_keep_constant)
+        yield PostureLoad("posture", 1.0, group=j, joint=j)
         for other in range(known.shape[1]):
 
             def lean(angles: Array, other: int = other) -> Array:
@@ -167,17 +193,25 @@ def _bend_linearly(known: Array) -> Iterator[Load]:
             yield PostureLoad("posture", 1.0, group=j, joint=j, shape=lean)
 
 
-def _keep_constant(angles: Array) -> Array:
-    """1 at all angles (K,M)."""
-    return np.ones(len(angles))
-
-
 def load_sentence(load: Mapping[str, Any]) -> str:
-    """A load in words: `weight`, whether it is as under a weight at the
-    hand, `nats`, and `rad` {joint: how far it bends at most}.
+    """A load in words: `weight`, whether it is as under a weight at the hand, `moments` (s) when it
+    is taken and put down in turn, `nats`, and `rad` {joint: how far it bends at most}.
     """
     each = ", ".join(f"{name} {np.rad2deg(size):.2g}°" for name, size in load["rad"].items())
     cause = "payload" if load["weight"] else "payload, or another error of the posture"
     sure = load["nats"] > EVIDENCE_THRESHOLD_NATS
     weighed = f"{load['nats']:.0f} nats" if sure else "or errors that last, as likely"
-    return f"{cause}: joints bend by up to {each} more than in the exploration ({weighed})"
+    bent = f"joints bend by up to {each} more than in the exploration ({weighed})"
+    return f"{cause}{_describe_moments(load.get('moments', [None]))}: {bent}"
+
+
+def _describe_moments(moments: Sequence[float | None]) -> str:
+    """When a load is carried, in words: nothing where it is all the time."""
+    words = list[str]()
+    for i in range(0, len(moments), 2):
+        begin, *end = moments[i : i + 2]
+        if begin is not None:
+            words.append(f"from {begin:.1f}" + (f" to {end[0]:.1f} s" if end else " s on"))
+        elif end:
+            words.append(f"until {end[0]:.1f} s")
+    return " " + ", ".join(words) if words else ""

@@ -178,11 +178,11 @@ def build_system(linear: Linearised, passed: PassedSteps | None = None) -> Syste
         """Add rows (F,D,S) on the states at knots, with right sides read (F,D,R)."""
         precision = (weight / var)[..., None]
         weighted = (rows * precision).swapaxes(1, 2)
-        _add_at_knots(info, at, weighted @ rows)
-        _add_at_knots(right, at, weighted @ read)
-        _add_at_knots(square, at, read.swapaxes(1, 2) @ (precision * read))
+        add_at_knots(info, at, weighted @ rows)
+        add_at_knots(right, at, weighted @ read)
+        add_at_knots(square, at, read.swapaxes(1, 2) @ (precision * read))
         var = var / np.where(weight > 0.0, weight, 1.0)
-        _add_at_knots(logs, at, normalisation(var, believed).sum(axis=1))
+        add_at_knots(logs, at, normalisation(var, believed).sum(axis=1))
 
     own = linear.readings
     read_rows = joints.reads(size)[None]
@@ -227,7 +227,7 @@ def build_system(linear: Linearised, passed: PassedSteps | None = None) -> Syste
     return system.about_means()
 
 
-def _add_at_knots(total: Array, at: Array, parts: Array) -> None:
+def add_at_knots(total: Array, at: Array, parts: Array) -> None:
     """Add parts (F,…) to the total (K,…) at their knots (F,), which ascend: of
     several at one knot one after another, many times faster than `np.add.at`.
     """

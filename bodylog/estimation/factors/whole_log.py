@@ -15,12 +15,13 @@ from ..inference.problem import FilterProblem
 from ..inference.tangents import OFFSET_STD
 from ..measurements.records import Encoders, Sighting, unmix_rows
 from ..noise.lasting_error import MOST_COUNTS
-from .columns import Column, EncoderShift
+from .carried_load import list_timed_loads
+from .columns import EncoderShift
 from .encoder_error import LEAST_STD, JointNoise
 from .gauss_newton import Solution, path_of, solve
 from .hypotheses import FIRST_S, Explanation, explain, fit_white_noise, with_lasting
 from .images import ImageRows, Images
-from .load import count_groups
+from .load import WIDE_BEND, Load, count_groups
 from .noise import Learned
 from .problem import FactorProblem, LastingPrior, Noise
 from .robust import believed, image_span, left_out, outlier_nats
@@ -46,8 +47,6 @@ TURN = np.array([2.0 * np.pi])
 """rad: within what an outlier of an encoder may be."""
 USUAL_STD = 4e-3
 """rad: of errors that last where readings are weighed before these are known."""
-WIDE_BEND = 0.02
-"""rad of what a joint bends by before any load is known, 1.1°."""
 FIRST_PROCESS = 10.0
 """rad²/s⁵ with which the search begins where the encoders give none."""
 
@@ -109,7 +108,7 @@ class SolvedLog:
 
 
 def explain_log(
-    problem: FilterProblem, halves: Array, lasting: LastingPrior, loads: tuple[Column, ...]
+    problem: FilterProblem, halves: Array, lasting: LastingPrior, loads: tuple[Load, ...]
 ) -> ExplainedLog | None:
     """Explain a log by white noise alone, or by errors of
     its hardware; None where it has no readings or no images.
@@ -160,25 +159,28 @@ def _usual_step(encoders: Encoders) -> float:
     return float(np.median(np.diff(encoders.t)))
 
 
-def resembles_load(
-    problem: FilterProblem, without: FilterProblem, loads: tuple[Column, ...]
-) -> bool:
+def resembles_load(problem: FilterProblem, without: FilterProblem, loads: tuple[Load, ...]) -> bool:
     """Whether white noise and a load explain a log about as well as white noise and encoder
     offsets, compared without learning, which takes ten times as long. In simulation, drifts won by
     130 nats and more, joints homed differently by 17 and 22, and payloads lost by 40 and 66.
 
     problem, without: with the encoder offsets that were found, and without.
     """
-    costs = list[float]()
-    for one, columns in ((problem, ()), (without, loads)):
-        posed = _pose_log(one)
-        if posed is None:
-            return False
-        _, coarse, noise = posed
-        wide = replace(noise, groups=(WIDE_BEND,) * count_groups(columns))
-        solved = solve(replace(coarse, columns=(*coarse.columns, *columns)), wide, rounds=WEIGHING)
-        costs.append(solved.nats + _outliers(coarse))
-    return costs[1] - costs[0] < EVIDENCE_THRESHOLD_NATS
+    posed = _pose_log(problem)
+    alone = _pose_log(without)
+    if posed is None or alone is None:
+        return False
+    _, coarse, noise = posed
+    offset = solve(coarse, noise, rounds=WEIGHING).nats + _outliers(coarse)
+    _, coarse, noise = alone
+    path = path_of(coarse, noise, solve(coarse, noise, rounds=WEIGHING).beliefs)
+    wide = replace(noise, groups=(WIDE_BEND,) * count_groups(loads))
+    for timed, cost in list_timed_loads(coarse, noise, path, loads):
+        bent = replace(coarse, columns=(*coarse.columns, *timed))
+        nats = solve(bent, wide, path, rounds=WEIGHING).nats + _outliers(coarse) + cost
+        if nats - offset < EVIDENCE_THRESHOLD_NATS:
+            return True
+    return False
 
 
 def _pose_log(problem: FilterProblem) -> tuple[FactorProblem, FactorProblem, Noise] | None:

@@ -12,7 +12,7 @@ from ...body_model import BodyModel
 from ...fault_kinds import OFF_FROM_START_S
 from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
-from ..factors.columns import Column, Play
+from ..factors.columns import Play
 from ..factors.hypotheses import DRIFTS_S, Explanation
 from ..factors.load import FIRST_BEND, Load, bend_under_load, load_columns, load_sentence
 from ..factors.problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
@@ -185,7 +185,7 @@ def _explain_without_faults(
     found: ExplainedLog,
     faults: tuple[Fault, ...],
     known: tuple[Array, LastingPrior],
-    loads: tuple[Column, ...],
+    loads: tuple[Load, ...],
 ) -> tuple[FilterProblem, ExplainedLog] | None:
     """The most probable explanation without encoder offsets, or with no
     moved camera either, where that is as good as with faults; else None.
@@ -342,14 +342,17 @@ def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, A
 def _describe_load(
     loads: Sequence[Load], explanation: Explanation, names: tuple[str, ...]
 ) -> dict[str, Any]:
-    """How far (rad) each joint bends at most, whether as under
-    a weight at the hand, and the nats by which that wins.
+    """How far (rad) each joint bends at most, whether as under a weight at the hand, when it is
+    taken and put down in turn (s), None from the start, and the nats by which that wins.
     """
     learned = explanation.learned
-    moved = bend_under_load(explanation.columns, learned.sizes, learned.path.angles)
+    moved = bend_under_load(
+        explanation.columns, learned.sizes, learned.path.knots, learned.path.angles
+    )
     farthest = np.abs(moved).max(axis=0).tolist()
     return {
         "weight": loads[0].name == "payload",
+        "moments": [one if np.isfinite(one) else None for one in loads[0].moments],
         "nats": explanation.gains["load"],
         "rad": {name: one for name, one in zip(names, farthest, strict=True) if one > 0.0},
     }

@@ -113,14 +113,16 @@ def reason_of_disagreement(
 def _move_readings_to_links(problem: FilterProblem, explanation: Explanation) -> FilterProblem:
     """The problem with readings of the links, which bend under the load that explains the log."""
 
-    def move(angles: Array) -> Array:
-        return angles + bend_under_load(explanation.columns, explanation.learned.sizes, angles)
+    def move(t: Array, angles: Array) -> Array:
+        return angles + bend_under_load(explanation.columns, explanation.learned.sizes, t, angles)
 
     encoders = problem.evidence.encoders
     assert encoders is not None  # of what is explained
-    read = replace(encoders, values=move(encoders.values))
+    read = replace(encoders, values=move(encoders.t, encoders.values))
     evidence = replace(problem.evidence, encoders=read)
-    return replace(problem, evidence=evidence, start=move(problem.start[None])[0])
+    return replace(
+        problem, evidence=evidence, start=move(problem.timeline.t[:1], problem.start[None])[0]
+    )
 
 
 def reason_of_misfit(

@@ -1,0 +1,171 @@
+"""When a load is carried: an arm picks things up and puts them down.
+
+With the noise known, the gain of columns is a Schur complement. That of a load between
+two moments follows from those of loads from either moment on: the first minus the second.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from ...types import Array
+from ..faults.threshold import PRIOR_STD_RAD
+from .columns import Column, Path
+from .load import WIDE_BEND, Load
+from .problem import FactorProblem, Linearised, Noise, add_at_knots, build_system, linearise
+from .solve import Eliminated, column_nats, eliminate
+
+PARTS = 32
+"""Parts of a log at whose ends a load is first tried to be taken or put down; the search then
+narrows until it knows the images between which it was.
+"""
+
+
+@dataclass(frozen=True)
+class LinkShift(Column):
+    """What a link stands off what its encoder reads from `since` s on, rad, or grows to until the
+    end: what an encoder that is off shows in images.
+    """
+
+    joint: int = 0
+    since: float = -np.inf
+    grows: bool = False
+
+    def moves_links(self, path: Path) -> Array:
+        """A step, or a ramp to 1 at the last knot."""
+        own = np.zeros(path.angles.shape)
+        after = path.knots - self.since
+        own[:, self.joint] = np.maximum(after, 0.0) / after[-1] if self.grows else after >= 0.0
+        return own
+
+
+Moments = tuple[float, ...]
+"""s: when a load is taken, put down, taken, …; the first is −∞ if it was there from the start."""
+
+
+def list_timed_loads(
+    problem: FactorProblem, noise: Noise, path: Path, loads: tuple[Load, ...]
+) -> Iterator[tuple[tuple[Load, ...], float]]:
+    """Yield the loads as carried all the time, then as carried when it is most probable, each time
+    with one more time in which that is otherwise than before, and −ln p of these times before the
+    log: each is one of all that were tried. No times where it is as likely that one encoder is off.
+
+    noise, path: as known without the loads.
+    """
+    yield loads, 0.0
+    linear = linearise(problem, path, noise)
+    eliminated = eliminate(build_system(linear))
+    rival = _weigh_shifts(linear, eliminated)
+    moments: Moments = ()
+    total = 0.0
+    while (found := _change_moments(linear, eliminated, loads, moments)) is not None:
+        moments, cost = found
+        total += cost
+        timed = tuple(replace(one, moments=moments) for one in loads)
+        alone = np.eye(len(timed))[None]
+        if rival <= _weigh_columns(linear, eliminated, timed, alone, WIDE_BEND)[0] + total:
+            return
+        yield timed, total
+
+
+def _change_moments(
+    linear: Linearised, eliminated: Eliminated, loads: tuple[Load, ...], before: Moments
+) -> tuple[Moments, float] | None:
+    """The moments with one more change of a load for a time, and −ln p of that before the log; None
+    if the log is about as likely without it, or with the loads carried all the time.
+    """
+    knots = linear.problem.knots
+    step = (knots[-1] - knots[0]) / PARTS
+    inner = (knots[0] + step * np.arange(1, PARTS)).tolist()
+    windows = [one for one in product([-np.inf, *inner], [*inner, np.inf]) if one[0] < one[1]]
+    tried = [before or (-np.inf,), *(_change_between(before, one) for one in windows)]
+    nats = _weigh_moments(linear, eliminated, loads, tried)
+    cost = float(np.log(len(windows)))
+    if nats[0] - nats.min() <= cost:
+        return None
+    begin, end = windows[int(np.argmin(nats[1:]))]
+    while step > np.median(np.diff(knots)):
+        step /= 4.0
+        near = (step * np.arange(-4, 5)).tolist()
+        windows = [(begin + a, end + b) for a, b in product(near, near) if begin + a < end + b]
+        tried = [_change_between(before, one) for one in windows]
+        begin, end = windows[int(np.argmin(_weigh_moments(linear, eliminated, loads, tried)))]
+    return _change_between(before, (begin, end)), cost
+
+
+def _change_between(moments: Moments, window: tuple[float, float]) -> Moments:
+    """The moments with a load where there was none between two (s), and none where there was one."""
+    return tuple(sorted(one for one in {*moments} ^ {*window} if one < np.inf))
+
+
+def _weigh_moments(
+    linear: Linearised, eliminated: Eliminated, loads: Sequence[Load], tried: Sequence[Moments]
+) -> Array:
+    """−ln p (W,) of the log with the first load of each group carried as tried."""
+    leads = tuple({one.group: one for one in reversed(loads)}.values())
+    steps = sorted({one for moments in tried for one in moments})
+    more = tuple(replace(lead, moments=(one,)) for one in steps for lead in leads)
+    count = len(leads)
+    mixes = np.zeros((len(tried), count, len(more)))
+    for mix, moments in zip(mixes, tried, strict=True):
+        for i, one in enumerate(moments):
+            first = steps.index(one) * count
+            mix[:, first : first + count] = np.eye(count) * (-1.0) ** i
+    return _weigh_columns(linear, eliminated, more, mixes, WIDE_BEND)
+
+
+def _weigh_shifts(linear: Linearised, eliminated: Eliminated) -> float:
+    """−ln p of the log with the most probable shift of one encoder: a step or a ramp."""
+    knots = linear.problem.knots
+    moments = np.linspace(knots[0], knots[-1], PARTS, endpoint=False).tolist()
+    joints = range(len(linear.problem.start))
+    kinds = product(joints, moments, (False, True))
+    shifts = tuple(
+        LinkShift("shift", 1.0, joint=j, since=one, grows=grows) for j, one, grows in kinds
+    )
+    alone = np.eye(len(shifts))[:, None]
+    nats = _weigh_columns(linear, eliminated, shifts, alone, PRIOR_STD_RAD)
+    return float(nats.min() + np.log(len(shifts)))
+
+
+def _weigh_columns(
+    linear: Linearised, eliminated: Eliminated, more: tuple[Column, ...], mixes: Array, std: float
+) -> Array:
+    """−ln p (W,) of the log with each mix (W,B,C) of C more columns, of sizes 0 ± std."""
+    schur = _extend_schur(linear, eliminated, more)
+    known = len(eliminated.schur)
+    count = mixes.shape[1]
+    turns = np.zeros((len(mixes), known + count, len(schur)))
+    turns[:, np.arange(known), np.arange(known)] = 1.0
+    turns[:, known:, known:] = mixes
+    precision = np.r_[eliminated.precision, np.full(count, std**-2)]
+    return column_nats(turns @ schur @ turns.swapaxes(1, 2), precision)
+
+
+def _extend_schur(linear: Linearised, eliminated: Eliminated, more: tuple[Column, ...]) -> Array:
+    """What is left of c, as in `Eliminated`, with more columns, which only images show."""
+    from scipy.linalg.lapack import dtbtrs
+
+    problem = linear.problem
+    with_more = linearise(replace(problem, columns=more), linear.path, linear.noise)
+    means = np.array([column.mean for column in problem.columns])
+    count, states, known = eliminated.right.shape
+    right = np.zeros((count, states, len(more)))
+    cross = np.zeros((known, len(more)))
+    square = np.zeros((len(more), len(more)))
+    for images, own, other, scale in zip(
+        problem.images, linear.rows, with_more.rows, linear.noise.scales, strict=True
+    ):
+        moved = other.right[..., 1:]
+        weighed = (images.believed[:, None] / (scale * own.var))[..., None] * moved
+        add_at_knots(right, images.knots, own.slopes.swapaxes(1, 2) @ weighed)
+        read = own.right.copy()
+        read[..., 0] -= own.right[..., 1:] @ means
+        cross += np.einsum("fdr,fdc->rc", read, weighed)
+        square += np.einsum("fdb,fdc->bc", moved, weighed)
+    solved, _ = dtbtrs(eliminated.band, right.reshape(-1, len(more)), uplo="U", trans="T")
+    cross -= eliminated.right.reshape(-1, known).T @ solved
+    square -= solved.T @ solved
+    return np.block([[eliminated.schur, cross], [cross.T, square]])

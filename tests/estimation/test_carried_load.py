@@ -1,0 +1,132 @@
+"""When a load is carried: its moments, by the same Schur complement as columns that are there from the start."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bodylog.estimation import estimate_from_features
+from bodylog.estimation.factors.carried_load import (
+    LinkShift,
+    _change_between,
+    _extend_schur,
+    list_timed_loads,
+)
+from bodylog.estimation.factors.columns import EncoderShift, Path
+from bodylog.estimation.factors.gauss_newton import initial_path, solve
+from bodylog.estimation.factors.load import PostureLoad, load_sentence
+from bodylog.estimation.factors.problem import build_system, linearise
+from bodylog.estimation.factors.solve import eliminate
+from bodylog.settings import EstimationSettings
+from bodylog.types import HARDWARE_ERRORS
+from tests.estimation import factor_problems, mechanisms
+from tests.estimation.mechanisms import REALISTIC, SOUND, Fault, errors_and_nees, links_of
+
+SAG = 1.75e-2
+"""rad: 1° of the lift's."""
+ALWAYS = (-np.inf,)
+
+
+def bent(joint, moments=ALWAYS):
+    return PostureLoad("posture", 1.0, group=joint, joint=joint, moments=moments)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_columns_added_later_have_the_schur_complement_of_columns_that_are_there(seed):
+    rng = np.random.default_rng(seed)
+    known = (EncoderShift("repaired step", 1e-3, mean=2e-3, joint=1, since=0.2),)
+    problem = factor_problems.drawn(rng, known)
+    more = (bent(0, (0.1, 0.25)), bent(1, (0.2,)), LinkShift("shift", 1.0, joint=0, since=0.15, grows=True))
+    noise = replace(factor_problems.noise(3, rng), groups=(1.0, 1.0))
+    path = initial_path(problem)
+    linear = linearise(problem, path, noise)
+    found = _extend_schur(linear, eliminate(build_system(linear)), more)
+    whole = linearise(replace(problem, columns=(*known, *more)), path, noise)
+    np.testing.assert_allclose(found, eliminate(build_system(whole)).schur, rtol=1e-6, atol=1e-6 * found[0, 0])
+
+
+def test_a_shift_of_a_link_is_minus_that_of_its_encoder():
+    t = np.linspace(0.0, 4.0, 9)
+    path = Path(t, *[np.zeros((9, 2))] * 4)
+    for grows in (False, True):
+        shown = LinkShift("shift", 1.0, joint=1, since=1.0, grows=grows).moves_links(path)
+        read = EncoderShift("shift", 1.0, joint=1, since=1.0, grows=grows).reads(t, path)
+        np.testing.assert_allclose(shown, read / (3.0 if grows else 1.0))
+
+
+def test_a_change_takes_a_load_where_there_is_none_and_puts_it_down_where_there_is_one():
+    assert _change_between((), (2.0, 4.0)) == (2.0, 4.0)
+    assert _change_between((2.0, 8.0), (4.0, 6.0)) == (2.0, 4.0, 6.0, 8.0)
+    assert _change_between((2.0, 4.0), (4.0, 6.0)) == (2.0, 6.0)
+    assert _change_between((2.0, 4.0), (-np.inf, np.inf)) == (-np.inf, 2.0, 4.0)
+    path = Path(np.arange(5.0), *[np.zeros((5, 1))] * 4)
+    for moments, carried in (((1.0, 3.0), [0, 1, 1, 0, 0]), (ALWAYS, [1] * 5), ((-np.inf, 2.0, 4.0), [1, 1, 0, 0, 1])):
+        np.testing.assert_array_equal(bent(0, moments).moves_links(path)[:, 0], carried)
+
+
+@pytest.mark.parametrize("moments", [(1.0,), (1.0, 2.0), (-np.inf, 1.5), (0.6, 1.3, 2.0, 2.6)])
+def test_moments_are_found_between_two_images(moments):
+    rng = np.random.default_rng(4)
+    problem = factor_problems.drawn(rng, images=64)
+    path = initial_path(problem)
+    loads = tuple(bent(j) for j in range(2))
+    rows = 0.02 * sum(replace(one, moments=moments).moves_links(path.at_images(problem.images[0])) for one in loads)
+    (sighting,) = problem.sightings
+    seen = sighting.values + np.einsum("dm,fm->fd", sighting.model.a, rows)
+    problem = replace(problem, sightings=(replace(sighting, values=seen),))
+    noise = factor_problems.noise(3, rng, lasting=False)
+    path = solve(problem, noise, rounds=1).linear.path
+    *_, (timed, cost) = list_timed_loads(problem, noise, path, loads)
+    np.testing.assert_allclose(timed[0].moments, moments, atol=0.06)
+    assert cost > 0.0 and {one.moments for one in timed} == {timed[0].moments}
+
+
+def test_an_encoder_that_is_off_since_a_moment_is_no_load():
+    rng = np.random.default_rng(5)
+    problem = factor_problems.drawn(rng, images=64)
+    noise = factor_problems.noise(3, rng, lasting=False)
+    for grows in (False, True):
+        off = EncoderShift("shift", 1.0, joint=1, since=1.2, grows=grows)
+        read = problem.values + 0.03 * off.reads(problem.t, initial_path(problem))
+        one = replace(problem, values=read)
+        path = solve(one, noise, rounds=2).linear.path
+        found = list(list_timed_loads(one, noise, path, (bent(0), bent(1))))
+        assert [timed[0].moments for timed, _ in found] == [ALWAYS]
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "seed", "moments"),
+    [
+        (SOUND, 7802, (3.0, 6.0, 9.0, 13.0)),
+        pytest.param(SOUND, 7801, (8.0,), marks=pytest.mark.soak),
+        pytest.param(REALISTIC, 7803, (5.0, 11.0), marks=pytest.mark.soak),
+    ],
+)
+def test_what_an_arm_picks_up_is_named_as_a_load_and_no_encoder_is_accused(mechanism, seed, moments):
+    fault = Fault(payload=SAG, moments=moments)
+    reaches = seed % 2 == 1
+    features = mechanisms.replayed(seed, mechanism, fault, reaches=reaches)
+    found = estimate_from_features(features, mechanisms.fitted(mechanism), EstimationSettings())
+    assert not found.faults
+    load = found.settings[HARDWARE_ERRORS]["load"]
+    np.testing.assert_allclose(load["moments"], moments, atol=0.3)
+    true = links_of(seed, mechanism, fault, reaches)
+    error, nees = errors_and_nees(found, true)
+    read = np.stack([np.interp(found.joints.t, features.joints.t, one) for one in features.joints.values.T], axis=1)
+    apart = read - np.stack([np.interp(found.joints.t, true.t, one) for one in true.values.T], axis=1)
+    assert np.sqrt(np.mean(error**2)) < 0.5 * np.sqrt(np.mean(apart**2))
+    assert nees < 2.5
+
+
+@pytest.mark.parametrize(
+    ("moments", "words"),
+    [
+        ([None], "payload: joints"),
+        ([8.0], "payload from 8.0 s on: joints"),
+        ([None, 8.0], "payload until 8.0 s: joints"),
+        ([3.0, 6.1, 9.0], "payload from 3.0 to 6.1 s, from 9.0 s on: joints"),
+    ],
+)
+def test_a_load_is_told_with_when_it_is_carried(moments, words):
+    load = {"weight": True, "nats": 20.0, "rad": {"lift": 0.01}, "moments": moments}
+    assert load_sentence(load).startswith(words)
