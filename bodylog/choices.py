@@ -26,7 +26,7 @@ PLACES = ("right", "left", "centre")
 HARDWARE: Mapping[str, str] = {
     "play": "degrees from one end to the other",
     "sag": "degrees with the arm stretched out",
-    "payload": "degrees of sag beyond the exploration's",
+    "payload": "degrees of sag beyond the exploration's, or degrees@s: from when on",
     "stick": "degrees a joint is driven before it slips",
     "correlated": "rad@s: standard deviation and time constant",
     "counts": "encoder steps in a turn",

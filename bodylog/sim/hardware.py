@@ -16,6 +16,8 @@ from .plan import describe_unknown_name
 EXAMPLE = "play=0.25,sag=0.3,correlated=0.002@2s"
 OUTLIER_RAD = 0.2
 """How far an outlier of an encoder is off."""
+PICK_UP_S = 0.2
+"""s from the first touch of a payload until the arm carries its whole weight."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,9 @@ class Hardware:
     play: between motor and link, from one end to the other, rad · sag, payload: of a joint that
     holds the whole arm stretched out, rad; the first by the torque of the links' masses, which was
     there when the body was learned, the second by that of a weight at the hand, which was not ·
-    stick: how far a joint is driven before it slips, rad · correlated: standard
-    deviation (rad) of an Ornstein-Uhlenbeck error of each encoder, and its time constant (s) ·
+    payload_s: when that weight is picked up, s; 0 for one that is there from the start · stick:
+    how far a joint is driven before it slips, rad · correlated: standard deviation (rad) of an
+    Ornstein-Uhlenbeck error of each encoder, and its time constant (s) ·
     counts: an encoder's steps in a turn · tails: degrees of freedom of Student's t in place of
     normal noise · outliers: share of readings that are OUTLIER_RAD off · jitter: standard deviation
     of encoder stamps, s · rolling: from a picture's first row to its last, s.
@@ -35,6 +38,7 @@ class Hardware:
     play: float = 0.0
     sag: float = 0.0
     payload: float = 0.0
+    payload_s: float = 0.0
     stick: float = 0.0
     correlated: float = 0.0
     correlation_s: float = 1.0
@@ -53,6 +57,12 @@ class Hardware:
     def replaces_noise(self) -> bool:
         """Whether encoders have other errors than independent normal ones."""
         return bool(self.correlated or self.tails or self.outliers)
+
+    def carries_payload(self, t: Array) -> Array:
+        """The share (N,) of the payload's weight that is carried at times t (N,) s."""
+        if not self.payload_s:
+            return np.ones(len(t))
+        return np.asarray(np.clip((t - self.payload_s) / PICK_UP_S, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -80,12 +90,17 @@ RANGES: Mapping[str, ErrorRange] = {
     "rolling": ErrorRange(0.1),
 }
 _NUMBER = r"[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?"
-_MOST_CORRELATION_S = 1e4
+_MOST_S = 1e4
+_TIMED = {
+    "correlated": ("a standard deviation in rad, @, and a time constant", "0.002@2s"),
+    "payload": ("degrees, @, and a time from which it is carried,", "0.5@8s"),
+}
+"""Of errors with a time: what is possible, and an example."""
 
 
 def parse_hardware(text: str) -> Hardware:
-    """The errors in NAME=NUMBER,…, where correlated is
-    RAD@S; UsageError in one line for anything else.
+    """The errors in NAME=NUMBER,…, where correlated is RAD@S, and payload
+    may be DEGREES@S; UsageError in one line for anything else.
     """
     values: dict[str, float] = {}
     for item in text.split(",") if text else ():
@@ -93,7 +108,9 @@ def parse_hardware(text: str) -> Hardware:
         if name in values:
             raise UsageError(f"--hardware: {name} is given twice; type: --hardware {name}={given}")
         if name == "correlated":
-            given, values["correlation_s"] = _split_correlation(given)
+            given, values["correlation_s"] = _split_seconds(name, given)
+        elif name == "payload" and "@" in given:
+            given, values["payload_s"] = _split_seconds(name, given)
         values[name] = RANGES[name].unit * _number_in_range(name, given)
     return Hardware(**values)
 
@@ -114,15 +131,15 @@ def _split_item(item: str) -> tuple[str, str]:
     return name, given
 
 
-def _split_correlation(given: str) -> tuple[str, float]:
-    """The text of the standard deviation, and the time constant in s."""
+def _split_seconds(name: str, given: str) -> tuple[str, float]:
+    """The text of an error's size, and the seconds after it."""
+    what, example = _TIMED[name]
     found = re.fullmatch(rf"(\S+)@({_NUMBER})s?", given)
     seconds = float(found[2]) if found else 0.0
-    if found is None or not 0.0 < seconds <= _MOST_CORRELATION_S:
+    if found is None or not 0.0 < seconds <= _MOST_S:
         raise UsageError(
-            f"--hardware: correlated is {given!r}; possible: a standard deviation in rad, @, "
-            "and a time constant "
-            f"above 0 to {_MOST_CORRELATION_S:g} s; type: --hardware correlated=0.002@2s"
+            f"--hardware: {name} is {given!r}; possible: {what} above 0 to {_MOST_S:g} s; type: "
+            f"--hardware {name}={example}"
         )
     return found[1], seconds
 

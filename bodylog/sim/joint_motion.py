@@ -48,9 +48,11 @@ def move_joints(commanded: Motion, hardware: Hardware, arm: Arm, duration: float
     def bent(at: Array, sag: float) -> Array:
         angles = motors(at)
         links = angles + _interpolate_columns(at, t, slack)
-        for largest, shares in ((hardware.payload, loaded), (sag, weighed)):
-            if largest:
-                links = links + largest * shares(angles)
+        if sag:
+            links = links + sag * weighed(angles)
+        if hardware.payload:
+            carried = hardware.payload * hardware.carries_payload(at)
+            links = links + carried[:, None] * loaded(angles)
         return links
 
     truth = _motion_by_differences(lambda at: bent(at, 0.0))

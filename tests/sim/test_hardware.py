@@ -41,6 +41,7 @@ def test_every_error_is_typed_in_the_unit_that_help_names():
     assert vars(found) == pytest.approx(vars(expected))
     assert parse_hardware("") == Hardware()
     assert parse_hardware("correlated=0.002@0.2") == Hardware(correlated=0.002, correlation_s=0.2)
+    assert parse_hardware("payload=1@8s") == Hardware(payload=DEGREE, payload_s=8.0)
 
 
 @pytest.mark.parametrize(
@@ -54,6 +55,7 @@ def test_every_error_is_typed_in_the_unit_that_help_names():
         ("tails=1", "tails is '1'", "0, or 2.1 to 100"),
         ("correlated=0.002", "correlated is '0.002'", "rad, @, and a time constant"),
         ("correlated=0.002@0s", "correlated is '0.002@0s'", "above 0"),
+        ("payload=1@x", "payload is '1@x'", "carried, above 0"),
         ("correlated=x@2s", "correlated is 'x'", "0 to 1"),
         ("play=1,play=2", "play is given twice", "play=2"),
         ("play=1,", "''", "play"),
@@ -105,6 +107,17 @@ def test_tails_keep_the_variance_and_counts_are_steps():
     assert (np.abs(errors) > 5e-3).mean() > 1e-4  # 6e-7 of normal errors
     counts = rounded_to_counts(Hardware(counts=4096), SWING) / (2 * np.pi / 4096)
     assert np.allclose(counts, np.round(counts)) and np.abs(counts - SWING / (2 * np.pi / 4096)).max() <= 0.5
+
+
+def test_a_payload_is_carried_from_when_it_is_picked_up():
+    t = np.linspace(0.0, 19.0, 200)
+    always, later = (
+        move_joints(path(), Hardware(payload=DEGREE, payload_s=since), ARMS["ur5"], 20.0) for since in (0.0, 8.0)
+    )
+    bent = [one.truth.position(t) - one.motors.position(t) for one in (always, later)]
+    assert np.array_equal(always.motors.position(t), later.motors.position(t))
+    assert not bent[1][t < 8.0].any()
+    np.testing.assert_allclose(bent[1][t > 8.2], bent[0][t > 8.2], atol=1e-12)
 
 
 @pytest.mark.parametrize("arm", ["ur5", "seven"])
