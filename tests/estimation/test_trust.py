@@ -72,6 +72,7 @@ def test_few_images_of_something_else_make_no_misfit():
     [
         (0.3, {}, None),
         (0.01, {}, "lift turns by 0.009 rad"),
+        (3e-3, {}, None),  # it rests
         (0.3, {"bias": "on"}, "set to on"),
         (0.3, {"motion": "white-jerk"}, None),
         (0.3, {"motion": "singer"}, "motion is set to singer"),
@@ -82,7 +83,9 @@ def test_few_images_of_something_else_make_no_misfit():
 def test_errors_are_looked_for_where_every_joint_turns_far_beyond_them(turn, setting, reason):
     angles = np.column_stack([np.linspace(0.0, 1.0, 101), np.linspace(0.0, turn, 101)])
     problem = SimpleNamespace(
-        stepwise=False, evidence=SimpleNamespace(encoders=SimpleNamespace(values=angles))
+        stepwise=False,
+        evidence=SimpleNamespace(encoders=SimpleNamespace(values=angles)),
+        precision=SimpleNamespace(encoder=np.full(2, 1e-6)),
     )
     found = trust.reason_to_widen(problem, ("pan", "lift"), 2e-3, EstimationSettings(**setting))
     assert found is None if reason is None else reason in found

@@ -92,7 +92,20 @@ def _change_moments(
         windows = [(begin + a, end + b) for a, b in product(near, near) if begin + a < end + b]
         tried = [_change_between(before, one) for one in windows]
         begin, end = windows[int(np.argmin(_weigh_moments(linear, eliminated, loads, tried)))]
-    return _change_between(before, (begin, end)), cost
+    seen = _list_image_times(linear.problem)
+    return _change_between(before, (_centre(begin, seen), _centre(end, seen))), cost
+
+
+def _list_image_times(problem: FactorProblem) -> Array:
+    """Times (F,) s of all images, in order."""
+    every = [problem.knots[images.knots] + images.ahead for images in problem.images]
+    return np.sort(np.concatenate(every))
+
+
+def _centre(moment: float, seen: Array) -> float:
+    """The middle between the images before and after a moment (s): more is not known of it."""
+    after = int(np.searchsorted(seen, moment))
+    return float(seen[after - 1 : after + 1].mean()) if 0 < after < len(seen) else moment
 
 
 def _change_between(moments: Moments, window: tuple[float, float]) -> Moments:

@@ -105,7 +105,8 @@ def explain(
     ):
         return Explanation(problem.columns, white, white, 0.0, 0.0, {})
     gains: dict[str, float] = {}
-    play = tuple(_list_plays(halves))
+    turning = np.ones(len(halves), bool) if noise.resting is None else ~noise.resting
+    play = tuple(one for one in _list_plays(halves) if turning[one.joint])
     late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
     loose = replace(problem, columns=(*problem.columns, *play))
     # a delay that was corrected for play hides the play: both are free where they are compared
@@ -255,12 +256,14 @@ def _best(found: Sequence[Learned]) -> Learned:
 
 
 def with_lasting(noise: Noise, std: float) -> Noise:
-    """The noise with errors of `std` rad that last
-    at all encoders but those whose offset was found.
+    """The noise with errors of `std` rad that last at all encoders
+    but those whose offset was found, and those of joints that rest.
     """
     joints = noise.joints
     given = np.zeros(len(joints.white)) if joints.error is None else joints.error
     learned = given <= LEAST_STD
+    if noise.resting is not None:
+        learned &= ~noise.resting
     error = np.where(learned, std, given)
     seconds = np.where(learned, np.exp(noise.prior.seconds[0]), joints.seconds)
     return replace(noise, joints=replace(joints, error=error, seconds=seconds, learned=learned))

@@ -38,6 +38,10 @@ WHITE_SPREAD = 1.5
 that last, as wide as that of τ. Where such errors take all noise of readings, the log says nothing
 of that variance, and a search without a prior ends anywhere.
 """
+LEAST_PROCESS = 1e-3
+"""rad²/s⁵ of a joint that rests: with 4 ms between knots its information of motion is 10¹², times
+that of a reading of 1 mrad, and rounding hides 10⁻⁴ of that; with 10⁻⁶ it hid a tenth.
+"""
 _SPAN = 1e4
 """Factor by which variances may differ from those with which the search begins: exact readings
 would let theirs fall for ever."""
@@ -135,7 +139,14 @@ def _tabulate_parameters(
             white,
             WHITE_SPREAD,
         ),
-        "process": (np.log(joints.process), 0.15, process - wide, process + wide, 0.0, np.inf),
+        "process": (
+            np.log(joints.process),
+            0.15,
+            np.log(LEAST_PROCESS),
+            process + wide,
+            0.0,
+            np.inf,
+        ),
     }
     if len(errors := _errors(joints)):
         ends = np.log(FEWEST_READINGS * step_s), np.log(LONGEST_S)

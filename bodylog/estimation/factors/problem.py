@@ -45,7 +45,8 @@ class Noise:
     on the stated variance of each sense's images.
 
     groups (G,): standard deviation of each group of columns before the log · usual: noise about
-    which that of readings and motion is expected; by default, this one.
+    which that of readings and motion is expected; by default, this one · resting (M,) bool: joints
+    that rest, whose errors are not looked for.
     """
 
     joints: JointNoise
@@ -53,6 +54,7 @@ class Noise:
     groups: tuple[float, ...] = ()
     prior: LastingPrior = ANY_ERRORS
     usual: JointNoise | None = None
+    resting: Array | None = None
 
     def column_stds(self, columns: Sequence[Column]) -> Array:
         """Standard deviation (C,) of each column's size before the log."""

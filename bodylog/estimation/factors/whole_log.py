@@ -47,6 +47,8 @@ TURN = np.array([2.0 * np.pi])
 """rad: within what an outlier of an encoder may be."""
 USUAL_STD = 4e-3
 """rad: of errors that last where readings are weighed before these are known."""
+REST_SIGMAS = 4.0
+"""Standard deviations of readings by which a joint that rests seems to turn at most."""
 FIRST_PROCESS = 10.0
 """rad²/s⁵ with which the search begins where the encoders give none."""
 
@@ -195,7 +197,8 @@ def _pose_log(problem: FilterProblem) -> tuple[FactorProblem, FactorProblem, Noi
         return None
     fine = _posed(problem, encoders, sightings, _thinned(problem.timeline.t, CLOSEST_S))
     noise = _first_noise(problem, len(sightings))
-    fine = _weighed(fine, with_lasting(noise, USUAL_STD), rough=True)
+    # readings are weighed with errors of all joints: what rests may bend
+    fine = _weighed(fine, with_lasting(replace(noise, resting=None), USUAL_STD), rough=True)
     return fine, _middle(fine), noise
 
 
@@ -323,7 +326,21 @@ def _first_noise(problem: FilterProblem, sights: int) -> Noise:
     joints = JointNoise(
         ORDER, precision.encoder, process, error, seconds, np.zeros(m, bool), np.zeros(m, bool)
     )
-    return Noise(joints, (1.0,) * sights, usual=joints)
+    return Noise(joints, (1.0,) * sights, usual=joints, resting=find_resting_joints(problem))
+
+
+def measure_turns(encoders: Encoders) -> Array:
+    """How far each joint turns (M,) rad, but for the tenth of its readings that are farthest off."""
+    known = (column[np.isfinite(column)] for column in encoders.values.T)
+    return np.array([np.ptp(np.quantile(one, [0.05, 0.95])) if len(one) else 0.0 for one in known])
+
+
+def find_resting_joints(problem: FilterProblem) -> Array:
+    """Joints (M,) bool that turn by no more than their encoders' noise, of which
+    nine tenths are within 3.3 standard deviations.
+    """
+    encoders = _posed_encoders(problem)
+    return np.asarray(measure_turns(encoders) < REST_SIGMAS * np.sqrt(problem.precision.encoder))
 
 
 def _weighed(fine: FactorProblem, noise: Noise, rough: bool) -> FactorProblem:

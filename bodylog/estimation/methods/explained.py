@@ -290,7 +290,7 @@ def _with_explanation(
     return replace(
         beliefs,
         z=np.concatenate(parts, axis=1),
-        cov=instants.cov,
+        cov=instants.cov + np.diag(_resting_variances(found.noise)),
         nats=instants.nats,
         before=instants.before,
         before_cov=instants.before_cov,
@@ -299,6 +299,15 @@ def _with_explanation(
         findings=(),  # they are of beliefs that are not reported
         places=places,
     )
+
+
+def _resting_variances(noise: Noise) -> Array:
+    """Variances (M,) of the errors of joints that rest: those that turn tell how large they are."""
+    joints = noise.joints
+    found = np.zeros(len(joints.white))
+    if joints.error is not None and noise.resting is not None:
+        found[noise.resting] = np.mean(np.square(joints.error[joints.learned]))
+    return found
 
 
 def _place(problem: FilterProblem, instants: Instants, number: int) -> Place:

@@ -17,7 +17,14 @@ from ...types import Array
 from ..factors.hypotheses import Explanation
 from ..factors.load import Load, bend_under_load
 from ..factors.robust import image_span, mixture_nats
-from ..factors.whole_log import ExplainedLog, SolvedLog, explain_by_white_noise, solve_log
+from ..factors.whole_log import (
+    ExplainedLog,
+    SolvedLog,
+    explain_by_white_noise,
+    find_resting_joints,
+    measure_turns,
+    solve_log,
+)
 from ..faults.threshold import SIGNIFICANT_SIGMA
 from ..inference.filter_log import filter_roughly
 from ..inference.problem import FilterProblem
@@ -71,11 +78,12 @@ def reason_to_widen(
         return "variances are set"
     if problem.stepwise or problem.evidence.encoders is None:
         return "encoders are silent for long"
-    for name, column in zip(names, problem.evidence.encoders.values.T, strict=True):
-        known = column[np.isfinite(column)]
-        turn = float(np.ptp(np.quantile(known, [0.05, 0.95]))) if len(known) else 0.0
-        if turn < LEAST_TURN * std:
-            return f"{name} turns by {turn:.2g} rad, too little to tell them from the body's error"
+    turns = measure_turns(problem.evidence.encoders)
+    resting = find_resting_joints(problem)
+    judged = np.flatnonzero(~resting if not resting.all() else resting)
+    for j in judged[turns[judged] < LEAST_TURN * std].tolist():
+        turn = f"{names[j]} turns by {turns[j]:.2g} rad"
+        return f"{turn}, too little to tell them from the body's error"
     return None
 
 
@@ -104,7 +112,9 @@ def reason_of_disagreement(
     solved = solve_log(problem, white, causal)
     stated = np.einsum("emm->em", cov[:, :m, :m])
     apart = solved.instants.angles - angles[:, :m]
-    far = float(np.sqrt(np.mean(np.square(apart) / stated)))
+    # of joints that rest, each engine assumes another least motion
+    turning = ~find_resting_joints(problem)
+    far = float(np.sqrt(np.mean((np.square(apart) / stated)[:, turning])))
     if far <= MOST_APART:
         return None
     return f"two solutions for white noise are {far:.2g} standard deviations apart"
