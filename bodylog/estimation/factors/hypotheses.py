@@ -124,7 +124,7 @@ def explain(
     else:
         gains.clear()
     if loads:
-        bent, loads, cost = _time_likeliest_load(problem, loads, step_s, white, lasting)
+        bent, loads, cost = _time_likeliest_load(problem, noise, loads, step_s, white, lasting)
         gain = lasting.nats - bent.nats - cost
         # what lasts long and is gone beside a load stood for it: neither is simpler;
         # play leaves none
@@ -146,12 +146,19 @@ def explain(
 
 
 def _time_likeliest_load(
-    problem: FactorProblem, loads: tuple[Load, ...], step_s: float, white: Learned, before: Learned
+    problem: FactorProblem,
+    noise: Noise,
+    loads: tuple[Load, ...],
+    step_s: float,
+    white: Learned,
+    before: Learned,
 ) -> tuple[Learned, tuple[Load, ...], float]:
     """The noise beside a load that is carried all the time, or when it is most probable,
     the load's columns, and −ln p of when it is carried.
+
+    noise: as known before the log's images, in which a load stands for none of it.
     """
-    timed = list_timed_loads(problem, white.noise, white.path, loads)
+    timed = list_timed_loads(problem, noise, white.path, loads)
     tried = ((_learn_load(problem, one, step_s, white, before), one, cost) for one, cost in timed)
     best = next(tried)
     for again in tried:
