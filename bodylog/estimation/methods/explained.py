@@ -232,7 +232,7 @@ def _allowance_for_faults(
     where the log is as likely without it. The sizes of a displacement cost no evidence.
     """
     passing = _is_usual(found.noise)
-    moves = cameras * EVIDENCE_THRESHOLD_NATS
+    moves = 0.0 if _is_picked_up(found.explanation) else cameras * EVIDENCE_THRESHOLD_NATS
     gains = found.explanation.gains
     if (off := _count_from_start(problem, faults)) > 1:
         return moves + (off - 1) * EVIDENCE_THRESHOLD_NATS
@@ -245,6 +245,12 @@ def _allowance_for_faults(
     if not (passing and "play" in gains) or cameras:
         return -np.inf
     return 0.0 if "play" in beside.explanation.gains else EVIDENCE_THRESHOLD_NATS
+
+
+def _is_picked_up(explanation: Explanation) -> bool:
+    """Whether a load explains the log that is not carried all the time."""
+    loads = (one for one in explanation.columns if isinstance(one, Load))
+    return any(one.moments != (-np.inf,) for one in loads)
 
 
 def _is_usual(noise: Noise) -> bool:
