@@ -311,7 +311,7 @@ def _resting_variances(noise: Noise) -> Array:
     """Variances (M,) of the errors of joints that rest: those that turn tell how large they are."""
     joints = noise.joints
     found = np.zeros(len(joints.white))
-    if joints.error is not None and noise.resting is not None:
+    if joints.error is not None and noise.resting is not None and joints.learned.any():
         found[noise.resting] = np.mean(np.square(joints.error[joints.learned]))
     return found
 
@@ -341,7 +341,8 @@ def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, A
         errors["load"] = _describe_load(loads, explanation, names)
     errors["gains"] = dict(explanation.gains)
     errors["late"] = {one.camera: asdict(one) for one in explanation.delays}
-    if joints.error is not None and (explanation.lasts or not (errors["play"] or errors["load"])):
+    is_told = explanation.lasts or not (errors["play"] or errors["load"])
+    if joints.error is not None and joints.learned.any() and is_told:
         size = float(np.sqrt(np.mean(np.square(joints.error[joints.learned]))))
         where = "link" if joints.at_link.any() else "encoder"
         seconds = float(joints.seconds[joints.learned][0])
