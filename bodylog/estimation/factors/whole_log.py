@@ -336,11 +336,12 @@ def measure_turns(encoders: Encoders) -> Array:
 
 
 def find_resting_joints(problem: FilterProblem) -> Array:
-    """Joints (M,) bool that turn by no more than their encoders' noise, of which
-    nine tenths are within 3.3 standard deviations.
+    """Joints (M,) bool that turn by no more than their encoders' noise, of which nine
+    tenths are within 3.3 standard deviations, while others turn; none of an arm at rest.
     """
     encoders = _posed_encoders(problem)
-    return np.asarray(measure_turns(encoders) < REST_SIGMAS * np.sqrt(problem.precision.encoder))
+    rest = measure_turns(encoders) < REST_SIGMAS * np.sqrt(problem.precision.encoder)
+    return np.asarray(rest & ~rest.all())
 
 
 def _weighed(fine: FactorProblem, noise: Noise, rough: bool) -> FactorProblem:

@@ -79,9 +79,8 @@ def reason_to_widen(
     if problem.stepwise or problem.evidence.encoders is None:
         return "encoders are silent for long"
     turns = measure_turns(problem.evidence.encoders)
-    resting = find_resting_joints(problem)
-    judged = np.flatnonzero(~resting if not resting.all() else resting)
-    for j in judged[turns[judged] < LEAST_TURN * std].tolist():
+    still = (turns < LEAST_TURN * std) & ~find_resting_joints(problem)
+    for j in np.flatnonzero(still).tolist():
         turn = f"{names[j]} turns by {turns[j]:.2g} rad"
         return f"{turn}, too little to tell them from the body's error"
     return None
