@@ -91,6 +91,18 @@ def test_errors_are_looked_for_where_every_joint_turns_far_beyond_them(turn, set
     assert found is None if reason is None else reason in found
 
 
+def test_no_joint_of_an_arm_at_rest_is_singled_out():
+    angles = 1e-3 * np.random.default_rng(0).standard_normal((101, 2))
+    problem = SimpleNamespace(
+        stepwise=False,
+        evidence=SimpleNamespace(encoders=SimpleNamespace(values=angles)),
+        precision=SimpleNamespace(encoder=np.full(2, 1e-6)),
+    )
+    found = trust.reason_to_widen(problem, ("pan", "lift"), 2e-3, EstimationSettings())
+    assert found is not None and found.startswith("pan turns by")
+    assert not trust.find_resting_joints(problem).any()
+
+
 @pytest.mark.parametrize("seed", range(40, 43))
 def test_readings_of_smooth_joints_have_no_colour_for_a_smoother_either(seed):
     """Its process is several times smaller than a filter's, whose innovations are judged."""
