@@ -4,7 +4,7 @@ last, play, and columns beside them, each by its evidence.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 
@@ -29,6 +29,8 @@ DRIFTS_S = 5.0
 """s: errors that last longer can imitate an encoder that drifts, and a load."""
 SILENT_STD = 1e-5
 """rad: width of a group of columns whose joint does not bend."""
+MOST_TIMES = 2
+"""Times in which a load is carried that are looked for: each takes a second or two to compare."""
 DELAY_STD = 0.05
 """s: of what is left of a camera's delay."""
 
@@ -158,14 +160,13 @@ def _time_likeliest_load(
 
     noise: as known before the log's images, in which a load stands for none of it.
     """
-    timed = list_timed_loads(problem, noise, white.path, loads)
+    timed = islice(list_timed_loads(problem, noise, white.path, loads), 1 + MOST_TIMES)
     tried = ((_learn_load(problem, one, step_s, white, before), one, cost) for one, cost in timed)
     best = next(tried)
     for again in tried:
         least = EVIDENCE_THRESHOLD_NATS if best[2] else 0.0
-        if best[0].nats + best[2] - again[0].nats - again[2] <= least:
-            break
-        best = again
+        if best[0].nats + best[2] - again[0].nats - again[2] > least:
+            best = again
     return best
 
 
