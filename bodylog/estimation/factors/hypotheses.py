@@ -162,12 +162,7 @@ def _time_likeliest_load(
     """
     timed = islice(list_timed_loads(problem, noise, white.path, loads), 1 + MOST_TIMES)
     tried = ((_learn_load(problem, one, step_s, white, before), one, cost) for one, cost in timed)
-    best = next(tried)
-    for again in tried:
-        least = EVIDENCE_THRESHOLD_NATS if best[2] else 0.0
-        if best[0].nats + best[2] - again[0].nats - again[2] > least:
-            best = again
-    return best
+    return min(tried, key=lambda one: one[0].nats + one[2])
 
 
 def _learn_load(
