@@ -36,7 +36,7 @@ def test_columns_added_later_have_the_schur_complement_of_columns_that_are_there
     rng = np.random.default_rng(seed)
     known = (EncoderShift("repaired step", 1e-3, mean=2e-3, joint=1, since=0.2),)
     problem = factor_problems.drawn(rng, known)
-    more = (bent(0, (0.1, 0.25)), bent(1, (0.2,)), LinkShift("shift", 1.0, joint=0, since=0.15, grows=True))
+    more = (bent(0, (0.1, 0.25)), bent(1, (0.2,)), LinkShift("shift", 1.0, joint=0, since=0.15, until=0.45, grows=True))
     noise = replace(factor_problems.noise(3, rng), groups=(1.0, 1.0))
     path = initial_path(problem)
     linear = linearise(problem, path, noise)
@@ -49,7 +49,7 @@ def test_a_shift_of_a_link_is_minus_that_of_its_encoder():
     t = np.linspace(0.0, 4.0, 9)
     path = Path(t, *[np.zeros((9, 2))] * 4)
     for grows in (False, True):
-        shown = LinkShift("shift", 1.0, joint=1, since=1.0, grows=grows).moves_links(path)
+        shown = LinkShift("shift", 1.0, joint=1, since=1.0, until=4.0, grows=grows).moves_links(path)
         read = EncoderShift("shift", 1.0, joint=1, since=1.0, grows=grows).reads(t, path)
         np.testing.assert_allclose(shown, read / (3.0 if grows else 1.0))
 
@@ -127,6 +127,6 @@ def test_what_an_arm_picks_up_is_named_as_a_load_and_no_encoder_is_accused(mecha
         ([3.0, 6.1, 9.0], "payload from 3.0 to 6.1 s, from 9.0 s on: joints"),
     ],
 )
-def test_a_load_is_told_with_when_it_is_carried(moments, words):
+def test_a_sentence_says_when_a_load_is_carried(moments, words):
     load = {"weight": True, "nats": 20.0, "rad": {"lift": 0.01}, "moments": moments}
     assert load_sentence(load).startswith(words)

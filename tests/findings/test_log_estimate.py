@@ -13,20 +13,31 @@ LOAD = "payload=1"
 LOGS = 10
 
 
+DRAWN = {"noise": 1e-3, "size": (320, 240)}
+
+
+def fit_body(folder, **options):
+    """The body learned from 40 s of babbling."""
+    exploration = folder / "explore.mcap"
+    pipeline.record("babble", exploration, seed=1, duration=40.0, **DRAWN, **options)
+    pipeline.fit([exploration], folder / "body.npz")
+    return storage.load_body(folder / "body.npz")
+
+
+def estimate_run(scenario, run, body, **options):
+    """The estimate of a run that is recorded first."""
+    pipeline.record(scenario, run, **DRAWN, **options)
+    read, features = pipeline.observe(run, Settings())
+    return log_estimate.estimate_log(LogWithBody(run, read, features, body, Settings(), Settings()))
+
+
 @pytest.mark.soak
 def test_a_load_is_named_as_a_payload_by_a_body_with_a_urdf(tmp_path):
-    exploration = tmp_path / "explore.mcap"
-    drawn = {"noise": 1e-3, "size": (320, 240)}
-    pipeline.record("babble", exploration, seed=1, duration=40.0, **drawn)
-    pipeline.fit([exploration], tmp_path / "body.npz")
-    body = storage.load_body(tmp_path / "body.npz")
+    body = fit_body(tmp_path)
     named = 0
     for seed in range(11, 11 + LOGS):
         run = tmp_path / f"run{seed}.mcap"
-        pipeline.record("babble", run, seed=seed, duration=12.0, hardware=LOAD, **drawn)
-        read, features = pipeline.observe(run, Settings())
-        log = LogWithBody(run, read, features, body, Settings(), Settings())
-        found = log_estimate.estimate_log(log)
+        found = estimate_run("babble", run, body, seed=seed, duration=12.0, hardware=LOAD)
         assert not found.faults
         load = found.settings.get(HARDWARE_ERRORS, {}).get("load")
         named += load is not None and load["weight"]
@@ -36,18 +47,11 @@ def test_a_load_is_named_as_a_payload_by_a_body_with_a_urdf(tmp_path):
 @pytest.mark.soak
 @pytest.mark.parametrize("since", [0.0, 8.0])
 def test_a_payload_is_named_where_joints_rest_that_moved_in_the_exploration(tmp_path, since):
-    exploration = tmp_path / "explore.mcap"
-    drawn = {"noise": 1e-3, "size": (320, 240)}
-    pipeline.record("babble", exploration, seed=1, duration=40.0, full=True, **drawn)
-    pipeline.fit([exploration], tmp_path / "body.npz")
-    body = storage.load_body(tmp_path / "body.npz")
+    body = fit_body(tmp_path, full=True)
     hardware = f"{LOAD}@{since}s" if since else LOAD
     for seed in range(11, 14):
         run = tmp_path / f"run{seed}.mcap"
-        pipeline.record("reach", run, seed=seed, duration=16.0, hardware=hardware, **drawn)
-        read, features = pipeline.observe(run, Settings())
-        log = LogWithBody(run, read, features, body, Settings(), Settings())
-        found = log_estimate.estimate_log(log)
+        found = estimate_run("reach", run, body, seed=seed, duration=16.0, hardware=hardware)
         assert not found.faults
         load = found.settings[HARDWARE_ERRORS]["load"]
         assert load["weight"]

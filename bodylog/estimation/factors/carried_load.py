@@ -25,19 +25,21 @@ narrows until it knows the images between which it was.
 
 @dataclass(frozen=True)
 class LinkShift(Column):
-    """What a link stands off what its encoder reads from `since` s on, rad, or grows to until the
-    end: what an encoder that is off shows in images.
+    """How far a link is from where its encoder reads it from `since` s on, or by `until` s, if that
+    grows, rad: what an encoder that is off shows in images.
     """
 
     joint: int = 0
     since: float = -np.inf
+    until: float = np.inf
     grows: bool = False
 
     def moves_links(self, path: Path) -> Array:
-        """A step, or a ramp to 1 at the last knot."""
+        """A step, or a ramp to 1 at `until`."""
         own = np.zeros(path.angles.shape)
         after = path.knots - self.since
-        own[:, self.joint] = np.maximum(after, 0.0) / after[-1] if self.grows else after >= 0.0
+        grown = np.maximum(after, 0.0) / (self.until - self.since)
+        own[:, self.joint] = grown if self.grows else after >= 0.0
         return own
 
 
@@ -48,11 +50,11 @@ Moments = tuple[float, ...]
 def list_timed_loads(
     problem: FactorProblem, noise: Noise, path: Path, loads: tuple[Load, ...]
 ) -> Iterator[tuple[tuple[Load, ...], float]]:
-    """Yield the loads as carried all the time, then as carried when it is most probable, each time
-    with one more time in which that is otherwise than before, and −ln p of these times before the
-    log: each is one of all that were tried. No times where it is as likely that one encoder is off.
+    """Yield the loads as carried from the first to the last image, then with one window of time
+    after another in which that changes, each the most probable one.
 
-    noise, path: as known without the loads.
+    With each come −ln p of its windows before the log: each window is one of all that were tried.
+    The list ends where one encoder that is off is as probable. noise, path: without the loads.
     """
     yield loads, 0.0
     linear = linearise(problem, path, noise)
@@ -73,8 +75,8 @@ def list_timed_loads(
 def _change_moments(
     linear: Linearised, eliminated: Eliminated, loads: tuple[Load, ...], before: Moments
 ) -> tuple[Moments, float] | None:
-    """The moments with one more change of a load for a time, and −ln p of that before the log; None
-    if the log is about as likely without it, or with the loads carried all the time.
+    """The moments with the most probable window in which they change, and −ln p of that window
+    before the log; None if the log is about as likely without it, or with the loads all the time.
     """
     knots = linear.problem.knots
     step = (knots[-1] - knots[0]) / PARTS
@@ -93,7 +95,8 @@ def _change_moments(
         tried = [_change_between(before, one) for one in windows]
         begin, end = windows[int(np.argmin(_weigh_moments(linear, eliminated, loads, tried)))]
     seen = _list_image_times(linear.problem)
-    return _change_between(before, (_centre(begin, seen), _centre(end, seen))), cost
+    window = (_centre_between_images(begin, seen), _centre_between_images(end, seen))
+    return _change_between(before, window), cost
 
 
 def _list_image_times(problem: FactorProblem) -> Array:
@@ -102,14 +105,14 @@ def _list_image_times(problem: FactorProblem) -> Array:
     return np.sort(np.concatenate(every))
 
 
-def _centre(moment: float, seen: Array) -> float:
+def _centre_between_images(moment: float, seen: Array) -> float:
     """The middle between the images before and after a moment (s): more is not known of it."""
     after = int(np.searchsorted(seen, moment))
     return float(seen[after - 1 : after + 1].mean()) if 0 < after < len(seen) else moment
 
 
 def _change_between(moments: Moments, window: tuple[float, float]) -> Moments:
-    """The moments with a load where there was none between two (s), and none where there was one."""
+    """The moments with a load where the window (s) had none, and without where it had one."""
     return tuple(sorted(one for one in {*moments} ^ {*window} if one < np.inf))
 
 
@@ -136,7 +139,8 @@ def _weigh_shifts(linear: Linearised, eliminated: Eliminated) -> float:
     joints = range(len(linear.problem.start))
     kinds = product(joints, moments, (False, True))
     shifts = tuple(
-        LinkShift("shift", 1.0, joint=j, since=one, grows=grows) for j, one, grows in kinds
+        LinkShift("shift", 1.0, joint=j, since=one, until=float(knots[-1]), grows=grows)
+        for j, one, grows in kinds
     )
     alone = np.eye(len(shifts))[:, None]
     nats = _weigh_columns(linear, eliminated, shifts, alone, PRIOR_STD_RAD)

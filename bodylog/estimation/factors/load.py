@@ -43,6 +43,7 @@ class Load(Column):
         return np.zeros(angles.shape)
 
     def _is_carried(self, t: Array) -> Array:
+        """Whether the load is carried at times t (N,) s: after an odd number of moments."""
         return np.asarray(np.searchsorted(self.moments, t, side="right") % 2 == 1)
 
 

@@ -39,8 +39,9 @@ that last, as wide as that of τ. Where such errors take all noise of readings, 
 of that variance, and a search without a prior ends anywhere.
 """
 LEAST_PROCESS = 1e-3
-"""rad²/s⁵ of a joint that rests: with 4 ms between knots its information of motion is 10¹², times
-that of a reading of 1 mrad, and rounding hides 10⁻⁴ of that; with 10⁻⁶ it hid a tenth.
+"""rad²/s⁵ of a joint that hardly moves. With knots 4 ms apart the information of its motion is
+10¹² times that of a reading of 1 mrad, and rounding errs by 10⁻⁴ of the reading's; at 10⁻⁶ it
+errs by a tenth.
 """
 _SPAN = 1e4
 """Factor by which variances may differ from those with which the search begins: exact readings

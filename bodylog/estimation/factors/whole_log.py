@@ -172,8 +172,8 @@ def resembles_load(problem: FilterProblem, without: FilterProblem, loads: tuple[
     alone = _pose_log(without)
     if posed is None or alone is None:
         return False
-    _, coarse, noise = posed
-    offset = solve(coarse, noise, rounds=WEIGHING).nats + _outliers(coarse)
+    _, shifted, its_noise = posed
+    offset = solve(shifted, its_noise, rounds=WEIGHING).nats + _outliers(shifted)
     _, coarse, noise = alone
     path = path_of(coarse, noise, solve(coarse, noise, rounds=WEIGHING).beliefs)
     wide = replace(noise, groups=(WIDE_BEND,) * count_groups(loads))
@@ -197,7 +197,7 @@ def _pose_log(problem: FilterProblem) -> tuple[FactorProblem, FactorProblem, Noi
         return None
     fine = _posed(problem, encoders, sightings, _thinned(problem.timeline.t, CLOSEST_S))
     noise = _first_noise(problem, len(sightings))
-    # readings are weighed with errors of all joints: what rests may bend
+    # a joint that rests may bend, too
     fine = _weighed(fine, with_lasting(replace(noise, resting=None), USUAL_STD), rough=True)
     return fine, _middle(fine), noise
 
@@ -330,7 +330,7 @@ def _first_noise(problem: FilterProblem, sights: int) -> Noise:
 
 
 def measure_turns(encoders: Encoders) -> Array:
-    """How far each joint turns (M,) rad, but for the tenth of its readings that are farthest off."""
+    """How far each joint turns (M,) rad, without the tenth of its readings farthest off."""
     known = (column[np.isfinite(column)] for column in encoders.values.T)
     return np.array([np.ptp(np.quantile(one, [0.05, 0.95])) if len(one) else 0.0 for one in known])
 

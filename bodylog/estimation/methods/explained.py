@@ -66,7 +66,7 @@ def explained_estimate(
         square += np.exp(2.0 * prior.error[0]) if prior.known else 0.0
         lasting = LastingError(square**0.5, 0.0, 0.0)
 
-    def explain(std: float, is_white: bool) -> Estimate | str:
+    def try_explanation(std: float, is_white: bool) -> Estimate | str:
         known = (halves, prior)
         try:
             return _explain_estimate(
@@ -76,7 +76,7 @@ def explained_estimate(
             return f"their explanation has no solution ({singular})"
 
     if lasting is None and problem.evidence.worn.any() and settings.precision == "auto":
-        made = explain(float(np.sqrt(np.mean(np.square(problem.evidence.worn)))), False)
+        made = try_explanation(float(np.sqrt(np.mean(np.square(problem.evidence.worn)))), False)
         if isinstance(made, Estimate):
             return made
     # a load looks like an encoder that drifts, by less than counts as a fault, too
@@ -88,7 +88,7 @@ def explained_estimate(
             return kept
         slipping = estimate_stick_slip(method, body, problem, beliefs, settings, rough)
         return results.with_rough_motion(kept, rough.variance) if slipping is None else slipping
-    made = explain(FIRST_BEND if lasting is None else lasting.std, lasting is None)
+    made = try_explanation(FIRST_BEND if lasting is None else lasting.std, lasting is None)
     if isinstance(made, Estimate):
         return made
     if lasting is not None:
@@ -308,7 +308,7 @@ def _with_explanation(
 
 
 def _resting_variances(noise: Noise) -> Array:
-    """Variances (M,) of the errors of joints that rest: those that turn tell how large they are."""
+    """Variances (M,) of the errors of joints that rest, taken from the joints that turn."""
     joints = noise.joints
     found = np.zeros(len(joints.white))
     if joints.error is not None and noise.resting is not None and joints.learned.any():
@@ -341,8 +341,8 @@ def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, A
         errors["load"] = _describe_load(loads, explanation, names)
     errors["gains"] = dict(explanation.gains)
     errors["late"] = {one.camera: asdict(one) for one in explanation.delays}
-    is_told = explanation.lasts or not (errors["play"] or errors["load"])
-    if joints.error is not None and joints.learned.any() and is_told:
+    is_reported = explanation.lasts or not (errors["play"] or errors["load"])
+    if joints.error is not None and joints.learned.any() and is_reported:
         size = float(np.sqrt(np.mean(np.square(joints.error[joints.learned]))))
         where = "link" if joints.at_link.any() else "encoder"
         seconds = float(joints.seconds[joints.learned][0])
