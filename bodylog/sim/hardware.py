@@ -93,7 +93,7 @@ _NUMBER = r"[0-9]*\.?[0-9]+(?:[eE][-+]?[0-9]+)?"
 _MOST_S = 1e4
 _TIMED = {
     "correlated": ("a standard deviation in rad, @, and a time constant", "0.002@2s"),
-    "payload": ("degrees, @, and a time from which it is carried,", "0.5@8s"),
+    "payload": ("degrees, or degrees, @, and a time from which it is carried,", "0.5@8s"),
 }
 """Of errors with a time: what is possible, and an example."""
 
