@@ -17,6 +17,7 @@ from ...types import Array, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
 from ..faults.encoder_offset import total_free_energy
 from ..faults.screening import screen_measurements
+from ..faults.stray_images import StrayRun, find_stray_runs, list_possible_runs, remove_stray_runs
 from ..inference.filter_log import (
     filter_roughly,
     filter_sequentially,
@@ -50,7 +51,7 @@ def estimate_by_filter(
     converges; `ekf` does so once, at the prior mean.
     """
     at = "prior" if settings.method == "ekf" else "posterior"
-    start_problem = build_filter_problem(features, body, settings)
+    start_problem = pose_filter_problem(features, body, settings)
 
     def solved(problem: FilterProblem) -> tuple[FilterProblem, Solution]:
         problem, warm = tune_noise(problem, settings)
@@ -80,6 +81,22 @@ def estimate_by_filter(
         tuple(warn_of_lost_belief(problem, body.joints, solution)),
     )
     return explained_estimate(settings.method, body, problem, start_problem, beliefs, settings)
+
+
+def pose_filter_problem(
+    features: Features, body: BodyModel, settings: EstimationSettings
+) -> FilterProblem:
+    """The problem without images of something else."""
+    built = build_filter_problem(features, body, settings)
+    problem = built
+    runs = list[StrayRun]()
+    while not built.stepwise and (possible := list_possible_runs(problem)):
+        more = find_stray_runs(tune_noise(problem, settings)[0], possible)
+        if not more:
+            break
+        runs += more
+        problem = remove_stray_runs(built, runs)
+    return problem
 
 
 def build_filter_problem(

@@ -44,8 +44,8 @@ from ..inference.tangents import hand_over_starts
 from .contract import Method
 from .explained import explained_estimate
 from .filtering import (
-    build_filter_problem,
     find_offset_faults,
+    pose_filter_problem,
     select_reported_states,
     solve_with_offsets,
     solve_with_reacquisition,
@@ -60,7 +60,7 @@ def estimate_by_smoother(
     features: Features, body: BodyModel, settings: EstimationSettings
 ) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
-    start_problem = build_filter_problem(features, body, settings)
+    start_problem = pose_filter_problem(features, body, settings)
     problem, beliefs = _smooth_log(start_problem, body, settings)
     return explained_estimate("smoother", body, problem, start_problem, beliefs, settings)
 

@@ -418,6 +418,13 @@ def cut_to_middle(problem: FilterProblem) -> FilterProblem:
     low, high = span = _find_middle_span(seen_at, np.empty(0) if found is None else found.t)
     if span == (-np.inf, np.inf):
         return problem
+    return cut_problem(problem, low, high)
+
+
+def cut_problem(problem: FilterProblem, low: float, high: float) -> FilterProblem:
+    """The problem with only the images and encoder readings from `low` to `high` s."""
+    evidence = problem.evidence
+    found = evidence.encoders
     sightings = [s.select_rows((s.t >= low) & (s.t <= high)) for s in evidence.sightings]
     if found is None:
         return _with_measurements(problem, None, sightings)
