@@ -4,15 +4,17 @@ With the noise known, the gain of columns is a Schur complement. That of a load 
 two moments follows from those of loads from either moment on: the first minus the second.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from functools import partial
+from itertools import chain, product
 
 import numpy as np
 
 from ...types import Array
 from ..faults.threshold import PRIOR_STD_RAD
-from .columns import Column, Path
+from ..measurements.track import camera_of_track
+from .columns import Column, ImageShift, Path
 from .load import WIDE_BEND, Load
 from .problem import FactorProblem, Linearised, Noise, add_at_knots, build_system, linearise
 from .solve import Eliminated, column_nats, eliminate
@@ -45,6 +47,8 @@ class LinkShift(Column):
 
 Moments = tuple[float, ...]
 """s: when a load is taken, put down, taken, …; the first is −∞ if it was there from the start."""
+Begin = Callable[[float], tuple[Column, ...]]
+"""Columns of what begins at a moment (s) and lasts."""
 
 
 def list_timed_loads(
@@ -60,9 +64,14 @@ def list_timed_loads(
     linear = linearise(problem, path, noise)
     eliminated = eliminate(build_system(linear))
     rival = _weigh_shifts(linear, eliminated)
+    leads = tuple({one.group: one for one in reversed(loads)}.values())
+
+    def begin(moment: float) -> tuple[Column, ...]:
+        return tuple(replace(lead, moments=(moment,)) for lead in leads)
+
     moments: Moments = ()
     total = 0.0
-    while (found := _change_moments(linear, eliminated, loads, moments)) is not None:
+    while (found := _change_moments(linear, eliminated, begin, WIDE_BEND, moments)) is not None:
         moments, cost = found
         total += cost
         timed = tuple(replace(one, moments=moments) for one in loads)
@@ -72,30 +81,72 @@ def list_timed_loads(
         yield timed, total
 
 
+def list_displaced_images(
+    problem: FactorProblem, noise: Noise, path: Path
+) -> Iterator[tuple[tuple[ImageShift, ...], float]]:
+    """Yield how each camera's images are displaced in the most probable window of time, if the log
+    is more probable with that, and −ln p of that window before the log.
+    """
+    linear = linearise(problem, path, noise)
+    eliminated = eliminate(build_system(linear))
+    tracks = [one.sighting for one in problem.images if one.sighting.is_track]
+    for camera in dict.fromkeys(camera_of_track(one.name) for one in tracks):
+        own = [one.values for one in tracks if camera_of_track(one.name) == camera]
+        # they may lie anywhere among the places of their tracks
+        std = float(np.nanstd(np.concatenate(own), axis=0).max())
+        shift = ImageShift("displaced", std, camera=camera)
+        shifts = tuple(replace(shift, axis=axis) for axis in range(own[0].shape[1]))
+        begin = partial(_begin_shift, shifts)
+        found = _change_moments(linear, eliminated, begin, std, ())
+        if found is not None:
+            (since, *until), cost = found
+            end = until[0] if until else np.inf
+            yield tuple(replace(one, until=end) for one in begin(since)), cost
+
+
+def _begin_shift(shifts: tuple[ImageShift, ...], moment: float) -> tuple[ImageShift, ...]:
+    """The shifts from a moment (s) on."""
+    return tuple(replace(one, since=moment) for one in shifts)
+
+
+def weigh_shift(
+    problem: FactorProblem, noise: Noise, path: Path, shifts: tuple[ImageShift, ...]
+) -> float:
+    """Nats by which a log is more probable with shifts of unknown sizes, with this noise."""
+    linear = linearise(problem, path, noise)
+    eliminated = eliminate(build_system(linear))
+    without = eliminated.nats - eliminated.logs
+    alone = np.eye(len(shifts))[None]
+    return without - float(_weigh_columns(linear, eliminated, shifts, alone, shifts[0].std)[0])
+
+
 def _change_moments(
-    linear: Linearised, eliminated: Eliminated, loads: tuple[Load, ...], before: Moments
+    linear: Linearised, eliminated: Eliminated, begin: Begin, std: float, before: Moments
 ) -> tuple[Moments, float] | None:
-    """The moments with the most probable window in which they change, and −ln p of that window
-    before the log; None if the log is about as likely without it, or with the loads all the time.
+    """The moments with the most probable window in which columns change, and −ln p of that window
+    before the log; None if the log is about as likely without it, or with the columns all the time.
+
+    begin: columns of what begins at a moment and lasts, of sizes 0 ± std.
     """
     knots = linear.problem.knots
     step = (knots[-1] - knots[0]) / PARTS
     inner = (knots[0] + step * np.arange(1, PARTS)).tolist()
     windows = [one for one in product([-np.inf, *inner], [*inner, np.inf]) if one[0] < one[1]]
     tried = [before or (-np.inf,), *(_change_between(before, one) for one in windows)]
-    nats = _weigh_moments(linear, eliminated, loads, tried)
+    nats = _weigh_moments(linear, eliminated, begin, std, tried)
     cost = float(np.log(len(windows)))
     if nats[0] - nats.min() <= cost:
         return None
-    begin, end = windows[int(np.argmin(nats[1:]))]
+    since, until = windows[int(np.argmin(nats[1:]))]
     while step > np.median(np.diff(knots)):
         step /= 4.0
         near = (step * np.arange(-4, 5)).tolist()
-        windows = [(begin + a, end + b) for a, b in product(near, near) if begin + a < end + b]
+        windows = [(since + a, until + b) for a, b in product(near, near) if since + a < until + b]
         tried = [_change_between(before, one) for one in windows]
-        begin, end = windows[int(np.argmin(_weigh_moments(linear, eliminated, loads, tried)))]
+        nats = _weigh_moments(linear, eliminated, begin, std, tried)
+        since, until = windows[int(np.argmin(nats))]
     seen = _list_image_times(linear.problem)
-    window = (_centre_between_images(begin, seen), _centre_between_images(end, seen))
+    window = (_centre_between_images(since, seen), _centre_between_images(until, seen))
     return _change_between(before, window), cost
 
 
@@ -117,19 +168,18 @@ def _change_between(moments: Moments, window: tuple[float, float]) -> Moments:
 
 
 def _weigh_moments(
-    linear: Linearised, eliminated: Eliminated, loads: Sequence[Load], tried: Sequence[Moments]
+    linear: Linearised, eliminated: Eliminated, begin: Begin, std: float, tried: Sequence[Moments]
 ) -> Array:
-    """−ln p (W,) of the log with the first load of each group carried as tried."""
-    leads = tuple({one.group: one for one in reversed(loads)}.values())
+    """−ln p (W,) of the log with columns, of sizes 0 ± std, that are there as tried."""
     steps = sorted({one for moments in tried for one in moments})
-    more = tuple(replace(lead, moments=(one,)) for one in steps for lead in leads)
-    count = len(leads)
-    mixes = np.zeros((len(tried), count, len(more)))
+    each = [begin(one) for one in steps]
+    count = len(each[0])
+    mixes = np.zeros((len(tried), count, count * len(steps)))
     for mix, moments in zip(mixes, tried, strict=True):
         for i, one in enumerate(moments):
             first = steps.index(one) * count
             mix[:, first : first + count] = np.eye(count) * (-1.0) ** i
-    return _weigh_columns(linear, eliminated, more, mixes, WIDE_BEND)
+    return _weigh_columns(linear, eliminated, tuple(chain(*each)), mixes, std)
 
 
 def _weigh_shifts(linear: Linearised, eliminated: Eliminated) -> float:

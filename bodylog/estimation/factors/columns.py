@@ -107,6 +107,27 @@ class Delay(Column):
 
 
 @dataclass(frozen=True)
+class ImageShift(Column):
+    """How far a camera's images are displaced along one axis from `since` to `until` s, in their
+    unit.
+    """
+
+    camera: str = ""
+    axis: int = 0
+    since: float = -np.inf
+    until: float = np.inf
+
+    def displaces_images(self, images: "Images", path: Path) -> Array:
+        """A unit along the axis, in this camera's images of that time."""
+        own = np.zeros(images.values.shape)
+        sighting = images.sighting
+        if sighting.is_track and camera_of_track(sighting.name) == self.camera:
+            t = path.at_images(images).knots
+            own[:, self.axis] = (t >= self.since) & (t < self.until)
+        return own
+
+
+@dataclass(frozen=True)
 class EncoderShift(Column):
     """What an encoder reads too much from `since` s on, rad, or rad/s where it grows."""
 

@@ -4,7 +4,7 @@ last, play, and columns beside them, each by its evidence.
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
+from itertools import chain, combinations, islice
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..measurements.arm_errors import PLAY_STD
 from ..measurements.track import camera_of_track
-from .carried_load import list_timed_loads
+from .carried_load import list_displaced_images, list_timed_loads, weigh_shift
 from .columns import Column, Delay, Play
 from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
@@ -125,6 +125,9 @@ def explain(
         lasting = _learn(loose, loosely.noise, step_s, loosely)
     else:
         gains.clear()
+    problem, lasting, displaced = _displace_images(problem, noise, step_s, white, lasting)
+    if displaced > 0.0:
+        gains["displaced"] = displaced
     if loads:
         bent, loads, cost = _time_likeliest_load(problem, noise, loads, step_s, white, lasting)
         gain = lasting.nats - bent.nats - cost
@@ -145,6 +148,34 @@ def explain(
     if "load" in gains:
         found = mix_silent_groups(found, problem.columns)
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
+
+
+def _displace_images(
+    problem: FactorProblem, noise: Noise, step_s: float, white: Learned, before: Learned
+) -> tuple[FactorProblem, Learned, float]:
+    """The problem and its noise with the windows of time in which a camera's images are displaced,
+    one after the other while they win EVIDENCE_THRESHOLD_NATS, and the nats that all win.
+
+    noise: as of `explain`; such windows are looked for by errors that last, too, which stand for
+    part of what a displacement shows.
+    """
+    total = 0.0
+    while True:
+        known = ((noise, white.path), (before.noise, before.path))
+        tried = chain(*(list_displaced_images(problem, *one) for one in known))
+        gains = [
+            (weigh_shift(problem, before.noise, before.path, shifts) - cost, shifts, cost)
+            for shifts, cost in tried
+        ]
+        gain, shifts, cost = max(gains, key=lambda one: one[0], default=(0.0, (), 0.0))
+        if gain <= EVIDENCE_THRESHOLD_NATS:
+            return problem, before, total
+        more = replace(problem, columns=(*problem.columns, *shifts))
+        after = _learn(more, before.noise, step_s, before)
+        gain = before.nats - after.nats - cost
+        if gain <= EVIDENCE_THRESHOLD_NATS:
+            return problem, before, total
+        problem, before, total = more, after, total + gain
 
 
 def _time_likeliest_load(

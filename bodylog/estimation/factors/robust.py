@@ -56,15 +56,16 @@ def outlier_nats(share: Array, span: Array) -> float:
     return float(((1.0 - share) * (np.log(span).sum() - np.log(OUTLIERS))).sum())
 
 
-def left_out(residual: Array, noise: Array, belief: Array) -> tuple[Array, Array]:
+def left_out(residual: Array, noise: Array, belief: Array, settled: Array) -> tuple[Array, Array]:
     """Residuals (F,D) and covariances (F,D,D) without the measurement itself, from those with it.
 
     A measurement of noise R that leaves the residual r of a belief with covariance V is off the
     others' prediction by R (R − V)⁻¹ r, with covariance R (R − V)⁻¹ R (de Jong 1988).
+    settled (F,D,D): covariance of r by what no measurement of the log changes any more.
     """
     rest = noise - belief
     # rounding may leave less than nothing of a measurement that the belief is made of
     floor = 1e-3 * np.einsum("fdd->fd", noise)
     np.einsum("fdd->fd", rest)[:] = np.maximum(np.einsum("fdd->fd", rest), floor)
     gain = np.linalg.solve(rest, noise).swapaxes(1, 2)
-    return (gain @ residual[..., None])[..., 0], gain @ noise
+    return (gain @ residual[..., None])[..., 0], gain @ noise + gain @ settled @ gain.swapaxes(1, 2)

@@ -150,12 +150,17 @@ class Marginals:
         """Mean (F,D) and covariance (F,D,D) of rows (F,D,S)
         on the states at knots (F,), and columns (F,D,C).
         """
+        mean, own, by_sizes = self.split_rows(rows, knots, columns)
+        return mean, own + by_sizes
+
+    def split_rows(self, rows: Array, knots: Array, columns: Array) -> tuple[Array, Array, Array]:
+        """As of `of_rows`, the covariance with the columns' sizes known, and that by these."""
         mean = np.einsum("fds,fs->fd", rows, self.mean[knots])
         mean = mean + np.einsum("fdc,fc->fd", columns, self.sizes[knots])
         # x = X₀ − X₁ g: a size moves the states as well
         moved = columns - rows @ self.shared[knots]
         own = rows @ (self.cov[knots] @ rows.swapaxes(1, 2))
-        return mean, own + moved @ self.sizes_cov[knots] @ moved.swapaxes(1, 2)
+        return mean, own, moved @ self.sizes_cov[knots] @ moved.swapaxes(1, 2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -366,7 +366,7 @@ def _with_shares(
     after = np.clip(np.searchsorted(fine.knots, fine.t), 0, len(fine.knots) - 1)
     before = np.maximum(after - 1, 0)
     knot = np.where(fine.t - fine.knots[before] < fine.knots[after] - fine.t, before, after)
-    mean, own = _expect_readings(fine, solution, beliefs, knot)
+    mean, own, settled = _expect_readings(fine, solution, beliefs, knot)
     share = np.ones(fine.values.shape)
     used = solution.linear.problem.believed
     for j in range(len(fine.start)):
@@ -374,26 +374,40 @@ def _with_shares(
         var = (joints.white[j] * fine.relative[known, j])[:, None, None]
         weighed = var if used is None else var / used[known, j][:, None, None]
         residual = (fine.values[known, j] - mean[known, j])[:, None]
-        rest, spread = left_out(residual, weighed, own[known, j][:, None, None])
+        parts = (one[known, j][:, None, None] for one in (own, settled))
+        rest, spread = left_out(residual, weighed, *parts)
         # what the others predict, and this one's own noise if it is sound
         spread = spread - weighed + var
         share[known, j] = believed(rest, np.maximum(spread, var), TURN)
     shares: list[Array] = []
     for images, linear in zip(solution.linear.problem.images, solution.linear.rows, strict=True):
         scale = noise.scales[len(shares)]
-        shares.append(_image_shares(images, linear, beliefs, scale, rough))
+        expected = _expect_images(fine, images, linear, beliefs)
+        shares.append(_image_shares(images, linear, expected, scale, rough))
     return replace(fine, believed=share, images_believed=tuple(shares))
 
 
+def _expect_images(
+    problem: FactorProblem, images: Images, rows: ImageRows, beliefs: Marginals
+) -> tuple[Array, Array, Array]:
+    """Where a sense's images are believed: mean (F,D), covariance (F,D,D) by what images change,
+    and by sizes of columns that are settled.
+    """
+    mean, own, by_sizes = beliefs.split_rows(rows.slopes, images.knots, rows.right[..., 1:])
+    if problem.settled is None:
+        return mean, own + by_sizes, np.zeros_like(own)
+    return mean, own, by_sizes
+
+
 def _image_shares(
-    images: Images, rows: ImageRows, beliefs: Marginals, scale: float, rough: bool
+    images: Images, rows: ImageRows, expected: tuple[Array, Array, Array], scale: float, rough: bool
 ) -> Array:
-    """Shares (N,) of a sense's images."""
-    mean, cov = beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
+    """Shares (N,) of a sense's images, which are expected as of `_expect_images`."""
+    mean, cov, settled = expected
     one = np.eye(mean.shape[1])
     plain = (scale * rows.var)[..., None] * one
     used = plain / images.believed[:, None, None]
-    rest, spread = left_out(rows.right[..., 0] - mean, used, cov)
+    rest, spread = left_out(rows.right[..., 0] - mean, used, cov, settled)
     spread = spread - used + plain
     if rough:
         square = np.einsum("fd,fd->f", rest, np.linalg.solve(spread, rest[..., None])[..., 0])
@@ -418,17 +432,21 @@ def _reading_rows(joints: JointNoise, ahead: Array, size: int) -> Array:
 
 def _expect_readings(
     fine: FactorProblem, solution: Solution, beliefs: Marginals, knot: Array
-) -> tuple[Array, Array]:
-    """What encoders read, from the beliefs at a knot (N,) close to each reading: mean and
-    variance (N,M), with what columns change in readings.
+) -> tuple[Array, Array, Array]:
+    """What encoders read, from the beliefs at a knot (N,) close to each reading, with what columns
+    change in readings: mean (N,M), variance (N,M) by what readings change, and by sizes of columns
+    that are settled.
     """
     joints = solution.linear.noise.joints
     rows = _reading_rows(joints, fine.t - fine.knots[knot], solution.system.states)
     moved = np.zeros((*fine.values.shape, len(fine.columns)))
     for c, column in enumerate(fine.columns):
         moved[..., c] = column.reads(fine.t, solution.linear.path)
-    mean, cov = beliefs.of_rows(rows, knot, moved)
-    return mean, np.einsum("nmm->nm", cov)
+    mean, *parts = beliefs.split_rows(rows, knot, moved)
+    own, by_sizes = (np.einsum("nmm->nm", one) for one in parts)
+    if fine.settled is None:
+        return mean, own + by_sizes, np.zeros_like(own)
+    return mean, own, by_sizes
 
 
 def _at_instants(
@@ -485,19 +503,20 @@ def _places(
     mean, jac, var = sighting.model.predict(instants.before[at])
     cov = jac @ instants.before_cov[at] @ jac.swapaxes(1, 2)
     beliefs = predicted(solution.system, solution.eliminated) if causal else solution.beliefs
-    expected, spread = beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
+    expected, own, settled = _expect_images(linear.problem, images, rows, beliefs)
     residual = rows.right[..., 0] - expected
+    spread = own + settled
     if not causal:
         var_used = linear.noise.scales[number] * rows.var / images.believed[:, None]
         noise = var_used[..., None] * np.eye(residual.shape[1])
-        residual, left = left_out(residual, noise, spread)
+        residual, left = left_out(residual, noise, own, settled)
         spread = left - noise
     # the model's error is among the states
-    own = unmix_rows(images.mix, (images.values - residual, spread, np.zeros(residual.shape)))
+    seen = unmix_rows(images.mix, (images.values - residual, spread, np.zeros(residual.shape)))
     mean = mean.copy()
     cov = cov.copy()
     var = np.array(var)
-    mean[images.frames], cov[images.frames], var[images.frames] = own
+    mean[images.frames], cov[images.frames], var[images.frames] = seen
     return mean, cov, var
 
 
@@ -512,10 +531,11 @@ def _encoder_errors(
     found = np.full((len(line.t), len(problem.start)), np.nan)
     knot = np.clip(np.searchsorted(fine.knots, fine.t + 1e-9) - 1, 0, len(fine.knots) - 1)
     ahead = fine.t - fine.knots[knot]
-    mean, own = _expect_readings(fine, solution, early, knot)
+    mean, own, settled = _expect_readings(fine, solution, early, knot)
     var = joints.white * fine.relative
     assert fine.believed is not None
-    total = var + own if causal else np.maximum(var / fine.believed - own, 1e-3 * var)
+    rest = np.maximum(var / fine.believed - own, 1e-3 * var)
+    total = (var + own if causal else rest) + settled
     at_knot = ahead <= 1e-9
     found[line.encoders[at_knot]] = ((fine.values - mean) / np.sqrt(total))[at_knot]
     return found

@@ -42,8 +42,6 @@ from ..noise.encoder_noise import MAX_MEMORY_S
 from .encoder_offset import RANDOM_WALKS, shape_change
 from .threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
-TRACKED = tuple(axes for axes, _ in TRACK_AXES.values())
-"""Outputs of tracks in images, and of points in space."""
 NO_ERRORS = (0.0, 1.0)
 """σ (rad) and τ (s) of encoders without errors that last."""
 PLAY_ROUNDS = 4
@@ -186,9 +184,7 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     faults = list[Fault]()
     hypotheses = list[Hypothesis]()
     worn = np.zeros(len(body.joints))
-    tracks = [
-        k for k, s in enumerate(sightings) if s.name != "touch" and s.model.outputs in TRACKED
-    ]
+    tracks = [k for k, s in enumerate(sightings) if s.is_track]
     for name in dict.fromkeys(camera_of_track(sightings[k].name) for k in tracks):
         own = [k for k in tracks if camera_of_track(sightings[k].name) == name]
         seen = [sightings[k] for k in own]

@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from ...types import TRACK_AXES, Array, Finding
+from ...types import Array, Finding
 from ...wording import list_in_words
 from ..factors.robust import OUTLIERS, image_span
 from ..inference.filter_log import filter_roughly
@@ -73,13 +73,10 @@ def list_possible_runs(problem: FilterProblem) -> list[StrayRun]:
     """
     found = []
     for number, sighting in enumerate(problem.evidence.sightings):
-        if sighting.name != "touch" and sighting.model.outputs in _TRACKED:
+        if sighting.is_track:
             seen = find_finite_rows(sighting.values)
             found += _list_runs(number, sighting.t[seen], sighting.values[seen])
     return found
-
-
-_TRACKED = tuple(axes for axes, _ in TRACK_AXES.values())
 
 
 def _list_runs(number: int, t: Array, places: Array) -> list[StrayRun]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
-from ...types import Array, Fault, Features, Finding, Health, Hypothesis
+from ...types import TRACK_AXES, Array, Fault, Features, Finding, Health, Hypothesis
 from ..noise.quantisation import quantisation_variance
 from .long_arrays import index_true_rows, noise_variance
 
@@ -64,6 +64,10 @@ def interpolate_values(t: Array, values: Array, at: Array) -> Array:
     return found
 
 
+TRACKED = tuple(axes for axes, _ in TRACK_AXES.values())
+"""Outputs of tracks in images, and of points in space."""
+
+
 @dataclass(frozen=True, eq=False)
 class Sighting:
     """Measurements of one sense: t (N,) s · values, var (N,D)
@@ -84,6 +88,11 @@ class Sighting:
     common: float = 0.0
     cov: Array | None = None
     displaced: Array | None = None
+
+    @property
+    def is_track(self) -> bool:
+        """Whether it shows where a point is, in images or in space."""
+        return self.name != "touch" and self.model.outputs in TRACKED
 
     def cut(self, begin: float, end: float) -> "Sighting":
         """The measurements from `begin` to before `end`, s."""

@@ -11,8 +11,8 @@ import numpy as np
 from ...body_model import BodyModel
 from ...fault_kinds import OFF_FROM_START_S
 from ...settings import EstimationSettings
-from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
-from ..factors.columns import Play
+from ...types import HARDWARE_ERRORS, TRACK_AXES, Array, Estimate, Fault, FaultKind, Finding
+from ..factors.columns import ImageShift, Play
 from ..factors.hypotheses import DRIFTS_S, Explanation
 from ..factors.load import FIRST_BEND, Load, bend_under_load, load_columns, load_sentence
 from ..factors.problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
@@ -339,6 +339,7 @@ def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, A
             errors["play"][names[column.joint]] = {"rad": 2.0 * size, "std": 2.0 * std}
     if loads := [one for one in explanation.columns if isinstance(one, Load)]:
         errors["load"] = _describe_load(loads, explanation, names)
+    errors["displaced"] = list(_describe_displaced(explanation))
     errors["gains"] = dict(explanation.gains)
     errors["late"] = {one.camera: asdict(one) for one in explanation.delays}
     is_reported = explanation.lasts or not (errors["play"] or errors["load"])
@@ -353,6 +354,20 @@ def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, A
             "at": where,
         }
     return errors
+
+
+def _describe_displaced(explanation: Explanation) -> Iterator[dict[str, Any]]:
+    """Yield each camera whose images are displaced, from when to when (s), None at an end of the
+    log, and how far along each axis (px or mm).
+    """
+    sizes = zip(explanation.columns, explanation.learned.sizes.tolist(), strict=True)
+    shifts: dict[tuple[str, float, float], list[float]] = {}
+    for one, size in sizes:
+        if isinstance(one, ImageShift):
+            shifts.setdefault((one.camera, one.since, one.until), []).append(size)
+    for (camera, *moments), size in shifts.items():
+        since, until = (one if np.isfinite(one) else None for one in moments)
+        yield {"camera": camera, "since": since, "until": until, "size": size}
 
 
 def _describe_load(
@@ -379,6 +394,12 @@ def _error_sentences(errors: Mapping[str, Any]) -> Iterator[str]:
     for joint, one in errors["play"].items():
         width, std = np.rad2deg([one["rad"], one["std"]])
         yield f"{joint}: {width:.2f} ± {std:.2f}° of play"
+    for one in errors["displaced"]:
+        since = "the start" if one["since"] is None else f"{one['since']:.1f} s"
+        until = "the end" if one["until"] is None else f"{one['until']:.1f} s"
+        far = float(np.linalg.norm(one["size"]))
+        unit = TRACK_AXES[len(one["size"])][1]
+        yield f"{one['camera']}: images from {since} to {until} are displaced by {far:.2g} {unit}"
     if errors["lasting"]:
         one = errors["lasting"]
         yield (
