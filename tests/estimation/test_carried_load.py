@@ -10,13 +10,16 @@ from bodylog.estimation.factors.carried_load import (
     LinkShift,
     _change_between,
     _extend_schur,
+    list_displaced_images,
     list_timed_loads,
+    weigh_shift,
 )
-from bodylog.estimation.factors.columns import EncoderShift, Path
+from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
 from bodylog.estimation.factors.load import PostureLoad, load_sentence
 from bodylog.estimation.factors.problem import build_system, linearise
 from bodylog.estimation.factors.solve import eliminate
+from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.settings import EstimationSettings
 from bodylog.types import HARDWARE_ERRORS
 from tests.estimation import factor_problems, mechanisms
@@ -43,6 +46,36 @@ def test_columns_added_later_have_the_schur_complement_of_columns_that_are_there
     found = _extend_schur(linear, eliminate(build_system(linear)), more)
     whole = linearise(replace(problem, columns=(*known, *more)), path, noise)
     np.testing.assert_allclose(found, eliminate(build_system(whole)).schur, rtol=1e-6, atol=1e-6 * found[0, 0])
+
+
+def moved_images(problem, shifts, sizes):
+    """The problem with images displaced by shifts of these sizes, px."""
+    (sighting,), (images,) = problem.sightings, problem.images
+    rows = sum(size * one.displaces_images(images, initial_path(problem)) for one, size in zip(shifts, sizes, strict=True))
+    return replace(problem, sightings=(replace(sighting, values=sighting.values + rows),))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_images_that_are_displaced_for_a_while_are_found(seed):
+    rng = np.random.default_rng(seed)
+    problem = factor_problems.drawn(rng, images=64)
+    shifts = tuple(ImageShift("displaced", 9.0, camera="camera", axis=axis, since=1.0, until=2.0) for axis in range(2))
+    assumed = factor_problems.noise(3, rng, lasting=False)
+    for sizes, moved in (((0.0, 0.0), False), ((5.0, -3.0), True)):
+        spoilt = moved_images(problem, shifts, sizes)
+        path = initial_path(spoilt)
+        found = [
+            (one, cost) for one, cost in list_displaced_images(spoilt, assumed, path)
+            if weigh_shift(spoilt, assumed, path, one) - cost > EVIDENCE_THRESHOLD_NATS
+        ]
+        assert len(found) == moved
+        for own, _ in found:
+            assert [one.axis for one in own] == [0, 1]
+            np.testing.assert_allclose([own[0].since, own[0].until], [1.0, 2.0], atol=0.06)
+            whole = replace(spoilt, columns=own)
+            each = (eliminate(build_system(linearise(one, path, assumed))).nats for one in (spoilt, whole))
+            without, beside = each
+            assert weigh_shift(spoilt, assumed, path, own) == pytest.approx(without - beside, rel=1e-6)
 
 
 def test_a_shift_of_a_link_is_minus_that_of_its_encoder():

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from bodylog.estimation.factors import robust
-from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, Path
+from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, ImageShift, Path
 from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
 from bodylog.estimation.factors.hypotheses import SILENT_STD, _learn, _list_plays, mix_silent_groups
@@ -275,14 +275,21 @@ def test_an_outlier_costs_more_the_farther_it_is_and_at_most_its_range():
     assert robust.outlier_nats(share[-1:], span) == pytest.approx(np.log(6.0 / robust.OUTLIERS), rel=1e-4)
 
 
-def test_measurements_left_out_are_those_of_a_solve_without_them():
+@pytest.mark.parametrize("settled", [False, True])
+def test_measurements_left_out_are_those_of_a_solve_without_them(settled):
     rng = np.random.default_rng(4)
-    problem, assumed = drawn(rng), noise(2, rng, lasting=False)
+    shifts = (
+        ImageShift("displaced", 3.0, axis=0, camera="camera", since=0.1, until=0.3),
+        ImageShift("displaced", 3.0, axis=1, camera="camera", since=0.1, until=0.3),
+    )
+    problem, assumed = drawn(rng, shifts if settled else ()), noise(2, rng, lasting=False)
+    if settled:  # to more than the noise of an image
+        problem = replace(problem, settled=np.array([[4.0, 1.0], [1.0, 2.0]]))
     solution = solve(problem, assumed, rounds=1)
     (images,), (rows,) = problem.images, solution.linear.rows
-    mean, cov = solution.beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
+    mean, *parts = solution.beliefs.split_rows(rows.slopes, images.knots, rows.right[..., 1:])
     used = (1.3 * rows.var)[..., None] * np.eye(2)
-    rest, spread = robust.left_out(rows.right[..., 0] - mean, used, cov)
+    rest, spread = robust.left_out(rows.right[..., 0] - mean, used, *parts)
     sighting = problem.sightings[0]
     values = sighting.values.copy()
     values[4] = np.nan

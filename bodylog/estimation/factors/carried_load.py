@@ -23,6 +23,8 @@ PARTS = 32
 """Parts of a log at whose ends a load is first tried to be taken or put down; the search then
 narrows until it knows the images between which it was.
 """
+LEAST_CARRIED_S = 1.0
+"""s: no arm takes a load and puts it down in less."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,9 @@ def list_timed_loads(
 
     moments: Moments = ()
     total = 0.0
-    while (found := _change_moments(linear, eliminated, begin, WIDE_BEND, moments)) is not None:
+    while (
+        found := _change_moments(linear, eliminated, begin, WIDE_BEND, moments, LEAST_CARRIED_S)
+    ) is not None:
         moments, cost = found
         total += cost
         timed = tuple(replace(one, moments=moments) for one in loads)
@@ -121,17 +125,23 @@ def weigh_shift(
 
 
 def _change_moments(
-    linear: Linearised, eliminated: Eliminated, begin: Begin, std: float, before: Moments
+    linear: Linearised,
+    eliminated: Eliminated,
+    begin: Begin,
+    std: float,
+    before: Moments,
+    least: float = 0.0,
 ) -> tuple[Moments, float] | None:
     """The moments with the most probable window in which columns change, and −ln p of that window
     before the log; None if the log is about as likely without it, or with the columns all the time.
 
-    begin: columns of what begins at a moment and lasts, of sizes 0 ± std.
+    begin: columns of what begins at a moment and lasts, of sizes 0 ± std · least: s of a window.
     """
     knots = linear.problem.knots
     step = (knots[-1] - knots[0]) / PARTS
     inner = (knots[0] + step * np.arange(1, PARTS)).tolist()
-    windows = [one for one in product([-np.inf, *inner], [*inner, np.inf]) if one[0] < one[1]]
+    coarse = product([-np.inf, *inner], [*inner, np.inf])
+    windows = [(a, b) for a, b in coarse if b - a > max(least, 0.5 * step)]
     tried = [before or (-np.inf,), *(_change_between(before, one) for one in windows)]
     nats = _weigh_moments(linear, eliminated, begin, std, tried)
     cost = float(np.log(len(windows)))
@@ -141,7 +151,8 @@ def _change_moments(
     while step > np.median(np.diff(knots)):
         step /= 4.0
         near = (step * np.arange(-4, 5)).tolist()
-        windows = [(since + a, until + b) for a, b in product(near, near) if since + a < until + b]
+        fine = ((since + a, until + b) for a, b in product(near, near))
+        windows = [(a, b) for a, b in fine if b - a > least]
         tried = [_change_between(before, one) for one in windows]
         nats = _weigh_moments(linear, eliminated, begin, std, tried)
         since, until = windows[int(np.argmin(nats))]

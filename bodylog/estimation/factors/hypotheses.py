@@ -16,7 +16,7 @@ from .carried_load import list_displaced_images, list_timed_loads, weigh_shift
 from .columns import Column, Delay, Play
 from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
-from .load import FIRST_BEND, Load, count_groups
+from .load import FIRST_BEND, Load, bend_under_load, count_groups
 from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import CHANGE, FactorProblem, Noise
 from .solve import column_nats
@@ -29,6 +29,8 @@ DRIFTS_S = 5.0
 """s: errors that last longer can imitate an encoder that drifts, and a load."""
 SILENT_STD = 1e-5
 """rad: width of a group of columns whose joint does not bend."""
+MOST_BEND = 0.1
+"""rad: an arm that bends farther under a load is broken; its images show something else."""
 MOST_TIMES = 2
 """Times in which a load is carried that are looked for: each takes a second or two to compare."""
 DELAY_STD = 0.05
@@ -106,38 +108,12 @@ def explain(
         or _is_short(lasting.noise, step_s)
     ):
         return Explanation(problem.columns, white, white, 0.0, 0.0, {})
-    gains: dict[str, float] = {}
-    turning = np.ones(len(halves), bool) if noise.resting is None else ~noise.resting
-    play = tuple(one for one in _list_plays(halves) if turning[one.joint])
-    late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
-    loose = replace(problem, columns=(*problem.columns, *play))
-    # a delay that was corrected for play hides the play: both are free where they are compared
-    free = replace(problem, columns=(*loose.columns, *late))
-    loosely = _best([_learn(free, one.noise, step_s, one) for one in sides])
-    least = -EVIDENCE_THRESHOLD_NATS if halves.any() else EVIDENCE_THRESHOLD_NATS
-    if lasting.nats - loosely.nats > least:
-        delayed = _learn(
-            replace(problem, columns=(*problem.columns, *late)), lasting.noise, step_s, lasting
-        )
-        gains["play"] = min(lasting.nats, delayed.nats) - loosely.nats
-    if gains.get("play", -np.inf) > least:
-        problem = loose
-        lasting = _learn(loose, loosely.noise, step_s, loosely)
-    else:
-        gains.clear()
+    problem, lasting, played = _allow_play(problem, noise, step_s, halves, sides)
     problem, lasting, displaced = _displace_images(problem, noise, step_s, white, lasting)
-    if displaced > 0.0:
-        gains["displaced"] = displaced
-    if loads:
-        bent, loads, cost = _time_likeliest_load(problem, noise, loads, step_s, white, lasting)
-        gain = lasting.nats - bent.nats - cost
-        # what lasts long and is gone beside a load stood for it: neither is simpler;
-        # play leaves none
-        rival = not gains and _is_long(lasting.noise) and not _is_long(bent.noise)
-        if gain > (0.0 if rival else EVIDENCE_THRESHOLD_NATS):
-            gains["load"] = gain
-            problem = replace(problem, columns=(*problem.columns, *loads))
-            lasting = bent
+    others = played is not None or displaced is not None
+    problem, lasting, loaded = _allow_load(problem, noise, loads, step_s, white, lasting, others)
+    each = {"play": played, "displaced": displaced, "load": loaded}
+    gains = {name: gain for name, gain in each.items() if gain is not None}
     found = learn_noise(
         problem, lasting.noise, lasting.path, step_s, rounds=2, curvature=lasting.curvature
     )
@@ -150,16 +126,42 @@ def explain(
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
 
 
+def _allow_play(
+    problem: FactorProblem, noise: Noise, step_s: float, halves: Array, sides: Sequence[Learned]
+) -> tuple[FactorProblem, Learned, float | None]:
+    """The problem and its noise with play where the log shows it, and the nats that it wins.
+
+    sides: noise without play, with errors that last at encoders and at links.
+    """
+    lasting = _best(sides)
+    turning = np.ones(len(halves), bool) if noise.resting is None else ~noise.resting
+    play = tuple(one for one in _list_plays(halves) if turning[one.joint])
+    late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
+    loose = replace(problem, columns=(*problem.columns, *play))
+    # a delay that was corrected for play hides the play: both are free where they are compared
+    free = replace(problem, columns=(*loose.columns, *late))
+    loosely = _best([_learn(free, one.noise, step_s, one) for one in sides])
+    least = -EVIDENCE_THRESHOLD_NATS if halves.any() else EVIDENCE_THRESHOLD_NATS
+    if lasting.nats - loosely.nats <= least:
+        return problem, lasting, None
+    delayed = replace(problem, columns=(*problem.columns, *late))
+    beside = _learn(delayed, lasting.noise, step_s, lasting)
+    gain = min(lasting.nats, beside.nats) - loosely.nats
+    if gain <= least:
+        return problem, lasting, None
+    return loose, _learn(loose, loosely.noise, step_s, loosely), gain
+
+
 def _displace_images(
     problem: FactorProblem, noise: Noise, step_s: float, white: Learned, before: Learned
-) -> tuple[FactorProblem, Learned, float]:
+) -> tuple[FactorProblem, Learned, float | None]:
     """The problem and its noise with the windows of time in which a camera's images are displaced,
     one after the other while they win EVIDENCE_THRESHOLD_NATS, and the nats that all win.
 
     noise: as of `explain`; such windows are looked for by errors that last, too, which stand for
     part of what a displacement shows.
     """
-    total = 0.0
+    total = None
     while True:
         known = ((noise, white.path), (before.noise, before.path))
         tried = chain(*(list_displaced_images(problem, *one) for one in known))
@@ -175,7 +177,32 @@ def _displace_images(
         gain = before.nats - after.nats - cost
         if gain <= EVIDENCE_THRESHOLD_NATS:
             return problem, before, total
-        problem, before, total = more, after, total + gain
+        problem, before, total = more, after, (total or 0.0) + gain
+
+
+def _allow_load(
+    problem: FactorProblem,
+    noise: Noise,
+    loads: tuple[Load, ...],
+    step_s: float,
+    white: Learned,
+    before: Learned,
+    others: bool,
+) -> tuple[FactorProblem, Learned, float | None]:
+    """The problem and its noise with a load where the log shows one, and the nats that it wins.
+
+    others: whether play or displaced images explain part of the log.
+    """
+    if not loads:
+        return problem, before, None
+    bent, loads, cost = _time_likeliest_load(problem, noise, loads, step_s, white, before)
+    gain = before.nats - bent.nats - cost
+    # what lasts long and is gone beside a load stood for it: neither is simpler; play leaves none
+    rival = not others and _is_long(before.noise) and not _is_long(bent.noise)
+    bends = bend_under_load(loads, bent.sizes[-len(loads) :], bent.path.knots, bent.path.angles)
+    if gain <= (0.0 if rival else EVIDENCE_THRESHOLD_NATS) or np.abs(bends).max() > MOST_BEND:
+        return problem, before, None
+    return replace(problem, columns=(*problem.columns, *loads)), bent, gain
 
 
 def _time_likeliest_load(
