@@ -15,10 +15,14 @@ from ...types import Array
 from ..faults.threshold import PRIOR_STD_RAD
 from ..measurements.track import camera_of_track
 from .columns import Column, ImageShift, Path
-from .load import WIDE_BEND, Load
+from .load import TAKEN_S, WIDE_BEND, Load
 from .problem import FactorProblem, Linearised, Noise, add_at_knots, build_system, linearise
 from .solve import Eliminated, column_nats, eliminate
 
+SEARCHED = 6
+"""Windows that are narrowed: a moment that is off by a tenth of a second costs tens of nats, so the
+most probable one of a few parts may be another.
+"""
 PARTS = 32
 """Parts of a log at whose ends a load is first tried to be taken or put down; the search then
 narrows until it knows the images between which it was.
@@ -29,26 +33,27 @@ LEAST_CARRIED_S = 1.0
 
 @dataclass(frozen=True)
 class LinkShift(Column):
-    """How far a link is from where its encoder reads it from `since` s on, or by `until` s, if that
-    grows, rad: what an encoder that is off shows in images.
+    """How far a link is from where its encoder reads it, rad, more and more from `since` to `until`
+    s, and as far from then on: what an encoder that is off shows in images.
     """
 
     joint: int = 0
     since: float = -np.inf
     until: float = np.inf
-    grows: bool = False
 
     def moves_links(self, path: Path) -> Array:
-        """A step, or a ramp to 1 at `until`."""
+        """A ramp to 1 at `until`, which is a step where that is `since`."""
         own = np.zeros(path.angles.shape)
         after = path.knots - self.since
-        grown = np.maximum(after, 0.0) / (self.until - self.since)
-        own[:, self.joint] = grown if self.grows else after >= 0.0
+        rise = self.until - self.since
+        own[:, self.joint] = np.clip(after / rise, 0.0, 1.0) if rise > 0.0 else after >= 0.0
         return own
 
 
 Moments = tuple[float, ...]
 """s: when a load is taken, put down, taken, …; the first is −∞ if it was there from the start."""
+Window = tuple[float, float]
+"""s: from when to when; infinite at an end of the log."""
 Begin = Callable[[float], tuple[Column, ...]]
 """Columns of what begins at a moment (s) and lasts."""
 
@@ -142,23 +147,50 @@ def _change_moments(
     inner = (knots[0] + step * np.arange(1, PARTS)).tolist()
     coarse = product([-np.inf, *inner], [*inner, np.inf])
     windows = [(a, b) for a, b in coarse if b - a > max(least, 0.5 * step)]
-    tried = [before or (-np.inf,), *(_change_between(before, one) for one in windows)]
-    nats = _weigh_moments(linear, eliminated, begin, std, tried)
-    cost = float(np.log(len(windows)))
-    if nats[0] - nats.min() <= cost:
-        return None
-    since, until = windows[int(np.argmin(nats[1:]))]
-    while step > np.median(np.diff(knots)):
-        step /= 4.0
-        near = (step * np.arange(-4, 5)).tolist()
-        fine = ((since + a, until + b) for a, b in product(near, near))
-        windows = [(a, b) for a, b in fine if b - a > least]
+
+    def weigh(windows: Sequence[Window]) -> Array:
         tried = [_change_between(before, one) for one in windows]
-        nats = _weigh_moments(linear, eliminated, begin, std, tried)
-        since, until = windows[int(np.argmin(nats))]
+        return _weigh_moments(linear, eliminated, begin, std, tried)
+
+    nats = weigh(windows)
+    (without,) = _weigh_moments(linear, eliminated, begin, std, [before or (-np.inf,)])
+    cost = float(np.log(len(windows)))
+    found = []
+    for one in _list_separate(windows, nats, 1.5 * step):
+        finer = step
+        lowest = np.inf
+        while finer > np.median(np.diff(knots)):
+            finer /= 4.0
+            near = (finer * np.arange(-4, 5)).tolist()
+            fine = ((one[0] + a, one[1] + b) for a, b in product(near, near))
+            tried = [(a, b) for a, b in fine if b - a > least]
+            each = weigh(tried)
+            one, lowest = tried[int(np.argmin(each))], float(each.min())
+        found.append((lowest, one))
+    lowest, window = min(found)
+    if without - lowest <= cost:
+        return None
     seen = _list_image_times(linear.problem)
-    window = (_centre_between_images(since, seen), _centre_between_images(until, seen))
-    return _change_between(before, window), cost
+    since, until = (_centre_between_images(moment, seen) for moment in window)
+    return _change_between(before, (since, until)), cost
+
+
+def _list_separate(windows: Sequence[Window], nats: Array, apart: float) -> list[Window]:
+    """The SEARCHED most probable windows of which none is within `apart` s of another."""
+    found = list[Window]()
+    for k in np.argsort(nats, kind="stable").tolist():
+        if len(found) == SEARCHED:
+            break
+        own = windows[k]
+        if not any(_are_near(own, other, apart) for other in found):
+            found.append(own)
+    return found
+
+
+def _are_near(one: Window, other: Window, apart: float) -> bool:
+    """Whether two windows begin and end within `apart` s of one another."""
+    pairs = zip(one, other, strict=True)
+    return all(a == b or abs(a - b) < apart for a, b in pairs)
 
 
 def _list_image_times(problem: FactorProblem) -> Array:
@@ -168,9 +200,13 @@ def _list_image_times(problem: FactorProblem) -> Array:
 
 
 def _centre_between_images(moment: float, seen: Array) -> float:
-    """The middle between the images before and after a moment (s): more is not known of it."""
+    """The middle between the images before and after a moment (s): more is not known of it.
+    Infinite before the first and after the last.
+    """
     after = int(np.searchsorted(seen, moment))
-    return float(seen[after - 1 : after + 1].mean()) if 0 < after < len(seen) else moment
+    if after == 0:
+        return -np.inf
+    return float(seen[after - 1 : after + 1].mean()) if after < len(seen) else np.inf
 
 
 def _change_between(moments: Moments, window: tuple[float, float]) -> Moments:
@@ -194,18 +230,38 @@ def _weigh_moments(
 
 
 def _weigh_shifts(linear: Linearised, eliminated: Eliminated) -> float:
-    """−ln p of the log with the most probable shift of one encoder: a step or a ramp."""
+    """−ln p of the log with the most probable shift of one encoder: a step, in one reading or as
+    slow as a load is taken, or a steady drift to the end.
+    """
     knots = linear.problem.knots
-    moments = np.linspace(knots[0], knots[-1], PARTS, endpoint=False).tolist()
-    joints = range(len(linear.problem.start))
-    kinds = product(joints, moments, (False, True))
+    step = (knots[-1] - knots[0]) / PARTS
+    moments = (knots[0] + step * np.arange(PARTS)).tolist()
+    rises = (0.0, TAKEN_S, np.inf)
+    kinds = list(product(range(len(linear.problem.start)), moments, rises))
+    cost = float(np.log(len(kinds)))
+    nats = _weigh_each_shift(linear, eliminated, kinds)
+    while step > np.median(np.diff(knots)):
+        joint, since, rise = kinds[int(np.argmin(nats))]
+        step /= 4.0
+        near = since + step * np.arange(-4, 5)
+        kinds = [(joint, one, rise) for one in near[near < knots[-1] - step].tolist()]
+        nats = _weigh_each_shift(linear, eliminated, kinds)
+    return float(nats.min()) + cost
+
+
+def _weigh_each_shift(
+    linear: Linearised, eliminated: Eliminated, kinds: Sequence[tuple[int, float, float]]
+) -> Array:
+    """−ln p (W,) of the log with a shift of one encoder: joint, since when (s), and the s in which
+    it rises, infinite to the end.
+    """
+    end = float(linear.problem.knots[-1])
     shifts = tuple(
-        LinkShift("shift", 1.0, joint=j, since=one, until=float(knots[-1]), grows=grows)
-        for j, one, grows in kinds
+        LinkShift("shift", 1.0, joint=j, since=since, until=since + rise if rise < np.inf else end)
+        for j, since, rise in kinds
     )
     alone = np.eye(len(shifts))[:, None]
-    nats = _weigh_columns(linear, eliminated, shifts, alone, PRIOR_STD_RAD)
-    return float(nats.min() + np.log(len(shifts)))
+    return _weigh_columns(linear, eliminated, shifts, alone, PRIOR_STD_RAD)
 
 
 def _weigh_columns(

@@ -18,6 +18,10 @@ WIDE_BEND = 0.02
 """rad of what a joint bends by before any load is known, 1.1°."""
 LEAST_LEVER = 1e-3
 """Share of the longest lever below which a joint carries nothing."""
+TAKEN_S = 0.2
+"""s in which a hand takes up a load, or puts it down. Of 12 drawn logs with 0.02, 0.2 and 0.5 s, 0.2 s
+lost 0 to 5 nats against a step on the first four, and won 4 to 10 and 0 to 8 on the others.
+"""
 COMPLIANCE_SPREAD = 1.0
 """Standard deviation of a joint's compliance, in shares of what all joints have alike: those of
 one arm differ by factors of up to five, and of the simulated one by none.
@@ -28,7 +32,8 @@ one arm differ by factors of up to five, and of the simulated one by none.
 class Load(Column):
     """What links bend by as the posture alone decides, rad, while the load is carried.
 
-    moments: s, when it is taken, put down, taken, … in turn; −∞ for what is there from the start.
+    moments: s, when half of it is taken, put down, taken, … in turn; −∞ for what is there from the
+    start.
     """
 
     bends: bool = True
@@ -36,15 +41,16 @@ class Load(Column):
 
     def moves_links(self, path: Path) -> Array:
         """What a unit bends the links by while the load is carried."""
-        return self.bends_links(path.angles) * self._is_carried(path.knots)[:, None]
+        return self.bends_links(path.angles) * self._share_carried(path.knots)[:, None]
 
     def bends_links(self, angles: Array) -> Array:
         """What a unit bends links by (K,M) rad at angles (K,M)."""
         return np.zeros(angles.shape)
 
-    def _is_carried(self, t: Array) -> Array:
-        """Whether the load is carried at times t (N,) s: after an odd number of moments."""
-        return np.asarray(np.searchsorted(self.moments, t, side="right") % 2 == 1)
+    def _share_carried(self, t: Array) -> Array:
+        """The share of the load that is carried at times t (N,) s: a hand takes it up steadily."""
+        taken = np.clip((t[:, None] - self.moments) / TAKEN_S + 0.5, 0.0, 1.0)
+        return np.asarray(taken[:, ::2].sum(axis=1) - taken[:, 1::2].sum(axis=1))
 
 
 def _keep_constant(angles: Array) -> Array:
@@ -107,7 +113,7 @@ class Payload(Load):
         shown, levers = model.show_still_joints(seen.links)
         sinks = np.array([name in self.still for name in model.still_joints])
         sunk = -(shown * levers[:, None] * sinks).sum(axis=-1) / self.longest
-        return np.asarray(sunk * self._is_carried(seen.knots)[:, None])
+        return np.asarray(sunk * self._share_carried(seen.knots)[:, None])
 
 
 def bend_under_load(columns: Sequence[Column], sizes: Array, t: Array, angles: Array) -> Array:
