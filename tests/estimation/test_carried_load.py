@@ -78,6 +78,19 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
             assert weigh_shift(spoilt, assumed, path, own) == pytest.approx(without - beside, rel=1e-6)
 
 
+def test_images_displaced_all_the_time_or_never_have_no_window():
+    rng = np.random.default_rng(0)
+    problem = factor_problems.drawn(rng, images=64)
+    assumed = factor_problems.noise(3, rng, lasting=False)
+    always = tuple(ImageShift("displaced", 9.0, camera="camera", axis=axis) for axis in range(2))
+    once = tuple(replace(one, since=1.0, until=1.01) for one in always)  # between two images
+    for shifts in (always, once):
+        spoilt = moved_images(problem, shifts, (5.0, -3.0))
+        for own, _ in list_displaced_images(spoilt, assumed, initial_path(spoilt)):
+            assert own[0].since < own[0].until
+            assert np.isfinite([own[0].since, own[0].until]).any()
+
+
 def test_a_shift_of_a_link_is_minus_that_of_its_encoder():
     t = np.linspace(0.0, 4.0, 9)
     path = Path(t, *[np.zeros((9, 2))] * 4)

@@ -167,12 +167,15 @@ def _change_moments(
             each = weigh(tried)
             one, lowest = tried[int(np.argmin(each))], float(each.min())
         found.append((lowest, one))
-    lowest, window = min(found)
-    if without - lowest <= cost:
-        return None
     seen = _list_image_times(linear.problem)
-    since, until = (_centre_between_images(moment, seen) for moment in window)
-    return _change_between(before, (since, until)), cost
+    for lowest, window in sorted(found):
+        if without - lowest <= cost:
+            break
+        since, until = (_centre_between_images(moment, seen) for moment in window)
+        # some images, and not all of them
+        if since < until and np.isfinite([since, until]).any():
+            return _change_between(before, (since, until)), cost
+    return None
 
 
 def _list_separate(windows: Sequence[Window], nats: Array, apart: float) -> list[Window]:
