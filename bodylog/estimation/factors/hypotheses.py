@@ -12,7 +12,6 @@ from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..measurements.arm_errors import PLAY_STD
 from ..measurements.track import camera_of_track
-from .carried_load import list_displaced_images, list_timed_loads, weigh_shift
 from .columns import Column, Delay, Play
 from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
@@ -20,6 +19,7 @@ from .load import FIRST_BEND, Load, bend_under_load, count_groups
 from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import CHANGE, FactorProblem, Noise
 from .solve import column_nats
+from .timed_columns import list_displaced_images, list_timed_loads, weigh_shift
 
 FIRST_STD = 1e-3
 """rad: σ of a lasting error with which the search begins."""

@@ -15,7 +15,6 @@ from ..inference.problem import FilterProblem
 from ..inference.tangents import OFFSET_STD
 from ..measurements.records import Encoders, Sighting, unmix_rows
 from ..noise.lasting_error import MOST_COUNTS
-from .carried_load import list_timed_loads
 from .columns import EncoderShift
 from .encoder_error import LEAST_STD, JointNoise
 from .gauss_newton import Solution, path_of, solve
@@ -26,6 +25,7 @@ from .noise import Learned
 from .problem import FactorProblem, LastingPrior, Noise
 from .robust import believed, image_span, left_out, outlier_nats
 from .solve import Marginals, filtered, predicted
+from .timed_columns import list_timed_loads
 
 CLOSEST_S = 4e-3
 """s: instants closer than this share a knot, because the

@@ -6,7 +6,12 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.factors.carried_load import (
+from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path
+from bodylog.estimation.factors.gauss_newton import initial_path, solve
+from bodylog.estimation.factors.load import PostureLoad, load_sentence
+from bodylog.estimation.factors.problem import build_system, linearise
+from bodylog.estimation.factors.solve import eliminate
+from bodylog.estimation.factors.timed_columns import (
     LinkShift,
     _change_between,
     _extend_schur,
@@ -14,11 +19,6 @@ from bodylog.estimation.factors.carried_load import (
     list_timed_loads,
     weigh_shift,
 )
-from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path
-from bodylog.estimation.factors.gauss_newton import initial_path, solve
-from bodylog.estimation.factors.load import PostureLoad, load_sentence
-from bodylog.estimation.factors.problem import build_system, linearise
-from bodylog.estimation.factors.solve import eliminate
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.settings import EstimationSettings
 from bodylog.types import HARDWARE_ERRORS
