@@ -1,7 +1,8 @@
-"""When a load is carried: an arm picks things up and puts them down.
+"""When columns hold: an arm picks things up and puts them down, and a camera's images may be
+displaced for a while.
 
-With the noise known, the gain of columns is a Schur complement. That of a load between
-two moments follows from those of loads from either moment on: the first minus the second.
+With the noise known, the gain of columns is a Schur complement. That of columns that hold between
+two moments follows from those that hold from either moment on: the first minus the second.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -142,40 +143,50 @@ def _change_moments(
 
     begin: columns of what begins at a moment and lasts, of sizes 0 ± std · least: s of a window.
     """
-    knots = linear.problem.knots
-    step = (knots[-1] - knots[0]) / PARTS
-    inner = (knots[0] + step * np.arange(1, PARTS)).tolist()
-    coarse = product([-np.inf, *inner], [*inner, np.inf])
-    windows = [(a, b) for a, b in coarse if b - a > max(least, 0.5 * step)]
 
     def weigh(windows: Sequence[Window]) -> Array:
         tried = [_change_between(before, one) for one in windows]
         return _weigh_moments(linear, eliminated, begin, std, tried)
 
-    nats = weigh(windows)
-    (without,) = _weigh_moments(linear, eliminated, begin, std, [before or (-np.inf,)])
+    knots = linear.problem.knots
+    step = (knots[-1] - knots[0]) / PARTS
+    inner = (knots[0] + step * np.arange(1, PARTS)).tolist()
+    every = product([-np.inf, *inner], [*inner, np.inf])
+    windows = [(a, b) for a, b in every if b - a > max(least, 0.5 * step)]
     cost = float(np.log(len(windows)))
-    found = []
-    for one in _list_separate(windows, nats, 1.5 * step):
-        finer = step
-        lowest = np.inf
-        while finer > np.median(np.diff(knots)):
-            finer /= 4.0
-            near = (finer * np.arange(-4, 5)).tolist()
-            fine = ((one[0] + a, one[1] + b) for a, b in product(near, near))
-            tried = [(a, b) for a, b in fine if b - a > least]
-            each = weigh(tried)
-            one, lowest = tried[int(np.argmin(each))], float(each.min())
-        found.append((lowest, one))
+    apart = _list_separate(windows, weigh(windows), 1.5 * step)
+    finest = float(np.median(np.diff(knots)))
+    narrow = sorted(_narrow_window(one, step, finest, least, weigh) for one in apart)
+    (without,) = _weigh_moments(linear, eliminated, begin, std, [before or (-np.inf,)])
     seen = _list_image_times(linear.problem)
-    for lowest, window in sorted(found):
-        if without - lowest <= cost:
-            break
+    for nats, window in narrow:
         since, until = (_centre_between_images(moment, seen) for moment in window)
         # some images, and not all of them
         if since < until and np.isfinite([since, until]).any():
-            return _change_between(before, (since, until)), cost
+            changed = _change_between(before, (since, until))
+            return (changed, cost) if without - nats > cost else None
     return None
+
+
+def _narrow_window(
+    window: Window,
+    step: float,
+    finest: float,
+    least: float,
+    weigh: Callable[[Sequence[Window]], Array],
+) -> tuple[float, Window]:
+    """−ln p of the log with the most probable window of at least `least` s near one that is known
+    to `step` s, and that window, known to `finest` s.
+    """
+    nats = np.inf
+    while step > finest:
+        step /= 4.0
+        near = (step * np.arange(-4, 5)).tolist()
+        every = ((window[0] + a, window[1] + b) for a, b in product(near, near))
+        tried = [(a, b) for a, b in every if b - a > least]
+        each = weigh(tried)
+        window, nats = tried[int(np.argmin(each))], float(each.min())
+    return nats, window
 
 
 def _list_separate(windows: Sequence[Window], nats: Array, apart: float) -> list[Window]:
