@@ -86,11 +86,14 @@ def estimate_by_filter(
 def pose_filter_problem(
     features: Features, body: BodyModel, settings: EstimationSettings
 ) -> FilterProblem:
-    """The problem without images of something else."""
+    """The problem without runs of images of something else, where noise is by evidence: what a run
+    costs is judged by it.
+    """
     built = build_filter_problem(features, body, settings)
     problem = built
     runs = list[StrayRun]()
-    while not built.stepwise and (possible := list_possible_runs(problem)):
+    may_judge = settings.precision == "auto" and not built.stepwise
+    while may_judge and (possible := list_possible_runs(problem)):
         more = find_stray_runs(tune_noise(problem, settings)[0], possible)
         if not more:
             break
