@@ -44,6 +44,24 @@ def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
     assert any("errors last" in line for line in verdict.verdict_of_estimate(found, ()))
 
 
+def test_images_that_are_displaced_for_a_while_are_no_load():
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    features = mechanisms.replayed(4, mechanisms.SOUND, Fault())
+    track = features.tracks["effector"]
+    away = np.outer((track.t >= 7.0) & (track.t < 9.5), (4.0, -3.0))
+    moved = {"effector": replace(track, values=track.values + away)}
+    found = estimate_from_features(replace(features, tracks=moved), body, EstimationSettings())
+    reported = found.settings[HARDWARE_ERRORS]
+    assert reported["load"] is None and not found.faults
+    (one,) = reported["displaced"]
+    assert one["camera"] == "camera" and one["size"] == pytest.approx([4.0, -3.0], abs=0.5)
+    assert [one["since"], one["until"]] == pytest.approx([7.0, 9.5], abs=0.06)
+    _, nees = errors_and_nees(found, true_angles(4, mechanisms.SOUND))
+    assert 0.4 < nees < 1.5
+    told = [line for line in verdict.verdict_of_estimate(found, ()) if "displaced" in line]
+    assert told == ["camera: images from 7.0 s to 9.5 s are displaced by 5 px; angles allow for it"]
+
+
 def test_an_offset_that_is_no_fault_goes_where_what_lasts_explains_the_log_as_well():
     # pan's encoder seems to walk here, by less than counts as a fault
     body = mechanisms.learned(1000, mechanisms.SOUND)

@@ -2,12 +2,13 @@
 unit of each changes in links, images and readings.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...types import Array
+from ...types import TRACK_AXES, Array
 from ..measurements.track import camera_of_track
 
 if TYPE_CHECKING:
@@ -125,6 +126,19 @@ class ImageShift(Column):
             t = path.at_images(images).knots
             own[:, self.axis] = (t >= self.since) & (t < self.until)
         return own
+
+
+def displacement_sentence(displaced: Mapping[str, Any]) -> str:
+    """Displaced images in words: `camera`, `since` and `until` (s), None at an end of the log, and
+    `size` along each axis, in their unit.
+    """
+    since = "the start" if displaced["since"] is None else f"{displaced['since']:.1f} s"
+    until = "the end" if displaced["until"] is None else f"{displaced['until']:.1f} s"
+    far = float(np.linalg.norm(displaced["size"]))
+    unit = TRACK_AXES[len(displaced["size"])][1]
+    return (
+        f"{displaced['camera']}: images from {since} to {until} are displaced by {far:.2g} {unit}"
+    )
 
 
 @dataclass(frozen=True)

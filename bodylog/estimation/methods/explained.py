@@ -11,8 +11,8 @@ import numpy as np
 from ...body_model import BodyModel
 from ...fault_kinds import OFF_FROM_START_S
 from ...settings import EstimationSettings
-from ...types import HARDWARE_ERRORS, TRACK_AXES, Array, Estimate, Fault, FaultKind, Finding
-from ..factors.columns import ImageShift, Play
+from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
+from ..factors.columns import ImageShift, Play, displacement_sentence
 from ..factors.hypotheses import DRIFTS_S, Explanation
 from ..factors.load import FIRST_BEND, Load, bend_under_load, load_columns, load_sentence
 from ..factors.problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
@@ -342,7 +342,8 @@ def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, A
     errors["displaced"] = list(_describe_displaced(explanation))
     errors["gains"] = dict(explanation.gains)
     errors["late"] = {one.camera: asdict(one) for one in explanation.delays}
-    is_reported = explanation.lasts or not (errors["play"] or errors["load"])
+    others = errors["play"] or errors["load"] or errors["displaced"]
+    is_reported = explanation.lasts or not others
     if joints.error is not None and joints.learned.any() and is_reported:
         size = float(np.sqrt(np.mean(np.square(joints.error[joints.learned]))))
         where = "link" if joints.at_link.any() else "encoder"
@@ -394,12 +395,7 @@ def _error_sentences(errors: Mapping[str, Any]) -> Iterator[str]:
     for joint, one in errors["play"].items():
         width, std = np.rad2deg([one["rad"], one["std"]])
         yield f"{joint}: {width:.2f} ± {std:.2f}° of play"
-    for one in errors["displaced"]:
-        since = "the start" if one["since"] is None else f"{one['since']:.1f} s"
-        until = "the end" if one["until"] is None else f"{one['until']:.1f} s"
-        far = float(np.linalg.norm(one["size"]))
-        unit = TRACK_AXES[len(one["size"])][1]
-        yield f"{one['camera']}: images from {since} to {until} are displaced by {far:.2g} {unit}"
+    yield from map(displacement_sentence, errors["displaced"])
     if errors["lasting"]:
         one = errors["lasting"]
         yield (
