@@ -166,6 +166,9 @@ def _hardware_error_sentences(found: Estimate) -> Iterator[str]:
 def _agreement_sentence(found: Estimate) -> str:
     """The senses in which no fault is found, and which faults were not looked for."""
     faulty = {name for fault in found.faults for name in (*fault.names, fault.name)}
+    errors = found.settings.get(HARDWARE_ERRORS)
+    if isinstance(errors, Mapping):
+        faulty |= {one["camera"] for one in errors.get("displaced", ())}
     tracks = [name for name, health in found.used.items() if health.used and name != "encoders"]
     sound = [
         name

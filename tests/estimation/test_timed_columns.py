@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
+from bodylog.estimation.factors import timed_columns
 from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
 from bodylog.estimation.factors.load import PostureLoad, load_sentence
@@ -17,7 +18,7 @@ from bodylog.estimation.factors.timed_columns import (
     _extend_schur,
     list_displaced_images,
     list_timed_loads,
-    weigh_shift,
+    weigh_displacements,
 )
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.settings import EstimationSettings
@@ -66,7 +67,7 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
         path = initial_path(spoilt)
         found = [
             (one, cost) for one, cost in list_displaced_images(spoilt, assumed, path)
-            if weigh_shift(spoilt, assumed, path, one) - cost > EVIDENCE_THRESHOLD_NATS
+            if weigh_displacements(spoilt, assumed, path, [one])[0] - cost > EVIDENCE_THRESHOLD_NATS
         ]
         assert len(found) == moved
         for own, _ in found:
@@ -75,20 +76,25 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
             whole = replace(spoilt, columns=own)
             each = (eliminate(build_system(linearise(one, path, assumed))).nats for one in (spoilt, whole))
             without, beside = each
-            assert weigh_shift(spoilt, assumed, path, own) == pytest.approx(without - beside, rel=1e-6)
+            assert weigh_displacements(spoilt, assumed, path, [own])[0] == pytest.approx(without - beside, rel=1e-6)
 
 
-def test_images_displaced_all_the_time_or_never_have_no_window():
+@pytest.mark.parametrize("window", [(1.01, 1.02), (-1.0, 9.0)])
+def test_a_window_holds_some_images_and_not_all(window, monkeypatch):
     rng = np.random.default_rng(0)
     problem = factor_problems.drawn(rng, images=64)
     assumed = factor_problems.noise(3, rng, lasting=False)
-    always = tuple(ImageShift("displaced", 9.0, camera="camera", axis=axis) for axis in range(2))
-    once = tuple(replace(one, since=1.0, until=1.01) for one in always)  # between two images
-    for shifts in (always, once):
-        spoilt = moved_images(problem, shifts, (5.0, -3.0))
-        for own, _ in list_displaced_images(spoilt, assumed, initial_path(spoilt)):
-            assert own[0].since < own[0].until
-            assert np.isfinite([own[0].since, own[0].until]).any()
+    path = initial_path(problem)
+    monkeypatch.setattr(timed_columns, "_narrow_window", lambda *_: (-1e9, window))
+    assert list(list_displaced_images(problem, assumed, path)) == []
+
+
+def test_windows_that_are_narrowed_lie_apart_in_order_of_probability():
+    windows = [(1.0, 2.0), (1.1, 2.0), (1.0, 4.0), (-np.inf, 2.0), (-np.inf, 2.1)]
+    found = timed_columns._list_separate(windows, np.array([3.0, 2.0, 4.0, 1.0, 0.0]), 0.15)
+    assert found == [(-np.inf, 2.1), (1.1, 2.0), (1.0, 4.0)]
+    many = [(float(k), np.inf) for k in range(20)]
+    assert timed_columns._list_separate(many, np.arange(20.0), 0.15) == many[: timed_columns.SEARCHED]
 
 
 def test_a_shift_of_a_link_is_minus_that_of_its_encoder():
@@ -131,6 +137,20 @@ def test_moments_are_found_between_two_images(moments):
     *_, (timed, cost) = list_timed_loads(problem, noise, path, loads)
     np.testing.assert_allclose(timed[0].moments, moments, atol=0.06)
     assert cost > 0.0 and {one.moments for one in timed} == {timed[0].moments}
+
+
+def test_moments_are_found_among_fewer_images_than_the_log_has_parts():
+    rng = np.random.default_rng(4)
+    problem = factor_problems.drawn(rng, images=28)  # 1.4 s
+    loads = tuple(bent(j, (0.7,)) for j in range(2))
+    rows = 0.02 * sum(one.moves_links(initial_path(problem).at_images(problem.images[0])) for one in loads)
+    (sighting,) = problem.sightings
+    seen = sighting.values + np.einsum("dm,fm->fd", sighting.model.a, rows)
+    problem = replace(problem, sightings=(replace(sighting, values=seen),))
+    noise = factor_problems.noise(3, rng, lasting=False)
+    path = solve(problem, noise, rounds=1).linear.path
+    *_, (timed, _) = list_timed_loads(problem, noise, path, tuple(bent(j) for j in range(2)))
+    np.testing.assert_allclose(timed[0].moments, (0.7,), atol=0.11)
 
 
 def test_an_encoder_that_is_off_since_a_moment_is_no_load():

@@ -19,7 +19,7 @@ from .load import FIRST_BEND, Load, bend_under_load, count_groups
 from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import CHANGE, FactorProblem, Noise
 from .solve import column_nats
-from .timed_columns import list_displaced_images, list_timed_loads, weigh_shift
+from .timed_columns import list_displaced_images, list_timed_loads, weigh_displacements
 
 FIRST_STD = 1e-3
 """rad: σ of a lasting error with which the search begins."""
@@ -164,20 +164,21 @@ def _displace_images(
     total = None
     while True:
         known = ((noise, white.path), (before.noise, before.path))
-        tried = chain(*(list_displaced_images(problem, *one) for one in known))
-        gains = [
-            (weigh_shift(problem, before.noise, before.path, shifts) - cost, shifts, cost)
-            for shifts, cost in tried
-        ]
-        gain, shifts, cost = max(gains, key=lambda one: one[0], default=(0.0, (), 0.0))
-        if gain <= EVIDENCE_THRESHOLD_NATS:
+        tried = list(chain(*(list_displaced_images(problem, *one) for one in known)))
+        each = [shifts for shifts, _ in tried]
+        won = weigh_displacements(problem, before.noise, before.path, each)
+        gains = [one - cost for one, (_, cost) in zip(won, tried, strict=True)]
+        if max(gains, default=0.0) <= EVIDENCE_THRESHOLD_NATS:
             return problem, before, total
+        shifts, cost = tried[int(np.argmax(gains))]
         more = replace(problem, columns=(*problem.columns, *shifts))
         after = _learn(more, before.noise, step_s, before)
         gain = before.nats - after.nats - cost
         if gain <= EVIDENCE_THRESHOLD_NATS:
             return problem, before, total
-        problem, before, total = more, after, (total or 0.0) + gain
+        total = gain if total is None else total + gain
+        problem = more
+        before = after
 
 
 def _allow_load(
@@ -191,11 +192,14 @@ def _allow_load(
 ) -> tuple[FactorProblem, Learned, float | None]:
     """The problem and its noise with a load where the log shows one, and the nats that it wins.
 
-    others: whether play or displaced images explain part of the log.
+    noise: as of `explain`, in which a load stands for none of it · others: whether play or
+    displaced images explain part of the log.
     """
     if not loads:
         return problem, before, None
-    bent, loads, cost = _time_likeliest_load(problem, noise, loads, step_s, white, before)
+    timed = islice(list_timed_loads(problem, noise, white.path, loads), 1 + MOST_TIMES)
+    tried = ((_learn_load(problem, one, step_s, white, before), one, cost) for one, cost in timed)
+    bent, loads, cost = min(tried, key=lambda one: one[0].nats + one[2])
     gain = before.nats - bent.nats - cost
     # what lasts long and is gone beside a load stood for it: neither is simpler; play leaves none
     rival = not others and _is_long(before.noise) and not _is_long(bent.noise)
@@ -203,24 +207,6 @@ def _allow_load(
     if gain <= (0.0 if rival else EVIDENCE_THRESHOLD_NATS) or np.abs(bends).max() > MOST_BEND:
         return problem, before, None
     return replace(problem, columns=(*problem.columns, *loads)), bent, gain
-
-
-def _time_likeliest_load(
-    problem: FactorProblem,
-    noise: Noise,
-    loads: tuple[Load, ...],
-    step_s: float,
-    white: Learned,
-    before: Learned,
-) -> tuple[Learned, tuple[Load, ...], float]:
-    """The noise beside a load that is carried all the time, or when it is most probable,
-    the load's columns, and −ln p of when it is carried.
-
-    noise: as known before the log's images, in which a load stands for none of it.
-    """
-    timed = islice(list_timed_loads(problem, noise, white.path, loads), 1 + MOST_TIMES)
-    tried = ((_learn_load(problem, one, step_s, white, before), one, cost) for one, cost in timed)
-    return min(tried, key=lambda one: one[0].nats + one[2])
 
 
 def _learn_load(

@@ -19,8 +19,8 @@ WIDE_BEND = 0.02
 LEAST_LEVER = 1e-3
 """Share of the longest lever below which a joint carries nothing."""
 TAKEN_S = 0.2
-"""s in which a hand takes up a load, or puts it down. Of 12 drawn logs with 0.02, 0.2 and 0.5 s, 0.2 s
-lost 0 to 5 nats against a step on the first four, and won 4 to 10 and 0 to 8 on the others.
+"""s in which a hand takes up a load, or puts it down. Against a step, 12 drawn logs lost at most 5
+nats where it was 0.02 s, and won 4 to 10 and 0 to 8 where it was 0.2 and 0.5 s.
 """
 COMPLIANCE_SPREAD = 1.0
 """Standard deviation of a joint's compliance, in shares of what all joints have alike: those of

@@ -74,13 +74,13 @@ def list_timed_loads(
     rival = _weigh_shifts(linear, eliminated)
     leads = tuple({one.group: one for one in reversed(loads)}.values())
 
-    def begin(moment: float) -> tuple[Column, ...]:
+    def take_load(moment: float) -> tuple[Column, ...]:
         return tuple(replace(lead, moments=(moment,)) for lead in leads)
 
     moments: Moments = ()
     total = 0.0
     while (
-        found := _change_moments(linear, eliminated, begin, WIDE_BEND, moments, LEAST_CARRIED_S)
+        found := _change_moments(linear, eliminated, take_load, WIDE_BEND, moments, LEAST_CARRIED_S)
     ) is not None:
         moments, cost = found
         total += cost
@@ -119,15 +119,20 @@ def _begin_shift(shifts: tuple[ImageShift, ...], moment: float) -> tuple[ImageSh
     return tuple(replace(one, since=moment) for one in shifts)
 
 
-def weigh_shift(
-    problem: FactorProblem, noise: Noise, path: Path, shifts: tuple[ImageShift, ...]
-) -> float:
-    """Nats by which a log is more probable with shifts of unknown sizes, with this noise."""
+def weigh_displacements(
+    problem: FactorProblem, noise: Noise, path: Path, tried: Sequence[tuple[ImageShift, ...]]
+) -> list[float]:
+    """Nats by which a log is more probable with each displacement, of unknown size, by this
+    noise."""
     linear = linearise(problem, path, noise)
     eliminated = eliminate(build_system(linear))
     without = eliminated.nats - eliminated.logs
-    alone = np.eye(len(shifts))[None]
-    return without - float(_weigh_columns(linear, eliminated, shifts, alone, shifts[0].std)[0])
+    gains = []
+    for shifts in tried:
+        alone = np.eye(len(shifts))[None]
+        (nats,) = _weigh_columns(linear, eliminated, shifts, alone, shifts[0].std)
+        gains.append(without - float(nats))
+    return gains
 
 
 def _change_moments(
@@ -144,7 +149,7 @@ def _change_moments(
     begin: columns of what begins at a moment and lasts, of sizes 0 ± std · least: s of a window.
     """
 
-    def weigh(windows: Sequence[Window]) -> Array:
+    def weigh_windows(windows: Sequence[Window]) -> Array:
         tried = [_change_between(before, one) for one in windows]
         return _weigh_moments(linear, eliminated, begin, std, tried)
 
@@ -154,9 +159,9 @@ def _change_moments(
     every = product([-np.inf, *inner], [*inner, np.inf])
     windows = [(a, b) for a, b in every if b - a > max(least, 0.5 * step)]
     cost = float(np.log(len(windows)))
-    apart = _list_separate(windows, weigh(windows), 1.5 * step)
+    apart = _list_separate(windows, weigh_windows(windows), 1.5 * step)
     finest = float(np.median(np.diff(knots)))
-    narrow = sorted(_narrow_window(one, step, finest, least, weigh) for one in apart)
+    narrow = sorted(_narrow_window(one, step, finest, least, weigh_windows) for one in apart)
     (without,) = _weigh_moments(linear, eliminated, begin, std, [before or (-np.inf,)])
     seen = _list_image_times(linear.problem)
     for nats, window in narrow:
@@ -173,20 +178,19 @@ def _narrow_window(
     step: float,
     finest: float,
     least: float,
-    weigh: Callable[[Sequence[Window]], Array],
+    weigh_windows: Callable[[Sequence[Window]], Array],
 ) -> tuple[float, Window]:
     """−ln p of the log with the most probable window of at least `least` s near one that is known
     to `step` s, and that window, known to `finest` s.
     """
-    nats = np.inf
     while step > finest:
         step /= 4.0
         near = (step * np.arange(-4, 5)).tolist()
         every = ((window[0] + a, window[1] + b) for a, b in product(near, near))
         tried = [(a, b) for a, b in every if b - a > least]
-        each = weigh(tried)
-        window, nats = tried[int(np.argmin(each))], float(each.min())
-    return nats, window
+        window = tried[int(np.argmin(weigh_windows(tried)))]
+    (nats,) = weigh_windows([window])
+    return float(nats), window
 
 
 def _list_separate(windows: Sequence[Window], nats: Array, apart: float) -> list[Window]:

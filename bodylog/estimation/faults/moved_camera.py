@@ -335,8 +335,8 @@ def _measure_worn_play(encoders: Encoders, rows: _DisplacementRows) -> Array:
     """Half of the play (M,) rad that joints have beyond what encoders were made to follow; zero
     where it does not win EVIDENCE_THRESHOLD_NATS.
 
-    A step or a drift of an encoder may resemble play: beside the most likely displacement, play must
-    win over such a change, too.
+    A step or a drift of an encoder may resemble play: beside the most likely displacement, play
+    must win over such a change, too.
     """
     beside = rows.allow_for_changes([_best_change(rows)])
     half, cost = _fit_play(encoders, beside)

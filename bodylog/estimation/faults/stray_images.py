@@ -7,8 +7,8 @@ log is less surprising by Δ nats, and without as many sound ones by u. A run co
     ln(1/ε) + ln(span) + n ln 2 + u (n − 1) / n
 
 nats: an image begins one with probability ε and lies anywhere in the picture; after each image the
-run goes on or ends, as probable; and its images follow one another as sound ones do. Where Δ is more
-than that by EVIDENCE_THRESHOLD_NATS, the run is left out.
+run goes on or ends, as probable; and its images follow one another as sound ones do. Where Δ is
+more than that by EVIDENCE_THRESHOLD_NATS, the run is left out.
 """
 
 from collections.abc import Sequence
@@ -49,8 +49,8 @@ makes room for others in the next one.
 SOUND_RUNS = 9
 """Runs of as many sound images that a run is compared with."""
 MORE_SURPRISING = 0.75
-"""Quantile of the surprise of sound runs that counts: images of fast motion surprise more, above all
-with stamps that jitter, and some of these runs have stray images themselves.
+"""Quantile of the surprise of sound runs that counts: images of fast motion surprise more, above
+all with stamps that jitter, and some of these runs have stray images themselves.
 """
 
 
@@ -95,7 +95,8 @@ def _list_runs(number: int, t: Array, places: Array) -> list[StrayRun]:
     for first, end in product(bounds, bounds):
         if end - first < 2 or t[end - 1] - t[first] > LONGEST_S:
             continue
-        leap, back = jump_at[first], jump_at[end]
+        leap = jump_at[first]
+        back = jump_at[end]
         if leap @ back <= 0.0:
             size = float(np.linalg.norm(leap) + np.linalg.norm(back))
             runs.append(
@@ -129,12 +130,12 @@ def find_stray_runs(problem: FilterProblem, possible: Sequence[StrayRun]) -> lis
     evident = [one for one in weighed if one.nats > EVIDENCE_THRESHOLD_NATS]
     kept = list[StrayRun]()
     for run in sorted(evident, key=lambda one: -one.nats):
-        if not any(_overlap(run, other) for other in kept):
+        if not any(_share_images(run, other) for other in kept):
             kept.append(run)
     return kept
 
 
-def _overlap(one: StrayRun, other: StrayRun) -> bool:
+def _share_images(one: StrayRun, other: StrayRun) -> bool:
     """Whether two runs have images of one track in common."""
     return one.number == other.number and one.begin <= other.end and other.begin <= one.end
 
@@ -150,17 +151,17 @@ def _weigh_run(problem: FilterProblem, run: StrayRun) -> float:
         return -np.inf
     whole = filter_roughly(part)
 
-    def surprise(rows: Array) -> float:
+    def measure_surprise(rows: Array) -> float:
         less = filter_roughly(_without_images(part, run.number, rows), whole)
         return total_free_energy(whole) - total_free_energy(less)
 
     begins = np.linspace(0, len(sound) - run.images, SOUND_RUNS).astype(int).tolist()
-    each = [surprise(sound[one : one + run.images]) for one in begins]
+    each = [measure_surprise(sound[one : one + run.images]) for one in begins]
     usual = float(np.quantile(each, MORE_SURPRISING))
     span = image_span(sighting.values[seen], sighting.var[seen])
     begin = np.log(span).sum() - np.log(OUTLIERS)
     lasts = run.images * np.log(2.0) + usual * (run.images - 1) / run.images
-    return float(surprise(seen[own]) - begin - lasts)
+    return float(measure_surprise(seen[own]) - begin - lasts)
 
 
 def _select_images(t: Array, run: StrayRun) -> Array:
