@@ -224,6 +224,13 @@ def test_no_play_is_measured_where_joints_have_none(world, errors):
     assert not screen_measurements(features, body, EstimationSettings()).worn.any()
 
 
+@pytest.mark.parametrize("seed", [4, 9])
+def test_noise_that_moves_a_motor_within_its_play_is_no_play(seed):
+    sound = drawn(100 + seed, Drawn("reach", noise=0.01))
+    seen = moved(sound.features, 5.0, seed)
+    assert not screen_measurements(seen, sound.body, EstimationSettings()).worn.any()
+
+
 @pytest.mark.parametrize("seed", [7801, 7803, 7805])
 def test_an_encoder_that_drifts_beside_a_move_is_no_play(world, seed):
     features = replayed(seed, Mechanism(1e-3, Hardware()), Fault(), reaches=True)

@@ -26,8 +26,10 @@ from ..measurements.arm_errors import (
     LEAST_PLAY,
     PLAY_STD,
     follow_links,
+    follow_slack,
     learned_arm_errors,
     read_slack,
+    smooth_motors,
 )
 from ..measurements.long_arrays import noise_variance
 from ..measurements.records import Encoders, Evidence, Sighting
@@ -338,13 +340,14 @@ def _measure_worn_play(encoders: Encoders, rows: _DisplacementRows) -> Array:
     A step or a drift of an encoder may resemble play: beside the most likely displacement, play
     must win over such a change, too.
     """
-    beside = rows.allow_for_changes([_best_change(rows)])
+    first = _best_change(rows)
+    beside = rows.allow_for_changes([first])
     half, cost = _fit_play(encoders, beside)
     none = np.zeros(len(half))
     if beside.cost - cost <= EVIDENCE_THRESHOLD_NATS:
         return none
     pair = _best_pair(rows, [CAMERA, *product(range(len(half)), (False, True))])
-    gain = rows.measure_cost_beside(pair) - cost
+    gain = rows.measure_cost_beside(pair or [first]) - cost
     return half if gain > EVIDENCE_THRESHOLD_NATS else none
 
 
@@ -352,16 +355,21 @@ def _fit_play(encoders: Encoders, rows: _DisplacementRows) -> tuple[Array, float
     """Half of each joint's play (M,) rad, and what the rows cost beside it.
 
     Links that trail their motors' links through more play trail the motors through the sum of both.
+    Noise of readings moves a motor within its play, so play within that noise would explain it:
+    half of it must be more than the motors' angles are unsure.
     """
+    motors, noise = smooth_motors(encoders.t, encoders.values)
     half = np.zeros(rows.jac.shape[1])
+    shown = np.ones(len(half), bool)
     for _ in range(PLAY_ROUNDS):
-        slack = read_slack(encoders.t, encoders.values, np.maximum(half, LEAST_PLAY))
+        slack = follow_slack(motors, np.maximum(half, LEAST_PLAY), noise)
         at_rows = np.column_stack([np.interp(rows.t, encoders.t, column) for column in slack.T])
-        columns = PLAY_STD * rows.jac * at_rows
+        columns = PLAY_STD * rows.jac * at_rows * shown
         white = forward_substituted(rows.chol, np.column_stack([rows.r, columns]))
         info = white[:, 1:].T @ white[:, 1:] + np.eye(len(half))
         half = PLAY_STD * np.maximum(np.linalg.solve(info, white[:, 1:].T @ white[:, 0]), 0.0)
-    return half, rows.allow_for_columns(columns).cost
+        shown = half > noise
+    return half * shown, rows.allow_for_columns(columns * shown).cost
 
 
 def _explain_rows(

@@ -161,13 +161,20 @@ def read_slack(t: Array, readings: Array, half: Array) -> Array:
     """Where links lie within their play (N,M), −1 … 1, by the
     readings (N,M) rad at t (N,) s of their motors.
     """
+    motors, noise = smooth_motors(t, readings)
+    return follow_slack(motors, half, noise)
+
+
+def smooth_motors(t: Array, readings: Array) -> tuple[Array, Array]:
+    """Angles of motors (N,M) rad by readings (N,M) rad at t (N,) s,
+    averaged, and how far these are known (M,) rad.
+    """
     motors = np.nan_to_num(interpolate_values(t, readings, t))
     width = max(int(SMOOTH_S / median_step(t)) | 1, 1)
     ends = ((width // 2, width // 2), (0, 0))
     sums = np.cumsum(np.pad(np.pad(motors, ends, "edge"), ((1, 0), (0, 0))), axis=0)
-    smooth = (sums[width:] - sums[:-width]) / width
     noise = NOISE_SIGMAS * np.sqrt(noise_variance(motors) / width)
-    return follow_slack(smooth, half, noise)
+    return (sums[width:] - sums[:-width]) / width, noise
 
 
 def with_links(features: Features, play: Mapping[str, tuple[float, float]]) -> Features:
