@@ -1,6 +1,7 @@
 """Errors of the hardware: explained without truth, and angles and error bars that allow for them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from bodylog.estimation.factors.whole_log import explain_by_white_noise, solve_log
 from bodylog.estimation.faults.moved_camera import restore_displacements
+from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.estimation.measurements.arm_errors import ArmErrors
 from bodylog.estimation.methods import explained
 from bodylog.estimation.methods.filtering import build_filter_problem
@@ -219,3 +221,16 @@ def test_errors_many_times_the_explorations_stand_for_no_offset(std, seconds, us
 def test_encoders_without_errors_that_last_are_usual():
     white = JointNoise(3, np.full(3, 1e-6), np.ones(3), None, np.ones(3), np.zeros(3, bool), np.zeros(3, bool))
     assert explained._is_usual(Noise(white, (1.0,), prior=ANY_ERRORS))
+
+
+@pytest.mark.parametrize("beside, least", [({"load": 7.0}, 0.0), ({}, -EVIDENCE_THRESHOLD_NATS)])
+def test_an_offset_beside_a_load_is_a_fault_only_where_the_load_alone_explains_less(beside, least):
+    """A load that is as evident as errors which last: what it takes out of an offset beside itself is none."""
+    sound = SimpleNamespace(joints=SimpleNamespace(error=None))
+    alone = SimpleNamespace(noise=sound, explanation=SimpleNamespace(gains={"load": 9.0}, columns=()))
+    both = SimpleNamespace(explanation=SimpleNamespace(gains=beside))
+    problem = SimpleNamespace(
+        timeline=SimpleNamespace(t=np.zeros(1)), precision=SimpleNamespace(drift=np.array([0.0, 1e-7]))
+    )
+    offset = FoundFault("encoders", "elbow", FaultKind.DRIFTING, 0.0, -0.014, "rad", 5e-4)
+    assert explained._allowance_for_faults(alone, both, problem, (offset,), 0) == least

@@ -227,8 +227,9 @@ def _allowance_for_faults(
     beside: the log with them. What lasts for long, or is several times the exploration's, would be
     an offset itself. Play, unless it is there beside the offsets, too, and one load explain several
     offsets at once, and one encoder more that is off from the first reading on counts as one fault
-    more. A load is as simple as an offset of one encoder, if it is evident beside errors that last;
-    if not, it must be evident beside offsets of known size. An offset too small for a fault goes
+    more. A load is as simple as an offset of one encoder, if it is evident beside errors that last,
+    or is there beside the offsets, too; if not, it must be evident beside offsets of known size.
+    An offset too small for a fault goes
     where the log is as likely without it. The sizes of a displacement cost no evidence.
     """
     passing = _is_usual(found.noise)
@@ -238,8 +239,8 @@ def _allowance_for_faults(
         return moves + (off - 1) * EVIDENCE_THRESHOLD_NATS
     if "load" in gains and passing:
         named = any(np.isfinite(fault.size) for fault in faults)
-        hides = named and gains["load"] <= EVIDENCE_THRESHOLD_NATS
-        return moves - EVIDENCE_THRESHOLD_NATS if hides else moves
+        evident = gains["load"] > EVIDENCE_THRESHOLD_NATS or "load" in beside.explanation.gains
+        return moves - EVIDENCE_THRESHOLD_NATS if named and not evident else moves
     if passing and not faults and not cameras:
         return 0.0
     if not (passing and "play" in gains) or cameras:
