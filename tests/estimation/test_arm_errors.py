@@ -11,7 +11,7 @@ from bodylog.errors import ModelError
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors.columns import Path
 from bodylog.estimation.factors.images import place_images
-from bodylog.estimation.factors.load import count_groups, load_columns, load_sentence
+from bodylog.estimation.factors.load import count_groups, curve_loads, load_columns, load_sentence
 from bodylog.estimation.measurements.arm_errors import (
     ARM_ERRORS,
     ArmErrors,
@@ -222,6 +222,24 @@ def test_a_load_without_a_urdf_is_any_linear_function_of_the_posture(sound_body)
     assert np.abs(left).max() < 1e-9
     text = load_sentence({"weight": False, "nats": 20.0, "rad": {"lift": 0.01}})
     assert text.startswith("payload, or") and "lift 0.57°" in text and "20 nats" in text
+
+
+def test_a_posture_load_follows_gravity_to_the_second_order_in_joints_that_turn(sound_body):
+    q = mechanisms.replayed(4, mechanisms.SOUND, Fault(), duration=6.0).joints.values
+    q = np.column_stack([np.full(len(q), 0.3), q[:, 1:]])
+    linear = load_columns(sound_body, q)
+    columns = curve_loads(linear, np.array([False, True, True]))
+    assert len(columns) == len(linear) + 9
+    path = Path(np.arange(len(q)), q, q, q, q)
+    bends = np.cos(q[:, 1] + q[:, 2])
+
+    def measure_misfit(loads):
+        own = np.column_stack([one.moves_links(path)[:, 2] for one in loads if one.joint == 2])
+        return np.abs(bends - own @ np.linalg.lstsq(own, bends, rcond=None)[0]).max()
+
+    assert measure_misfit(columns) < 0.2 * measure_misfit(linear)
+    six = load_columns(sound_body, np.column_stack([q, q]))
+    assert curve_loads(six, np.ones(6, bool)) == six  # too many
 
 
 def test_a_load_with_a_urdf_bends_joints_by_the_levers_of_the_hand():

@@ -15,7 +15,7 @@ from ..measurements.track import camera_of_track
 from .columns import Column, Delay, Play
 from .encoder_error import LEAST_STD
 from .gauss_newton import path_of, solve
-from .load import FIRST_BEND, Load, bend_under_load, count_groups
+from .load import FIRST_BEND, Load, bend_under_load, count_groups, curve_loads
 from .noise import FEWEST_READINGS, Learned, learn_noise
 from .problem import CHANGE, FactorProblem, Noise
 from .solve import column_nats
@@ -122,7 +122,8 @@ def explain(
     without = _learn(problem, plain, step_s, lasting).nats if gains else white.nats
     delays = tuple(_delays_left(problem, found, step_s))
     if "load" in gains:
-        found = mix_silent_groups(found, problem.columns)
+        problem = replace(problem, columns=curve_loads(problem.columns, _find_turning(noise)))
+        found = mix_silent_groups(_learn(problem, found.noise, step_s, found), problem.columns)
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
 
 
@@ -134,7 +135,7 @@ def _allow_play(
     sides: noise without play, with errors that last at encoders and at links.
     """
     lasting = _best(sides)
-    turning = np.ones(len(halves), bool) if noise.resting is None else ~noise.resting
+    turning = _find_turning(noise)
     play = tuple(one for one in _list_plays(halves) if turning[one.joint])
     late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
     loose = replace(problem, columns=(*problem.columns, *play))
@@ -267,6 +268,11 @@ def _delays_left(problem: FactorProblem, found: Learned, step_s: float) -> Itera
         delayed = _learn(late, found.noise, step_s, found)
         std = float(np.sqrt(delayed.sizes_cov[-1, -1]))
         yield Late(name, float(delayed.sizes[-1]), std, found.nats - delayed.nats)
+
+
+def _find_turning(noise: Noise) -> Array:
+    """Which joints (M,) bool turn in the log."""
+    return np.ones(len(noise.joints.white), bool) if noise.resting is None else ~noise.resting
 
 
 def _cameras(problem: FactorProblem) -> tuple[str, ...]:
