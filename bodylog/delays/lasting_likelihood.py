@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimation.factors.noise import LOG_SCALE
-from ..estimation.factors.problem import ANY_ERRORS
+from ..estimation.factors.factor_problem import ANY_ERRORS
+from ..estimation.factors.noise_search import LOG_SCALE
 from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..estimation.noise.lasting_error import LONGEST_S
 from ..types import Array

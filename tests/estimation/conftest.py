@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 from bodylog.body_model import BodyModel, Noise, TouchConstants
-from bodylog.estimation.inference.problem import FilterProblem
+from bodylog.estimation.inference.filter_problem import FilterProblem
 from bodylog.estimation.methods import filtering
 from bodylog.motion import WHITE_ACCELERATION, WHITE_JERK
 from bodylog.types import Array, Features, Series, Synchrony, Touch

@@ -3,7 +3,7 @@
 import numpy as np
 
 from bodylog.estimation.factors.encoder_error import JointNoise
-from bodylog.estimation.factors.problem import FactorProblem, Noise
+from bodylog.estimation.factors.factor_problem import FactorProblem, Noise
 from bodylog.estimation.measurements.records import Sighting
 from tests.estimation.conftest import Linear
 

@@ -8,7 +8,7 @@ import pytest
 
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors.encoder_error import JointNoise
-from bodylog.estimation.factors.problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
+from bodylog.estimation.factors.factor_problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from bodylog.estimation.factors.whole_log import explain_by_white_noise, solve_log
 from bodylog.estimation.faults.moved_camera import restore_displacements
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS

@@ -10,11 +10,16 @@ from scipy.linalg import block_diag
 from bodylog.estimation.factors import robust
 from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, ImageShift, Path
 from bodylog.estimation.factors.encoder_error import JointNoise
+from bodylog.estimation.factors.factor_problem import FactorProblem, Noise, linearise
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
 from bodylog.estimation.factors.hypotheses import SILENT_STD, _learn, _list_plays, mix_silent_groups
 from bodylog.estimation.factors.images import correlate_model_errors
-from bodylog.estimation.factors.noise import LEAST_PROCESS, Learned, _cost, _tabulate_parameters
-from bodylog.estimation.factors.problem import FactorProblem, Noise, linearise
+from bodylog.estimation.factors.noise_search import (
+    LEAST_PROCESS,
+    Learned,
+    _cost,
+    _tabulate_parameters,
+)
 from bodylog.estimation.factors.solve import filtered, predicted
 from bodylog.estimation.measurements.arm_errors import PLAY_STD, follow_slack
 from bodylog.estimation.measurements.records import Sighting

@@ -8,9 +8,9 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors import timed_columns
 from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path
+from bodylog.estimation.factors.factor_problem import build_system, linearise
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
 from bodylog.estimation.factors.load import PostureLoad, load_sentence
-from bodylog.estimation.factors.problem import build_system, linearise
 from bodylog.estimation.factors.solve import eliminate
 from bodylog.estimation.factors.timed_columns import (
     LinkShift,

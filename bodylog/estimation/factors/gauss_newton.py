@@ -12,7 +12,7 @@ from ..inference.scan import ROUGHLY_CONVERGED_MOVE
 from ..measurements.arm_errors import LEAST_PLAY, NOISE_SIGMAS, follow_slack
 from ..measurements.records import interpolate_values
 from .columns import Path, Play
-from .problem import FactorProblem, Linearised, Noise, build_system, linearise
+from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise
 from .solve import Eliminated, Marginals, System, eliminate, filtered, smoothed
 
 ROUNDS = 12

@@ -14,10 +14,10 @@ from ..measurements.arm_errors import PLAY_STD
 from ..measurements.track import camera_of_track
 from .columns import Column, Delay, Play
 from .encoder_error import LEAST_STD
+from .factor_problem import CHANGE, FactorProblem, Noise
 from .gauss_newton import path_of, solve
 from .load import FIRST_BEND, Load, bend_under_load, count_groups, curve_loads
-from .noise import FEWEST_READINGS, Learned, learn_noise
-from .problem import CHANGE, FactorProblem, Noise
+from .noise_search import FEWEST_READINGS, Learned, learn_noise
 from .solve import column_nats
 from .timed_columns import list_displaced_images, list_timed_loads, weigh_displacements
 

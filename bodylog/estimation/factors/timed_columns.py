@@ -16,8 +16,8 @@ from ...types import Array
 from ..faults.threshold import PRIOR_STD_RAD
 from ..measurements.track import camera_of_track
 from .columns import Column, ImageShift, Path
+from .factor_problem import FactorProblem, Linearised, Noise, add_at_knots, build_system, linearise
 from .load import TAKEN_S, WIDE_BEND, Load
-from .problem import FactorProblem, Linearised, Noise, add_at_knots, build_system, linearise
 from .solve import Eliminated, column_nats, eliminate
 
 SEARCHED = 6

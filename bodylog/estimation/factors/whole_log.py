@@ -11,18 +11,18 @@ import numpy as np
 from ...kinematics.calibration import CHI_SQUARE_MEDIANS
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
-from ..inference.problem import FilterProblem
+from ..inference.filter_problem import FilterProblem
 from ..inference.tangents import OFFSET_STD
 from ..measurements.records import Encoders, Sighting, unmix_rows
 from ..noise.lasting_error import MOST_COUNTS
 from .columns import EncoderShift
 from .encoder_error import LEAST_STD, JointNoise
+from .factor_problem import FactorProblem, LastingPrior, Noise
 from .gauss_newton import Solution, path_of, solve
 from .hypotheses import FIRST_S, Explanation, explain, fit_white_noise, with_lasting
 from .images import ImageRows, Images
 from .load import WIDE_BEND, Load, count_groups
-from .noise import Learned
-from .problem import FactorProblem, LastingPrior, Noise
+from .noise_search import Learned
 from .robust import believed, image_span, left_out, outlier_nats
 from .solve import Marginals, filtered, predicted
 from .timed_columns import list_timed_loads

@@ -23,7 +23,7 @@ import numpy as np
 
 from ...types import ALTERNATIVE_SEPARATOR, Array, Fault, FaultKind, Hypothesis
 from ..inference.filter_log import filter_roughly
-from ..inference.problem import FilterProblem
+from ..inference.filter_problem import FilterProblem
 from ..inference.solution import Solution
 from ..inference.tangents import OFFSET_STD
 from ..measurements.long_arrays import find_finite_rows as seen_rows

@@ -22,7 +22,7 @@ from ...types import Array, Finding
 from ...wording import list_in_words
 from ..factors.robust import OUTLIERS, image_span
 from ..inference.filter_log import filter_roughly
-from ..inference.problem import FilterProblem
+from ..inference.filter_problem import FilterProblem
 from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..noise.evidence_search import cut_problem
 from .encoder_offset import total_free_energy

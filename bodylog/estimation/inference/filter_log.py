@@ -16,7 +16,7 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, correlation_length
 from ..noise.posture_prior import build_stationary_motion
-from .problem import FilterProblem, Fold, choose_fold, encoder_rows, fold_readings
+from .filter_problem import FilterProblem, Fold, choose_fold, encoder_rows, fold_readings
 from .reacquisition import LONG_SILENCE_S
 from .scan import (
     CONVERGED_MOVE,

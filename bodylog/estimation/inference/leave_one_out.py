@@ -13,7 +13,7 @@ import numpy as np
 from ...linear_algebra import project_covariance
 from ...types import Array
 from ..measurements.records import unmix_rows
-from .problem import FilterProblem
+from .filter_problem import FilterProblem
 from .scan import FLAT_COST_NATS, GATE_SIGMA
 from .solution import Smooth
 

@@ -17,8 +17,8 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from .filter_log import filter_sequentially, frames_by_instant, write_lines
+from .filter_problem import FilterProblem, Fold
 from .leave_one_out import remove_readings
-from .problem import FilterProblem, Fold
 from .scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE, TraceDetail, filter_stretches
 from .sequential import linearise_over_belief
 from .solution import Smooth, Solution, assemble_smooth

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
+from .filter_problem import Fold
 from .kernel_call import bind_kernel_call
-from .problem import Fold
 from .scan import (
     BLOCK_INSTANTS,
     FilterDynamics,

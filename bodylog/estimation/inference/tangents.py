@@ -18,7 +18,7 @@ from ..noise.correlated_noise import (
     shared_model_factors,
 )
 from ..noise.noise_model import NoiseModel
-from .problem import FilterProblem, Fold
+from .filter_problem import FilterProblem, Fold
 from .scan import FilterDynamics, FilterReadings
 
 

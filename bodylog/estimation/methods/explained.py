@@ -13,9 +13,9 @@ from ...fault_kinds import OFF_FROM_START_S
 from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
 from ..factors.columns import ImageShift, Play, displacement_sentence
+from ..factors.factor_problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from ..factors.hypotheses import DRIFTS_S, Explanation
 from ..factors.load import FIRST_BEND, Load, bend_under_load, load_columns, load_sentence
-from ..factors.problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from ..factors.whole_log import (
     ExplainedLog,
     Instants,
@@ -26,7 +26,7 @@ from ..factors.whole_log import (
 )
 from ..faults.moved_camera import restore_displacements
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
-from ..inference.problem import FilterProblem
+from ..inference.filter_problem import FilterProblem
 from ..measurements.arm_errors import LEAST_NEES, learned_arm_errors
 from ..noise.lasting_error import LastingError
 from . import results

@@ -25,7 +25,7 @@ from ..inference.filter_log import (
     loses_encoder,
     solve_by_gauss_newton,
 )
-from ..inference.problem import FilterProblem
+from ..inference.filter_problem import FilterProblem
 from ..inference.reacquisition import warn_of_resets
 from ..inference.scan import DidNotConverge
 from ..inference.solution import Solution

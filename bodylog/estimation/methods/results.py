@@ -12,7 +12,7 @@ from ...body_model import BodyModel
 from ...linear_algebra import project_covariance
 from ...settings import EstimationSettings
 from ...types import LASTING_ERROR, Array, Estimate, Fault, Finding, Series
-from ..inference.problem import FilterProblem
+from ..inference.filter_problem import FilterProblem
 from ..measurements.arm_errors import LEAST_NEES
 from ..measurements.long_arrays import find_finite_rows as seen_rows
 from ..measurements.posture import PostureModel

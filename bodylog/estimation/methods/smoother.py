@@ -13,6 +13,7 @@ from ...body_model import BodyModel
 from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Features
 from ..inference.filter_log import initial_sweep
+from ..inference.filter_problem import FilterProblem, choose_fold, fold_readings
 from ..inference.leave_one_out import (
     SmoothedWithResiduals,
     find_contradicted_readings,
@@ -20,7 +21,6 @@ from ..inference.leave_one_out import (
     remove_readings,
     smoothed_free_energy,
 )
-from ..inference.problem import FilterProblem, choose_fold, fold_readings
 from ..inference.scan import (
     CONVERGED_MOVE,
     MAX_SWEEPS,

@@ -21,7 +21,7 @@ from ...types import HARDWARE_ERRORS, Array, Estimate, Finding
 from ..factors.robust import OUTLIERS, image_span
 from ..factors.whole_log import LEARNED_S
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
-from ..inference.problem import FilterProblem
+from ..inference.filter_problem import FilterProblem
 from ..measurements.long_arrays import find_finite_rows, median_step
 from ..measurements.records import Encoders, Sighting
 from . import results

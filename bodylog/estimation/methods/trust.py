@@ -27,7 +27,7 @@ from ..factors.whole_log import (
 )
 from ..faults.threshold import SIGNIFICANT_SIGMA
 from ..inference.filter_log import filter_roughly
-from ..inference.problem import FilterProblem
+from ..inference.filter_problem import FilterProblem
 from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence

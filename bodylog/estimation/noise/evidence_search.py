@@ -24,7 +24,7 @@ from ...motion import WHITE_JERK
 from ...types import Array, Hypothesis
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.filter_log import filter_roughly
-from ..inference.problem import FilterProblem
+from ..inference.filter_problem import FilterProblem
 from ..inference.reacquisition import find_silent_joints, joints_left_open
 from ..inference.scan import (
     MAX_SWEEPS,

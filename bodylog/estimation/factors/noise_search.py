@@ -19,8 +19,8 @@ from .columns import Path
 from .condensed_slopes import Expected, measure_condensed_slopes
 from .condensing import PairFactors, PassedSteps
 from .encoder_error import JointNoise
+from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise
 from .gauss_newton import path_of
-from .problem import FactorProblem, Linearised, Noise, build_system, linearise
 from .solve import Smoothed, eliminate, smoothed
 
 LOG_SCALE = (0.0, 1.0)
