@@ -252,3 +252,22 @@ def test_offset_score_of_encoders_far_surer_than_images_is_not_rounding():
     # (A + W)^-1 W is 1 but for 4e-16: of an offset of 2 rad, what the images say is left
     np.testing.assert_allclose(slope, [[2.0 * 4.0 - 5.0, 0.0]], rtol=1e-9)
     np.testing.assert_allclose(curvature, [[4.0, 0.0]], rtol=1e-9)
+
+
+def test_a_change_is_worth_no_more_than_the_log_with_it(monkeypatch, world):
+    """Far from a minimum that is no parabola, one through three costs lies far below it."""
+    drawn = world(0, duration=4.0)
+    problem = filtering.build_filter_problem(drawn.features, drawn.body, EstimationSettings())
+    read = problem.evidence.encoders.values
+
+    def find_cost(posed):
+        size = (read - posed.evidence.encoders.values)[-1, 1]
+        return 1e3 * np.hypot(1.0, (size - 0.03) / 5e-3)
+
+    monkeypatch.setattr(encoder_offset, "filter_roughly", lambda posed, warm: posed)
+    monkeypatch.setattr(encoder_offset, "total_free_energy", find_cost)
+    for first in (0.0, 0.028, 0.032, 0.1):
+        found = encoder_offset._size_likeliest_change(problem, 1, None, {2.0: first}, grows=False)
+        assert found is None or found.nats - found.prior >= 1e3 - 1.0
+    near = encoder_offset._size_likeliest_change(problem, 1, None, {2.0: 0.028}, grows=False)
+    assert near.fault.size == pytest.approx(0.03, abs=1e-3)
