@@ -201,6 +201,9 @@ def _allow_load(
     timed = islice(list_timed_loads(problem, noise, white.path, loads), 1 + MOST_TIMES)
     tried = ((_learn_load(problem, one, step_s, white, before), one, cost) for one, cost in timed)
     bent, loads, cost = min(tried, key=lambda one: one[0].nats + one[2])
+    # noise that is found beside a load may explain the log without it, too
+    alone = replace(bent.noise, groups=before.noise.groups)
+    before = _best([before, _learn(problem, alone, step_s, before)])
     gain = before.nats - bent.nats - cost
     # what lasts long and is gone beside a load stood for it: neither is simpler; play leaves none
     rival = not others and _is_long(before.noise) and not _is_long(bent.noise)
