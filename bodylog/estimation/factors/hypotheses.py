@@ -85,6 +85,17 @@ class Explanation:
         return replace(problem, columns=about, settled=self.learned.sizes_cov)
 
 
+@dataclass(frozen=True)
+class _Basis:
+    """What explanations of a log begin with: noise that is known before images, the encoders' usual step
+    (s), and white noise alone by evidence.
+    """
+
+    noise: Noise
+    step_s: float
+    white: Learned
+
+
 def explain(
     problem: FactorProblem,
     noise: Noise,
@@ -108,10 +119,11 @@ def explain(
         or _is_short(lasting.noise, step_s)
     ):
         return Explanation(problem.columns, white, white, 0.0, 0.0, {})
-    problem, lasting, played = _allow_play(problem, noise, step_s, halves, sides)
-    problem, lasting, displaced = _displace_images(problem, noise, step_s, white, lasting)
+    basis = _Basis(noise, step_s, white)
+    problem, lasting, played = _allow_play(problem, basis, halves, sides)
+    problem, lasting, displaced = _displace_images(problem, basis, lasting)
     others = played is not None or displaced is not None
-    problem, lasting, loaded = _allow_load(problem, noise, loads, step_s, white, lasting, others)
+    problem, lasting, loaded = _allow_load(problem, basis, loads, lasting, others)
     each = {"play": played, "displaced": displaced, "load": loaded}
     gains = {name: gain for name, gain in each.items() if gain is not None}
     found = learn_noise(
@@ -128,43 +140,43 @@ def explain(
 
 
 def _allow_play(
-    problem: FactorProblem, noise: Noise, step_s: float, halves: Array, sides: Sequence[Learned]
+    problem: FactorProblem, basis: _Basis, halves: Array, sides: Sequence[Learned]
 ) -> tuple[FactorProblem, Learned, float | None]:
     """The problem and its noise with play where the log shows it, and the nats that it wins.
 
     sides: noise without play, with errors that last at encoders and at links.
     """
     lasting = _best(sides)
-    turning = _find_turning(noise)
+    turning = _find_turning(basis.noise)
     play = tuple(one for one in _list_plays(halves) if turning[one.joint])
     late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
     loose = replace(problem, columns=(*problem.columns, *play))
     # a delay that was corrected for play hides the play: both are free where they are compared
     free = replace(problem, columns=(*loose.columns, *late))
-    loosely = _best([_learn(free, one.noise, step_s, one) for one in sides])
+    loosely = _best([_learn(free, one.noise, basis.step_s, one) for one in sides])
     least = -EVIDENCE_THRESHOLD_NATS if halves.any() else EVIDENCE_THRESHOLD_NATS
     if lasting.nats - loosely.nats <= least:
         return problem, lasting, None
     delayed = replace(problem, columns=(*problem.columns, *late))
-    beside = _learn(delayed, lasting.noise, step_s, lasting)
+    beside = _learn(delayed, lasting.noise, basis.step_s, lasting)
     gain = min(lasting.nats, beside.nats) - loosely.nats
     if gain <= least:
         return problem, lasting, None
-    return loose, _learn(loose, loosely.noise, step_s, loosely), gain
+    return loose, _learn(loose, loosely.noise, basis.step_s, loosely), gain
 
 
 def _displace_images(
-    problem: FactorProblem, noise: Noise, step_s: float, white: Learned, before: Learned
+    problem: FactorProblem, basis: _Basis, before: Learned
 ) -> tuple[FactorProblem, Learned, float | None]:
     """The problem and its noise with the windows of time in which a camera's images are displaced,
     one after the other while they win EVIDENCE_THRESHOLD_NATS, and the nats that all win.
 
-    noise: as of `explain`; such windows are looked for by errors that last, too, which stand for
-    part of what a displacement shows.
+    Such windows are looked for by errors that last, too, which stand for part of what a
+    displacement shows.
     """
     total = None
     while True:
-        known = ((noise, white.path), (before.noise, before.path))
+        known = ((basis.noise, basis.white.path), (before.noise, before.path))
         tried = list(chain(*(list_displaced_images(problem, *one) for one in known)))
         each = [shifts for shifts, _ in tried]
         won = weigh_displacements(problem, before.noise, before.path, each)
@@ -173,7 +185,7 @@ def _displace_images(
             return problem, before, total
         shifts, cost = tried[int(np.argmax(gains))]
         more = replace(problem, columns=(*problem.columns, *shifts))
-        after = _learn(more, before.noise, step_s, before)
+        after = _learn(more, before.noise, basis.step_s, before)
         gain = before.nats - after.nats - cost
         if gain <= EVIDENCE_THRESHOLD_NATS:
             return problem, before, total
@@ -183,27 +195,22 @@ def _displace_images(
 
 
 def _allow_load(
-    problem: FactorProblem,
-    noise: Noise,
-    loads: tuple[Load, ...],
-    step_s: float,
-    white: Learned,
-    before: Learned,
-    others: bool,
+    problem: FactorProblem, basis: _Basis, loads: tuple[Load, ...], before: Learned, others: bool
 ) -> tuple[FactorProblem, Learned, float | None]:
     """The problem and its noise with a load where the log shows one, and the nats that it wins.
 
-    noise: as of `explain`, in which a load stands for none of it · others: whether play or
+    A load stands for none of the noise that is known before images · others: whether play or
     displaced images explain part of the log.
     """
     if not loads:
         return problem, before, None
-    timed = islice(list_timed_loads(problem, noise, white.path, loads), 1 + MOST_TIMES)
-    tried = ((_learn_load(problem, one, step_s, white, before), one, cost) for one, cost in timed)
+    listed = list_timed_loads(problem, basis.noise, basis.white.path, loads)
+    timed = islice(listed, 1 + MOST_TIMES)
+    tried = ((_learn_load(problem, basis, one, before), one, cost) for one, cost in timed)
     bent, loads, cost = min(tried, key=lambda one: one[0].nats + one[2])
     # noise that is found beside a load may explain the log without it, too
     alone = replace(bent.noise, groups=before.noise.groups)
-    before = _best([before, _learn(problem, alone, step_s, before)])
+    before = _best([before, _learn(problem, alone, basis.step_s, before)])
     gain = before.nats - bent.nats - cost
     # what lasts long and is gone beside a load stood for it: neither is simpler; play leaves none
     rival = not others and _is_long(before.noise) and not _is_long(bent.noise)
@@ -214,13 +221,13 @@ def _allow_load(
 
 
 def _learn_load(
-    problem: FactorProblem, loads: tuple[Load, ...], step_s: float, white: Learned, before: Learned
+    problem: FactorProblem, basis: _Basis, loads: tuple[Load, ...], before: Learned
 ) -> Learned:
     """The noise beside a load by evidence, with errors at encoders or at links."""
     loaded = replace(problem, columns=(*problem.columns, *loads))
     groups = (FIRST_BEND,) * count_groups(loads)
-    each = [replace(one, groups=groups) for one in _lasting(white.noise)]
-    return _best([_learn(loaded, one, step_s, before) for one in each])
+    each = [replace(one, groups=groups) for one in _lasting(basis.white.noise)]
+    return _best([_learn(loaded, one, basis.step_s, before) for one in each])
 
 
 def _list_plays(halves: Array) -> Iterator[Play]:
