@@ -87,8 +87,8 @@ class Explanation:
 
 @dataclass(frozen=True)
 class _Basis:
-    """What explanations of a log begin with: noise that is known before images, the encoders' usual step
-    (s), and white noise alone by evidence.
+    """What explanations of a log begin with: noise that is known before images,
+    the encoders' usual step (s), and white noise alone by evidence.
     """
 
     noise: Noise
