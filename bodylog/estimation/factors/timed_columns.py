@@ -14,7 +14,7 @@ import numpy as np
 
 from ...types import Array
 from ..faults.threshold import PRIOR_STD_RAD
-from ..measurements.track import camera_of_track
+from ..measurements.track import group_tracks_by_camera
 from .columns import Column, ImageShift, Path
 from .factor_problem import FactorProblem, Linearised, Noise, add_at_knots, build_system, linearise
 from .load import TAKEN_S, WIDE_BEND, Load
@@ -99,9 +99,9 @@ def list_displaced_images(
     """
     linear = linearise(problem, path, noise)
     eliminated = eliminate(build_system(linear))
-    tracks = [one.sighting for one in problem.images if one.sighting.is_track]
-    for camera in dict.fromkeys(camera_of_track(one.name) for one in tracks):
-        own = [one.values for one in tracks if camera_of_track(one.name) == camera]
+    sightings = [one.sighting for one in problem.images]
+    for camera, tracks in group_tracks_by_camera(sightings).items():
+        own = [sightings[number].values for number in tracks]
         # they may lie anywhere among the places of their tracks
         std = float(np.nanstd(np.concatenate(own), axis=0).max())
         shift = ImageShift("displaced", std, camera=camera)

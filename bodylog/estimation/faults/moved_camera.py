@@ -33,7 +33,7 @@ from ..measurements.arm_errors import (
 )
 from ..measurements.long_arrays import noise_variance
 from ..measurements.records import Encoders, Evidence, Sighting
-from ..measurements.track import camera_of_track
+from ..measurements.track import group_tracks_by_camera
 from ..measurements.track_curve import (
     BLUNDER_MEDIANS,
     MAX_FRAME_GAP_S,
@@ -186,9 +186,7 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     faults = list[Fault]()
     hypotheses = list[Hypothesis]()
     worn = np.zeros(len(body.joints))
-    tracks = [k for k, s in enumerate(sightings) if s.is_track]
-    for name in dict.fromkeys(camera_of_track(sightings[k].name) for k in tracks):
-        own = [k for k in tracks if camera_of_track(sightings[k].name) == name]
+    for name, own in group_tracks_by_camera(sightings).items():
         seen = [sightings[k] for k in own]
         rows = _build_displacement_rows(encoders, seen, np.array(lasting))
         if rows is not None and (more := _measure_worn_play(encoders, rows)).any():

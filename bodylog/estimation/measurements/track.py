@@ -1,6 +1,6 @@
 """A point on the arm tracked in images: two rows, u and v in px."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -23,8 +23,17 @@ def read_tracks(features: Features, body: BodyModel) -> Mapping[str, Measured]:
 
 
 def camera_of_track(track: str) -> str:
-    """Name of a track's camera; tracks of the first one, `camera_of_track`, have no prefix."""
+    """Name of a track's camera; tracks of the first one, `camera`, have no prefix."""
     return track.rpartition("/")[0] or "camera"
+
+
+def group_tracks_by_camera(sightings: Sequence[Sighting]) -> Mapping[str, list[int]]:
+    """Numbers of each camera's tracks among sightings."""
+    groups = dict[str, list[int]]()
+    for number, sighting in enumerate(sightings):
+        if sighting.is_track:
+            groups.setdefault(camera_of_track(sighting.name), []).append(number)
+    return groups
 
 
 def _read_track(name: str, track: Series, body: BodyModel, rows: RowExposure | None) -> Measured:
