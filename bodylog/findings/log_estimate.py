@@ -115,16 +115,24 @@ def compare_changes_with_faults(
     """Add changes of joint zeros, cameras and markers to the estimate's faults.
 
     Without effect for a body learned without a URDF, with `bias = "off"`, and where the estimate
-    allows for a load, under which joints bend as if their zeros had changed.
+    allows for a load, under which joints bend as if their zeros had changed. Play and errors of
+    encoders that last are those for which the estimate allows, or those of the exploration.
     """
     from ..body.kinematic.model import can_show_changes
+    from ..estimation.measurements.arm_errors import learned_arm_errors, with_links
 
     errors = found.settings.get(HARDWARE_ERRORS, {})
     if settings.bias == "off" or not can_show_changes(body) or errors.get("load"):
         return found
     from ..body.kinematic import change
 
-    changes = change.find_changes(_usable_tracks(features, found), body)
+    known = learned_arm_errors(body)
+    play = {n: (one["rad"], one["std"]) for n, one in errors.get("play", {}).items()} or known.play
+    lasting: Mapping[str, tuple[float, float]] = known.lasting
+    if one := errors.get("lasting"):
+        lasting = dict.fromkeys(body.joints, (one["std"], one["seconds"]))
+    links = with_links(_usable_tracks(features, found), play)
+    changes = change.find_changes(links, body, lasting)
     faults, findings = merge_changes_and_faults(changes, found)
     return replace(found, faults=faults, findings=(*found.findings, *findings))
 

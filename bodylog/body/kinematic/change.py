@@ -18,7 +18,7 @@ from ...kinematics.rig import Rig
 from ...kinematics.rotations import vector_from_rotation
 from ...runtime.blas_threads import one_thread
 from ...types import Array, Board, Features
-from ..data.pairs import correlate_angle_errors, pair_sightings, smooth_all_joints
+from ..data.pairs import NO_ERRORS, correlate_angle_errors, pair_sightings, smooth_all_joints
 from ..data.subsampling import choose_spaced_rows
 from .change_system import (
     ChangeFit,
@@ -85,12 +85,14 @@ class Change:
 
 
 @one_thread("scipy.linalg")
-def find_changes(features: Features, body: BodyModel) -> tuple[Change, ...]:
+def find_changes(
+    features: Features, body: BodyModel, lasting: Mapping[str, tuple[float, float]] = NO_ERRORS
+) -> tuple[Change, ...]:
     """Find changes between the exploration logs and these features, most likely first.
 
-    Empty where no track has kinematics, a joint lacks readings, or too little is seen.
+    lasting: as `smooth_all_joints` takes it. Empty where no track has kinematics, a joint lacks readings, or too little is seen.
     """
-    if (problem := pose_problem(features, body)) is None:
+    if (problem := pose_problem(features, body, lasting)) is None:
         return ()
     problem = drop_unexplained_sightings(problem)
     if sum(len(kept) for kept in problem.kept) < FEWEST:
@@ -206,7 +208,9 @@ def _refine_onset(
     return problem, part, fit
 
 
-def pose_problem(features: Features, body: BodyModel) -> ChangeProblem | None:
+def pose_problem(
+    features: Features, body: BodyModel, lasting: Mapping[str, tuple[float, float]] = NO_ERRORS
+) -> ChangeProblem | None:
     """Pose the linear problem of all changes; None where
     no track has kinematics, or a joint lacks readings.
     """
@@ -217,7 +221,7 @@ def pose_problem(features: Features, body: BodyModel) -> ChangeProblem | None:
     if not senses or not can_show_changes(body) or not set(body.joints) <= set(names):
         return None
     try:
-        chosen = smooth_all_joints([features], body.joints)
+        chosen = smooth_all_joints([features], body.joints, lasting)
     except InputError:
         return None  # an encoder with hardly any readings
     tracks = []

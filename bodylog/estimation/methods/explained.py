@@ -60,7 +60,7 @@ def explained_estimate(
     kept = results.build_estimate(method, body, problem.evidence, problem.timeline, beliefs)
     halves = _known_halves(body)
     prior = _known_lasting(body)
-    lasting = find_evident_error(kept, problem, beliefs.z, settings)
+    lasting = find_evident_error(kept, problem, beliefs.z, settings, kept.faults)
     if lasting is None and (halves.any() or prior.known) and settings.precision == "auto":
         square = float(np.mean(np.square(halves)))
         square += np.exp(2.0 * prior.error[0]) if prior.known else 0.0
@@ -75,8 +75,12 @@ def explained_estimate(
         except np.linalg.LinAlgError as singular:
             return f"their explanation has no solution ({singular})"
 
-    if lasting is None and problem.evidence.worn.any() and settings.precision == "auto":
-        made = try_explanation(float(np.sqrt(np.mean(np.square(problem.evidence.worn)))), False)
+    if lasting is None and settings.precision == "auto":
+        suspected = float(np.sqrt(np.mean(np.square(problem.evidence.worn))))
+        if beliefs.faults and not suspected:
+            hidden = find_evident_error(kept, problem, beliefs.z, settings, problem.evidence.faults)
+            suspected = 0.0 if hidden is None else hidden.std
+        made = try_explanation(suspected, False) if suspected else ""
         if isinstance(made, Estimate):
             return made
     # a load looks like an encoder that drifts, by less than counts as a fault, too

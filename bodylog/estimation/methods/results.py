@@ -2,7 +2,7 @@
 predictions per sense, free energy per output, names, clocks.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -95,16 +95,23 @@ def build_estimate(
 
 
 def find_evident_error(
-    found: Estimate, problem: FilterProblem, z: Array, settings: EstimationSettings
+    found: Estimate,
+    problem: FilterProblem,
+    z: Array,
+    settings: EstimationSettings,
+    faults: Sequence[Fault],
 ) -> LastingError | None:
     """The error of encoders that lasts, where it makes error bars of white noise too small.
 
-    z (E,K): beliefs at all instants.
+    z (E,K): beliefs at all instants. Any offset but that of `faults` may stand for such an error,
+    so images are compared with the readings of that encoder, too.
     """
     if settings.precision != "auto":
         return None
     m = len(problem.start)
-    offsets = z[:, 2 * m :] if z.shape[1] > 2 * m else np.zeros((len(z), m))
+    faulty = {name for one in faults if one.sense == "encoders" for name in one.names}
+    named = np.array([name in faulty for name in problem.evidence.joints])
+    offsets = z[:, 2 * m :] * named if z.shape[1] > 2 * m else np.zeros((len(z), m))
     beliefs = [
         FrameBelief(z[at, :m], z[at, m : 2 * m], offsets[at]) for at in problem.timeline.sightings
     ]
