@@ -11,6 +11,7 @@ from bodylog.body.kinematic.model import can_show_changes
 from bodylog.findings import log_estimate as change_findings
 from bodylog.findings.faults import fault_warnings
 from bodylog.settings import EstimationSettings, Settings
+from bodylog.sim.hardware import Hardware, encoder_noise
 from bodylog.types import Fault, FaultKind
 from tests.body.changed_arms import DEGREE, explored, run
 from tests.kinematics.robots import JOINTS
@@ -55,6 +56,22 @@ def test_false_sightings_do_not_count(known):
     wrong[::15] += 80.0
     (one,) = change.find_changes(replace(features, tracks={"effector": replace(track, values=wrong)}), known)
     assert one.name == "elbow" and abs(one.value[0] - 2 * DEGREE) < 3 * one.std[0]
+
+
+@pytest.mark.parametrize("seed", [53, 54, 55])
+def test_errors_of_encoders_that_last_are_no_change_and_hide_none(known, seed):
+    hardware = Hardware(correlated=4e-3, correlation_s=2.0)
+    lasting = dict.fromkeys(known.joints, (hardware.correlated, hardware.correlation_s))
+
+    def err(features):
+        joints = features.joints
+        off = encoder_noise(hardware, 0.0, joints.values.shape, 100.0, np.random.default_rng(seed))
+        return replace(features, joints=replace(joints, values=joints.values + off))
+
+    sound = err(run(seed, encoder=2e-3))
+    assert change.find_changes(sound, known) and not change.find_changes(sound, known, lasting)
+    (one,) = change.find_changes(err(run(seed, encoder=2e-3, offset={"lift": 3 * DEGREE})), known, lasting)
+    assert one.name == "lift" and abs(one.value[0] - 3 * DEGREE) < 3 * one.std[0]
 
 
 def test_change_needs_a_urdf_and_sightings(known):

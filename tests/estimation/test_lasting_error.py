@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
+from bodylog.estimation.methods import results
+from bodylog.estimation.methods.filtering import build_filter_problem
+from bodylog.fault_kinds import Fault as FoundFault
 from bodylog.findings import verdict
 from bodylog.settings import EstimationSettings
-from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR
+from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, FaultKind
 from tests.estimation import mechanisms
+from tests.estimation.conftest import JOINTS
 from tests.estimation.mechanisms import LASTING, LOOSE, Fault, errors_and_nees, true_angles
 from tests.validation import logs, outliers
 
@@ -92,3 +96,20 @@ def test_a_log_with_a_single_reading_has_no_lasting_error():
     found = estimate_from_features(replace(features, joints=single), body, EstimationSettings())
     assert LASTING_ERROR not in found.settings
     assert np.isfinite(found.joints.values).all()
+
+
+def test_offsets_that_are_no_faults_hide_no_error_that_lasts(monkeypatch):
+    """Walks of all encoders follow what lasts; only an encoder whose offset is named tells nothing."""
+    features = mechanisms.replayed(4, LASTING, Fault())
+    settings = EstimationSettings()
+    problem = build_filter_problem(features, mechanisms.learned(1000, mechanisms.SOUND), settings)
+    true = true_angles(4, LASTING)
+    t = problem.timeline.t
+    angles = np.column_stack([np.interp(t, true.t, column) for column in true.values.T])
+    rates = np.gradient(angles, t, axis=0)
+    beliefs = np.hstack([angles, rates, np.full(angles.shape, 1e-3)])
+    monkeypatch.setattr(results, "nees_if_white", lambda found, more: 10.0)
+    found = results.find_evident_error(None, problem, beliefs, settings, ())
+    assert found.std == pytest.approx(2e-3, rel=0.5)
+    named = [FoundFault("encoders", name, FaultKind.DRIFTING, 0.0, 0.1, "rad", 1e-3) for name in JOINTS]
+    assert results.find_evident_error(None, problem, beliefs, settings, named) is None
