@@ -78,6 +78,7 @@ def explained_estimate(
     if lasting is None and settings.precision == "auto":
         suspected = float(np.sqrt(np.mean(np.square(problem.evidence.worn))))
         if beliefs.faults and not suspected:
+            # an offset that wanders may be what lasts, even where it is as large as a fault
             hidden = find_evident_error(kept, problem, beliefs.z, settings, problem.evidence.faults)
             suspected = 0.0 if hidden is None else hidden.std
         made = try_explanation(suspected, False) if suspected else ""
