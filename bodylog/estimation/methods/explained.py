@@ -76,7 +76,8 @@ def explained_estimate(
             return f"their explanation has no solution ({singular})"
 
     if lasting is None and settings.precision == "auto":
-        suspected = float(np.sqrt(np.mean(np.square(problem.evidence.worn))))
+        worn = problem.evidence.worn
+        suspected = float(np.sqrt(np.mean(np.square(worn)))) if worn.any() else 0.0
         if beliefs.faults and not suspected:
             # an offset that wanders may be what lasts, even where it is as large as a fault
             hidden = find_evident_error(kept, problem, beliefs.z, settings, problem.evidence.faults)
