@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import degrees, nan
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..body_model import BodyModel
 from ..checks import log_context, require_tracks
@@ -28,6 +28,7 @@ from .faults import unseen_findings
 
 if TYPE_CHECKING:
     from ..body.kinematic.change import Change
+    from ..estimation.measurements.arm_errors import ArmErrors
 
 DIFFERING_SIGMA = 3.0
 """Standard deviations by which two sizes of one
@@ -119,22 +120,31 @@ def compare_changes_with_faults(
     encoders that last are those for which the estimate allows, or those of the exploration.
     """
     from ..body.kinematic.model import can_show_changes
-    from ..estimation.measurements.arm_errors import learned_arm_errors, with_links
+    from ..estimation.measurements.arm_errors import with_links
 
     errors = found.settings.get(HARDWARE_ERRORS, {})
     if settings.bias == "off" or not can_show_changes(body) or errors.get("load"):
         return found
     from ..body.kinematic import change
 
-    known = learned_arm_errors(body)
-    play = {n: (one["rad"], one["std"]) for n, one in errors.get("play", {}).items()} or known.play
-    lasting: Mapping[str, tuple[float, float]] = known.lasting
-    if one := errors.get("lasting"):
-        lasting = dict.fromkeys(body.joints, (one["std"], one["seconds"]))
-    links = with_links(_usable_tracks(features, found), play)
-    changes = change.find_changes(links, body, lasting)
+    arm = _list_arm_errors(errors, body)
+    links = with_links(_usable_tracks(features, found), arm.play)
+    changes = change.find_changes(links, body, arm.lasting)
     faults, findings = merge_changes_and_faults(changes, found)
     return replace(found, faults=faults, findings=(*found.findings, *findings))
+
+
+def _list_arm_errors(explained: Mapping[str, Any], body: BodyModel) -> "ArmErrors":
+    """Play and errors of encoders that last: those of an explained log, else of the exploration."""
+    from ..estimation.measurements.arm_errors import learned_arm_errors
+
+    arm = learned_arm_errors(body)
+    if play := explained.get("play"):
+        arm = replace(arm, play={name: (one["rad"], one["std"]) for name, one in play.items()})
+    if lasting := explained.get("lasting"):
+        size = (lasting["std"], lasting["seconds"])
+        arm = replace(arm, lasting=dict.fromkeys(body.joints, size))
+    return arm
 
 
 def _usable_tracks(features: Features, found: Estimate) -> Features:

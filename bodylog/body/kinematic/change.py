@@ -90,7 +90,8 @@ def find_changes(
 ) -> tuple[Change, ...]:
     """Find changes between the exploration logs and these features, most likely first.
 
-    lasting: as `smooth_all_joints` takes it. Empty where no track has kinematics, a joint lacks readings, or too little is seen.
+    lasting: as `smooth_all_joints` takes it. Empty where no track has kinematics, a joint lacks
+    readings, or too little is seen.
     """
     if (problem := pose_problem(features, body, lasting)) is None:
         return ()

@@ -197,10 +197,10 @@ def _bend_linearly(known: Array) -> Iterator[PostureLoad]:
     """
     middle = tuple(known.mean(axis=0).tolist())
     for j in range(known.shape[1]):
-        alike = PostureLoad("posture", 1.0, group=j, joint=j, middle=middle)
-        yield alike
+        constant = PostureLoad("posture", 1.0, group=j, joint=j, middle=middle)
+        yield constant
         for other in range(known.shape[1]):
-            yield replace(alike, factors=(other,))
+            yield replace(constant, factors=(other,))
 
 
 def curve_loads(columns: Sequence[Column], turning: Array) -> tuple[Column, ...]:
@@ -210,9 +210,11 @@ def curve_loads(columns: Sequence[Column], turning: Array) -> tuple[Column, ...]
     A bend of A cos(q₁ + q₂ + φ) has slopes of up to A, ½A for squares, and A for products.
     """
     pairs = list(combinations_with_replacement(np.flatnonzero(turning).tolist(), 2))
-    alike = [one for one in columns if isinstance(one, PostureLoad) and not one.factors]
+    constants = [one for one in columns if isinstance(one, PostureLoad) and not one.factors]
     curved = [
-        replace(one, factors=(j, k), std=0.5 if j == k else 1.0) for one in alike for j, k in pairs
+        replace(one, factors=(j, k), std=0.5 if j == k else 1.0)
+        for one in constants
+        for j, k in pairs
     ]
     every = (*columns, *curved)
     return every if len(every) <= MOST_COLUMNS else tuple(columns)
