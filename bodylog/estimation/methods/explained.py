@@ -75,14 +75,9 @@ def explained_estimate(
         except np.linalg.LinAlgError as singular:
             return f"their explanation has no solution ({singular})"
 
-    if lasting is None and settings.precision == "auto":
-        worn = problem.evidence.worn
-        suspected = float(np.sqrt(np.mean(np.square(worn)))) if worn.any() else 0.0
-        if beliefs.faults and not suspected:
-            # an offset that wanders may be what lasts, even where it is as large as a fault
-            hidden = find_evident_error(kept, problem, beliefs.z, settings, problem.evidence.faults)
-            suspected = 0.0 if hidden is None else hidden.std
-        made = try_explanation(suspected, False) if suspected else ""
+    if lasting is None:
+        suspected = _suspect_error(kept, problem, beliefs, settings)
+        made = None if suspected is None else try_explanation(suspected, False)
         if isinstance(made, Estimate):
             return made
     # a load looks like an encoder that drifts, by less than counts as a fault, too
@@ -106,6 +101,21 @@ def explained_estimate(
         "error bars hold for the offsets alone"
     )
     return replace(kept, findings=(*kept.findings, Finding("warning", text)))
+
+
+def _suspect_error(
+    kept: Estimate, problem: FilterProblem, beliefs: Beliefs, settings: EstimationSettings
+) -> float | None:
+    """The size (rad) of an error which the beliefs hide: play that came after the exploration, or
+    what lasts where an offset that wanders follows it, even one as large as a fault.
+    """
+    worn = problem.evidence.worn
+    if worn.any() and settings.precision == "auto":
+        return float(np.sqrt(np.mean(np.square(worn))))
+    if not beliefs.faults:
+        return None
+    hidden = find_evident_error(kept, problem, beliefs.z, settings, problem.evidence.faults)
+    return None if hidden is None else hidden.std
 
 
 def _explain_estimate(
