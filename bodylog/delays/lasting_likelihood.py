@@ -32,7 +32,9 @@ _JITTER = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class TrackResiduals:
-    """A track beside readings, as R rows: residual (R,), prior, noise (R,R) px², slopes (R,M), t (R,) s."""
+    """A track beside readings, as R rows: residual (R,), prior,
+    noise (R,R) px², slopes (R,M), t (R,) s.
+    """
 
     residual: Array
     prior: Array

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 from bodylog.estimation.factors import robust
 from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, ImageShift, Path
 from bodylog.estimation.factors.encoder_error import JointNoise
-from bodylog.estimation.factors.factor_problem import FactorProblem, Noise, linearise
+from bodylog.estimation.factors.factor_problem import FactorProblem, Noise, linearise_problem
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
 from bodylog.estimation.factors.hypotheses import SILENT_STD, _learn, _list_plays, mix_silent_groups
 from bodylog.estimation.factors.images import correlate_model_errors
@@ -221,7 +221,7 @@ def test_the_slope_of_the_evidence_is_that_of_differences(at_link):
         columns = (Delay("late", 0.05, camera="camera"), Tilt("bent", 2.0, group=0))
         problem = drawn(rng, columns)
         assumed = replace(noise(3, rng, True, at_link), groups=(0.01,))
-        linear = linearise(problem, initial_path(problem), assumed)
+        linear = linearise_problem(problem, initial_path(problem), assumed)
         at = _tabulate_parameters(problem, assumed, 0.01)[1][:, 0]
         _, slope = _cost(linear, at)
         for k, own in enumerate(slope):

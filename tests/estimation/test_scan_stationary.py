@@ -111,7 +111,7 @@ def test_silence_of_a_linear_body_is_that_of_full_matrices(world, linear_model, 
     problem = replace(problem, precision=precision)
     problem = replace(problem, stationary=Stationary(problem.start, np.square(
         np.repeat(np.array(START_STD[:order])[:, None], 3, axis=1)), precision.process))  # fmt: skip
-    assert problem.stepwise and problem.held.any()
+    assert problem.stepwise and problem.left_open.any()
     z, p, smooth, cov = textbook(problem, drawn, order, problem.stationary)
     for found in (filter_sequentially(problem), filter_log.solve_by_gauss_newton(problem)):
         np.testing.assert_allclose(found.fold.unfold(found.trace.z), z, atol=1e-7)

@@ -8,7 +8,7 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors import timed_columns
 from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path
-from bodylog.estimation.factors.factor_problem import build_system, linearise
+from bodylog.estimation.factors.factor_problem import build_system, linearise_problem
 from bodylog.estimation.factors.gauss_newton import initial_path, solve
 from bodylog.estimation.factors.load import PostureLoad, load_sentence
 from bodylog.estimation.factors.solve import eliminate
@@ -43,9 +43,9 @@ def test_columns_added_later_have_the_schur_complement_of_columns_that_are_there
     more = (bent(0, (0.1, 0.25)), bent(1, (0.2,)), LinkShift("shift", 1.0, joint=0, since=0.15, until=0.45))
     noise = replace(factor_problems.noise(3, rng), groups=(1.0, 1.0))
     path = initial_path(problem)
-    linear = linearise(problem, path, noise)
+    linear = linearise_problem(problem, path, noise)
     found = _extend_schur(linear, eliminate(build_system(linear)), more)
-    whole = linearise(replace(problem, columns=(*known, *more)), path, noise)
+    whole = linearise_problem(replace(problem, columns=(*known, *more)), path, noise)
     np.testing.assert_allclose(found, eliminate(build_system(whole)).schur, rtol=1e-6, atol=1e-6 * found[0, 0])
 
 
@@ -74,7 +74,7 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
             assert [one.axis for one in own] == [0, 1]
             np.testing.assert_allclose([own[0].since, own[0].until], [1.0, 2.0], atol=0.06)
             whole = replace(spoilt, columns=own)
-            each = (eliminate(build_system(linearise(one, path, assumed))).nats for one in (spoilt, whole))
+            each = (eliminate(build_system(linearise_problem(one, path, assumed))).nats for one in (spoilt, whole))
             without, beside = each
             assert weigh_displacements(spoilt, assumed, path, [own])[0] == pytest.approx(without - beside, rel=1e-6)
 

@@ -100,11 +100,11 @@ class FactorProblem:
         """Number U of rows of all senses, each with a model error among the states."""
         return sum(one.values.shape[1] for one in self.sightings)
 
-    def states(self, noise: Noise) -> int:
+    def count_states(self, noise: Noise) -> int:
         """Length S of the state at a knot: each joint's, then the model errors."""
         return len(self.start) * noise.joints.states + self.model_rows
 
-    def place(self, path: Path, order: int) -> Readings:
+    def place_on_knots(self, path: Path, order: int) -> Readings:
         """The readings at and between the knots, with the change
         of each by the columns as further right-hand sides. order: that of the motion.
         """
@@ -128,10 +128,10 @@ class Linearised:
     noise: Noise
 
 
-def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
+def linearise_problem(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
     """The problem about a path of angles (K,M), rates (K,M) and links (K,M)."""
     rows = []
-    size = problem.states(noise)
+    size = problem.count_states(noise)
     first = size - problem.model_rows
     for images in problem.images:
         here = path.at_images(images)
@@ -140,7 +140,7 @@ def linearise(problem: FactorProblem, path: Path, noise: Noise) -> Linearised:
         first += images.values.shape[1]
     kappa = correlate_model_errors(problem.sightings, path.links)
     return Linearised(
-        problem, path, problem.place(path, noise.joints.order), tuple(rows), kappa, noise
+        problem, path, problem.place_on_knots(path, noise.joints.order), tuple(rows), kappa, noise
     )
 
 
@@ -162,7 +162,7 @@ def build_system(linear: Linearised, passed: PassedSteps | None = None) -> Syste
     noise = linear.noise
     joints = noise.joints
     pairs = condense(linear.readings, joints, passed)
-    size = problem.states(noise)
+    size = problem.count_states(noise)
     p = joints.states
     m = len(problem.start)
     width = m * p

@@ -12,7 +12,7 @@ from ..inference.scan import ROUGHLY_CONVERGED_MOVE
 from ..measurements.arm_errors import LEAST_PLAY, NOISE_SIGMAS, follow_slack
 from ..measurements.records import interpolate_values
 from .columns import Path, Play
-from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise
+from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise_problem
 from .solve import Eliminated, Marginals, System, eliminate, filtered, smoothed
 
 ROUNDS = 12
@@ -86,7 +86,7 @@ def solve(
     """Linearise and solve until the links rest; `causal`: by what was known at each knot."""
     path = initial_path(problem) if path is None else path
     for _ in range(rounds):
-        linear = linearise(problem, path, noise)
+        linear = linearise_problem(problem, path, noise)
         system = build_system(linear)
         eliminated = eliminate(system)
         beliefs = filtered(system, eliminated) if causal else smoothed(system, eliminated)

@@ -19,7 +19,7 @@ from .columns import Path
 from .condensed_slopes import Expected, measure_condensed_slopes
 from .condensing import PairFactors, PassedSteps
 from .encoder_error import JointNoise
-from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise
+from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise_problem
 from .gauss_newton import path_of
 from .solve import Smoothed, eliminate, smoothed
 
@@ -83,15 +83,15 @@ def learn_noise(
     for i, j in product(range(len(names)), repeat=2):
         guess[i, j] = curvature.get((names[i], names[j]), guess[i, j])
     for _ in range(rounds):
-        linear = linearise(problem, path, noise)
+        linear = linearise_problem(problem, path, noise)
 
-        def cost(p: Array, linear: Linearised = linear) -> tuple[float, Array]:
-            nats, slope = _cost(linear, p)
+        def weigh_with_prior(p: Array, linear: Linearised = linear) -> tuple[float, Array]:
+            nats, slope = _weigh_log(linear, p)
             away = (p - mean) / std
             return nats + float(0.5 * away @ away), slope + away / std
 
         found = minimise_with_bfgs(
-            cost, np.clip(begin, least, most), least, most, guess, FLAT_NATS, 1.0
+            weigh_with_prior, np.clip(begin, least, most), least, most, guess, FLAT_NATS, 1.0
         )
         begin = found.at
         guess = found.curvature
@@ -111,7 +111,7 @@ def learn_noise(
     )
 
 
-def _errors(joints: JointNoise) -> Array:
+def _list_lasting_stds(joints: JointNoise) -> Array:
     """Standard deviations (L,) rad of the lasting errors that are learned."""
     return np.empty(0) if joints.error is None else joints.error[joints.learned]
 
@@ -149,7 +149,7 @@ def _tabulate_parameters(
             np.inf,
         ),
     }
-    if len(errors := _errors(joints)):
+    if len(errors := _list_lasting_stds(joints)):
         ends = np.log(FEWEST_READINGS * step_s), np.log(LONGEST_S)
         table["error"] = (np.log(errors), 0.4, np.log(1e-6), np.log(0.3), *noise.prior.error)
         seconds = np.log(joints.seconds[joints.learned][:1])
@@ -169,7 +169,7 @@ def _from_vector(p: Array, like: Noise) -> Noise:
     process = np.exp(p[m : 2 * m])
     rest = p[2 * m :]
     made = replace(joints, white=white, process=process)
-    count = len(_errors(joints))
+    count = len(_list_lasting_stds(joints))
     if count:
         assert joints.error is not None
         error = joints.error.copy()
@@ -183,25 +183,25 @@ def _from_vector(p: Array, like: Noise) -> Noise:
     return replace(like, joints=made, scales=tuple(factors[:first]), groups=tuple(factors[first:]))
 
 
-def _cost(linear: Linearised, p: Array) -> tuple[float, Array]:
+def _weigh_log(linear: Linearised, p: Array) -> tuple[float, Array]:
     """−ln p of the log for noise of these logarithms, and its gradient (P,)."""
     posed = replace(linear, noise=_from_vector(p, linear.noise))
     passed = PassedSteps()
     system = build_system(posed, passed)
     eliminated = eliminate(system)
     beliefs = smoothed(system, eliminated)
-    return eliminated.nats, _slopes(posed, beliefs, system.joints, passed)
+    return eliminated.nats, _measure_slopes(posed, beliefs, system.joints, passed)
 
 
-def _slopes(
+def _measure_slopes(
     linear: Linearised, beliefs: Smoothed, pairs: PairFactors, passed: PassedSteps
 ) -> Array:
     """Gradient of −ln p of the log by all logarithms."""
     joints = linear.noise.joints
-    expected = _expect(linear, beliefs)
+    expected = _expect_moments(linear, beliefs)
     by = measure_condensed_slopes(linear.readings, joints, pairs, passed, expected)
     parts = [by["white"] + _knot_slopes(linear, beliefs), by["process"]]
-    if len(_errors(joints)):
+    if len(_list_lasting_stds(joints)):
         assert joints.error is not None
         p = joints.states
         square = expected.pairs[p - 1, p - 1, 0]
@@ -213,7 +213,7 @@ def _slopes(
     return np.concatenate([*parts, _scale_slopes(linear, beliefs), _group_slopes(linear, beliefs)])
 
 
-def _expect(linear: Linearised, beliefs: Smoothed) -> Expected:
+def _expect_moments(linear: Linearised, beliefs: Smoothed) -> Expected:
     """Second moments of neighbouring joint states and the columns' sizes."""
     p = linear.noise.joints.states
     m = len(linear.problem.start)

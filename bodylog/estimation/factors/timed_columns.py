@@ -16,7 +16,14 @@ from ...types import Array
 from ..faults.threshold import PRIOR_STD_RAD
 from ..measurements.track import group_tracks_by_camera
 from .columns import Column, ImageShift, Path
-from .factor_problem import FactorProblem, Linearised, Noise, add_at_knots, build_system, linearise
+from .factor_problem import (
+    FactorProblem,
+    Linearised,
+    Noise,
+    add_at_knots,
+    build_system,
+    linearise_problem,
+)
 from .load import TAKEN_S, WIDE_BEND, Load
 from .solve import Eliminated, column_nats, eliminate
 
@@ -69,7 +76,7 @@ def list_timed_loads(
     The list ends where one encoder that is off is as probable. noise, path: without the loads.
     """
     yield loads, 0.0
-    linear = linearise(problem, path, noise)
+    linear = linearise_problem(problem, path, noise)
     eliminated = eliminate(build_system(linear))
     rival = _weigh_shifts(linear, eliminated)
     leads = tuple({one.group: one for one in reversed(loads)}.values())
@@ -97,7 +104,7 @@ def list_displaced_images(
     """Yield how each camera's images are displaced in the most probable window of time, if the log
     is more probable with that, and −ln p of that window before the log.
     """
-    linear = linearise(problem, path, noise)
+    linear = linearise_problem(problem, path, noise)
     eliminated = eliminate(build_system(linear))
     sightings = [one.sighting for one in problem.images]
     for camera, tracks in group_tracks_by_camera(sightings).items():
@@ -124,7 +131,7 @@ def weigh_displacements(
 ) -> list[float]:
     """Nats by which a log is more probable with each displacement, of unknown size, by this
     noise."""
-    linear = linearise(problem, path, noise)
+    linear = linearise_problem(problem, path, noise)
     eliminated = eliminate(build_system(linear))
     without = eliminated.nats - eliminated.logs
     gains = []
@@ -301,7 +308,7 @@ def _extend_schur(linear: Linearised, eliminated: Eliminated, more: tuple[Column
     from scipy.linalg.lapack import dtbtrs
 
     problem = linear.problem
-    with_more = linearise(replace(problem, columns=more), linear.path, linear.noise)
+    with_more = linearise_problem(replace(problem, columns=more), linear.path, linear.noise)
     means = np.array([column.mean for column in problem.columns])
     count, states, known = eliminated.right.shape
     right = np.zeros((count, states, len(more)))

@@ -276,7 +276,8 @@ def _thinned(t: Array, least: float) -> Array:
 def _middle(fine: FactorProblem) -> FactorProblem:
     """The log, or its middle, on knots at its images."""
     centre = 0.5 * (fine.knots[0] + fine.knots[-1])
-    begin, end = centre - LEARNED_S / 2, centre + LEARNED_S / 2
+    begin = centre - LEARNED_S / 2
+    end = centre + LEARNED_S / 2
     seen = [one.t[np.isfinite(one.values).all(axis=1)] for one in fine.sightings]
     spread = np.arange(fine.knots[0], fine.knots[-1], SPARSE_S)
     images = np.sort(np.concatenate(seen))

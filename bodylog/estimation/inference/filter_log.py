@@ -61,7 +61,9 @@ def solve_by_gauss_newton(
         trace = filter_stretches(readings, problem.dynamics, z, p, into=trace)
         tangents.follow(problem, fold, trace.prior if at == "prior" else trace.z)
         next_z, next_p = hand_over_starts(z, p, trace.z[-1], trace.end_p)
-        z, p, move = next_z, next_p, require_finite(measure_farthest_move(z, p, next_z, next_p))
+        move = require_finite(measure_farthest_move(z, p, next_z, next_p))
+        z = next_z
+        p = next_p
     raise DidNotConverge(f"filter: no rest after {MAX_SWEEPS} sweeps, last move {move:.2g}")
 
 
@@ -82,7 +84,8 @@ def starts_from_solution(
     """Each stretch's start z (K,C), p (K,K,C) from a
     solution of the same log; new offsets from the prior.
     """
-    (z, p), lasts = stretch_priors(problem, fold), fold.lasts()
+    z, p = stretch_priors(problem, fold)
+    lasts = fold.lasts()
     k = min(len(z), known.trace.z.shape[1])
     z[:k, 1:] = known.fold.pick(known.trace.z, lasts)[:, :k].T
     if known.fold == fold:
@@ -125,7 +128,7 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
         not confirmed
         or _has_long_silence(problem, line[:0])
         or len(whole.adrift) > 0
-        or problem.undetermined
+        or problem.is_undetermined
     )
     problem = replace(problem, path=(line, whole.points), resets=whole.resets, stepwise=stepwise)
     if problem.precision.learned is None:  # noise is not to be learned from the log
@@ -199,10 +202,8 @@ def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution
     tangents = Tangents(
         problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings)
     )
-    tangents.whole, readings = (
-        whole,
-        fold_readings(replace(problem, resets=found.resets), fold, found.held),
-    )
+    tangents.whole = whole
+    readings = fold_readings(replace(problem, resets=found.resets), fold, found.held)
     tangents.draw(problem, fold, readings)
     for at, state in found.adrift.items():
         write_lines(np.array([at]), state.lines or {}, fold, readings)
@@ -263,7 +264,9 @@ def _step_through_log(
     line = problem.timeline.t
     m = len(problem.start)
     size = problem.dynamics.order * len(problem.start)
-    points, (means, var) = np.empty((len(line), m)), np.empty((2, len(line), size))
+    points = np.empty((len(line), m))
+    means = np.empty((len(line), size))
+    var = np.empty((len(line), size))
     held = np.zeros((len(line), m), bool)
     read = np.zeros(len(line), bool)
     lost = dict[float, Array]()
@@ -271,8 +274,10 @@ def _step_through_log(
     z, p = stretch_priors(problem, fold)
     for k, state in enumerate(_iterate_states(problem, whole, rest, len(line))):
         if (k + 1) % fold.length == 0 and k + 1 < len(line):
-            z[:, (k + 1) // fold.length], p[..., (k + 1) // fold.length] = state.z, state.p
-        means[k], var[k] = state.z[:size], state.p.diagonal()[:size]
+            z[:, (k + 1) // fold.length] = state.z
+        p[..., (k + 1) // fold.length] = state.p
+        means[k] = state.z[:size]
+        var[k] = state.p.diagonal()[:size]
         points[k] = means[k, :m] if state.point is None else state.point
         read[k] = state.t > line[0] + LONG_SILENCE_S and min(state.borne) == state.t
         if state.held is not None:
@@ -294,7 +299,7 @@ def _iterate_states(
 ) -> Iterator[State]:
     """The states after the first `events` instants."""
     steps = SequentialFilter(problem.dynamics, problem.posture_prior, rest)
-    more = problem.more
+    more = problem.process_factor
     readings, var = (
         part.tolist() for part in encoder_rows(replace(problem, posture_prior=None), events)
     )

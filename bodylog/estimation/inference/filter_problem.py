@@ -62,7 +62,7 @@ class FilterProblem:
         )
 
     @property
-    def undetermined(self) -> bool:
+    def is_undetermined(self) -> bool:
         """Whether images give no more numbers than
         there are joints whose encoders are never read.
         """
@@ -70,7 +70,7 @@ class FilterProblem:
         return self.posture_prior is not None and numbers <= self.posture_prior.joints.sum()
 
     @property
-    def held(self) -> Array | None:
+    def left_open(self) -> Array | None:
         """Silent joints (E,M) bool that images leave open
         at each instant; None if none ever is silent.
         """
@@ -79,7 +79,7 @@ class FilterProblem:
         return joints_left_open(self.timeline.t, self.evidence)
 
     @property
-    def more(self) -> Array | None:
+    def process_factor(self) -> Array | None:
         """Factor on the process variance (E,M), or None: fewer
         tracks are in view, or a smoother is beside a silence.
 
@@ -88,7 +88,7 @@ class FilterProblem:
         """
         fewer = self.precision.fewer
         usual = self.precision.process
-        held = self.held
+        held = self.left_open
         if (
             self.stationary is not None
             and held is not None
@@ -104,8 +104,8 @@ class FilterProblem:
 
 
 MAX_STRETCHES = 8
-"""Stretches of a log that are filtered side by side. With 16, a filter is 5 to 10 % faster, but noise
-learned on stretches half as long differs by 4 %, and a sound encoder was called jumping.
+"""Stretches of a log that are filtered side by side. With 16, a filter is 5 to 10 % faster, but
+noise learned on stretches half as long differs by 4 %, and a sound encoder was called jumping.
 """
 MIN_STRETCH_INSTANTS = 32
 """Least number of instants in a stretch: its end must not depend on its start."""
@@ -122,7 +122,8 @@ class Fold:
     def fold(self, a: Array, fill: float | Array) -> Array:
         """(E,…) -> (L,…,C), with `fill` after the last event."""
         padded = np.empty((self.length * self.count, *a.shape[1:]))
-        padded[: self.events], padded[self.events :] = a, fill
+        padded[: self.events] = a
+        padded[self.events :] = fill
         return np.ascontiguousarray(
             np.moveaxis(padded.reshape(self.count, self.length, *a.shape[1:]), 0, -1)
         )
@@ -156,8 +157,8 @@ def fold_readings(problem: FilterProblem, fold: Fold, held: Array | None = None)
     """Readings of all instants, folded, without the frames'
     tangents; held (E,M) bool: joints silent for long.
     """
-    more = None if problem.more is None else fold.fold(problem.more, 1.0)
-    held = problem.held if held is None else held
+    more = None if problem.process_factor is None else fold.fold(problem.process_factor, 1.0)
+    held = problem.left_open if held is None else held
     parts = _build_reading_parts(problem, fold, *encoder_rows(problem))
     found = FilterReadings(
         *parts, reset=_mark_restarting_joints(problem, fold), more=more, gate=problem.gate

@@ -101,12 +101,11 @@ def _left_out_frames(
     sighting = problem.evidence.sightings[index]
     at = problem.timeline.sightings[index]
     m = len(problem.start)
-    (values, _, mix), pick = sighting.independent, smooth.fold.pick
+    values, _, mix = sighting.independent
+    pick = smooth.fold.pick
     x = pick(smooth.z[:, :m], at)
-    removed, (mean, jac, var) = (
-        np.isnan(pick(smooth.readings.y, at)[:, index, 0]),
-        smooth.tangents.predicted(index, x),
-    )
+    removed = np.isnan(pick(smooth.readings.y, at)[:, index, 0])
+    mean, jac, var = smooth.tangents.predicted(index, x)
     std = np.sqrt(
         pick(smooth.readings.var, at)[:, index, : values.shape[1]] + var * removed[:, None]
     )
@@ -138,7 +137,9 @@ def _invert_with_log_determinant(symmetric: Array) -> tuple[Array, Array]:
         pivot = np.maximum(s[k, k], MIN_VARIANCE_SHARE)
         row = s[k] / pivot
         s = s - s[:, k, None] * row
-        s[k], s[:, k], s[k, k] = row, row, -1.0 / pivot
+        s[k] = row
+        s[:, k] = row
+        s[k, k] = -1.0 / pivot
         log_size += np.log(pivot)
     return -np.moveaxis(s, -1, 0), log_size
 
@@ -176,7 +177,8 @@ def remove_readings(problem: FilterProblem, removed: tuple[Array, ...]) -> Filte
     """The problem without the readings that are removed:
     encoders' (N,M) bool, then frames (F,) of each sighting.
     """
-    evidence, (encoders, *frames) = problem.evidence, removed
+    evidence = problem.evidence
+    encoders, *frames = removed
     sightings = tuple(
         replace(one, values=np.where(far[:, None], np.nan, one.values))
         for one, far in zip(evidence.sightings, frames, strict=True)

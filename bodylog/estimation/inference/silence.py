@@ -58,8 +58,8 @@ def _instants_left_open(problem: FilterProblem) -> Array:
     """Instants (E,) bool at which images leave joints
     open whose encoders are silent, or are never read.
     """
-    never = np.full(len(problem.timeline.t), problem.undetermined)
-    return never if problem.held is None else never | problem.held.any(axis=1)
+    never = np.full(len(problem.timeline.t), problem.is_undetermined)
+    return never if problem.left_open is None else never | problem.left_open.any(axis=1)
 
 
 def _undo_resets(problem: FilterProblem, solution: Solution) -> Solution:
@@ -67,7 +67,7 @@ def _undo_resets(problem: FilterProblem, solution: Solution) -> Solution:
     silence, of which a smoother knows both sides.
     """
     reset = solution.readings.reset
-    held = problem.held
+    held = problem.left_open
     if reset is None or held is None:
         return solution
     return replace(solution, readings=replace(solution.readings, reset=reset & ~held[..., None]))
@@ -123,7 +123,8 @@ def _with_point_readings(solution: Solution, at: int, points: Array, var: Array)
     readings = solution.readings
     encoders = readings.encoders.copy()
     noise = readings.encoder_var.copy()
-    encoders[at], noise[at] = points, var[:, None]
+    encoders[at] = points
+    noise[at] = var[:, None]
     return replace(
         solution, readings=replace(readings, encoders=encoders, encoder_var=noise, gate=np.inf)
     )

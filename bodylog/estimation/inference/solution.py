@@ -130,7 +130,8 @@ def _propagate_adjoint_back(
 ) -> Array:
     """What the adjoint, or W and Ψ, (K,W,C) at the `end` of each stretch are at its start."""
     assert trace.information is not None and trace.p is not None
-    (gains, weights), start = trace.back or (None, None), np.empty_like(end)
+    gains, weights = trace.back or (None, None)
+    start = np.empty_like(end)
     moves = dynamics.with_moves(readings).moves
     bind_kernel_call(
         "carry_adjoints_back",

@@ -236,7 +236,8 @@ def hand_over_starts(z: Array, p: Array, z_end: Array, p_end: Array) -> tuple[Ar
     """Starts for the next sweep: each stretch starts from its predecessor's end."""
     z = z.copy()
     p = p.copy()
-    z[:, 1:], p[:, :, 1:] = z_end[:, :-1], p_end[:, :, :-1]
+    z[:, 1:] = z_end[:, :-1]
+    p[:, :, 1:] = p_end[:, :, :-1]
     return z, p
 
 
@@ -244,7 +245,8 @@ def initial_tangents(problem: FilterProblem, fold: Fold) -> tuple[Tangents, Arra
     """Tangents at the initial path, or at the encoders'
     readings; each stretch's start z (K,C), p (K,K,C).
     """
-    (z, p), t = stretch_priors(problem, fold), problem.timeline.t
+    z, p = stretch_priors(problem, fold)
+    t = problem.timeline.t
     encoders = problem.evidence.encoders
     sightings = problem.evidence.sightings
     path = problem.path or (None if encoders is None else (encoders.t, encoders.values))

@@ -97,8 +97,9 @@ class ArmErrors:
             yield Finding(
                 "warning",
                 f"{name}: in the exploration squared errors of held-out images were {ratio:.2g} "
-                "times their stated variance, so error bars are too small: encoders or the marker err for "
-                'long, or joints stick and slip; see "What real arms do" in docs/validation.md',
+                "times their stated variance, so error bars are too small: encoders or the marker "
+                'err for long, or joints stick and slip; see "What real arms do" in '
+                "docs/validation.md",
             )
 
 

@@ -70,7 +70,9 @@ def estimate_by_filter(
     precision = problem.precision
     beliefs = Beliefs(
         select_reported_states(unfold(trace.z), problem),
-        with_repairs(precision.of(unfold(trace.cov[:, :m, :m]), problem.held), problem, solution),
+        with_repairs(
+            precision.of(unfold(trace.cov[:, :m, :m]), problem.left_open), problem, solution
+        ),
         unfold(trace.nats),
         unfold(trace.prior),
         unfold(trace.prior_cov),

@@ -143,11 +143,13 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
         f"errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "
         f"({lasting.nats:.0f} nats, by images): play, load, a bent link or electronics"
         if lasting.nats
-        else f"joints have play or errors that last, {1e3 * lasting.std:.2g} mrad in the exploration"
+        else f"joints have play or errors that last, {1e3 * lasting.std:.2g} mrad in the "
+        "exploration"
     )
     text = (
-        f"encoders: {seen}; error bars of white noise are too small (NEES about {nees:.2g}) and are widened by it; see "
-        f'"What real arms do" in docs/validation.md; angles stay as they are: {kept_for}'
+        f"encoders: {seen}; error bars of white noise are too small (NEES about {nees:.2g}) "
+        'and are widened by it; see "What real arms do" in docs/validation.md; '
+        f"angles stay as they are: {kept_for}"
     )
     return replace(
         found,
@@ -163,8 +165,8 @@ def with_rough_motion(found: Estimate, rough: Array) -> Estimate:
     each = ", ".join(f"{name} {size:.2g}" for name, size in sizes)
     text = (
         "joints: encoders and the images after them err alike, or a reading and the next, so "
-        f"joints stick and slip, or shake, by about (mrad) {each}; error bars are widened by that; see "
-        '"What real arms do" in docs/validation.md'
+        f"joints stick and slip, or shake, by about (mrad) {each}; error bars are widened "
+        'by that; see "What real arms do" in docs/validation.md'
     )
     return replace(
         found, cov=found.cov + np.diag(rough), findings=(*found.findings, Finding("warning", text))
@@ -185,7 +187,8 @@ def standardise_sighting(
     """Standardised errors where seen; the place predicted
     without the frame; its covariance (F,D,D) with noise.
     """
-    (mean, cov, var), names = place, sighting.model.outputs
+    mean, cov, var = place
+    names = sighting.model.outputs
     cov = cov + scale * (
         sighting.var[..., None] * np.eye(len(names)) if sighting.cov is None else sighting.cov
     )

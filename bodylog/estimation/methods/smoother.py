@@ -84,7 +84,7 @@ def _smooth_log(
     m = len(problem.start)
     precision = problem.precision
     z = unfold(smooth.z)
-    cov = precision.of(unfold(smooth.cov)[:, :m, :m], problem.held)
+    cov = precision.of(unfold(smooth.cov)[:, :m, :m], problem.left_open)
     cov = with_repairs(cov, problem, smooth)
     errors = np.full((*problem.timeline.t.shape, m), np.nan)
     errors[problem.timeline.encoders] = found.encoders
@@ -160,12 +160,10 @@ def solve_map_path(problem: FilterProblem, warm: Solution | None = None) -> Smoo
         else:
             restart_filter(readings, dynamics, z, p, trace)
         next_z, next_p = hand_over_starts(z, p, trace.z[-1], trace.end_p)
-        z, p, move, path = (
-            next_z,
-            next_p,
-            require_finite(measure_farthest_move(z, p, next_z, next_p)),
-            trace.z,
-        )
+        move = require_finite(measure_farthest_move(z, p, next_z, next_p))
+        z = next_z
+        p = next_p
+        path = trace.z
         if sweep or isinstance(warm, Smooth):
             near = adjoints_at_start(readings, trace, dynamics)
             expected = adjoints_for_next_round(near + beyond)

@@ -33,9 +33,9 @@ GRID = ((1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0), (1.0, 3.0, 10.0, 30.0), (1.0, 4
 deviation, and slips a second.
 """
 FINER = (2.0, 1.4)
-"""Factors by which each of these is then moved to either side. Of 18 joints of 6 logs that were drawn
-from the model sizes are learned to 16 % and rates to 15 %; without, to 38 and 51 %, with 2 alone to
-25 and 23 %, with 1.2 as well to 12 and 17 %.
+"""Factors by which each of these is then moved to either side. Of 18 joints of 6 logs that were
+drawn from the model sizes are learned to 16 % and rates to 15 %; without, to 38 and 51 %, with 2
+alone to 25 and 23 %, with 1.2 as well to 12 and 17 %.
 """
 MOST_SLIPPING = 0.4
 """Share of the steps between readings in which a joint slips, from which it does not stick. Of 54
@@ -137,7 +137,9 @@ def estimate_stick_slip(
 
 
 def _sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
-    """Whether some joint stands still between slips: errors that last make other steps each time."""
+    """Whether some joint stands still between slips: errors that last make other steps
+    each time.
+    """
     slipping = -np.expm1(-slips.rate * median_step(encoders.t))
     return bool((slipping < MOST_SLIPPING).any())
 

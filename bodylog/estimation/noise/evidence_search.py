@@ -464,7 +464,7 @@ def drop_undetermined_images(problem: FilterProblem) -> FilterProblem:
     """The problem without images at times when no more numbers
     than encoders are silent must determine these joints.
     """
-    held = problem.held
+    held = problem.left_open
     if held is None:
         return problem
     sure = np.asarray(~held.any(axis=1))
