@@ -17,8 +17,8 @@ from bodylog.estimation.factors.images import correlate_model_errors
 from bodylog.estimation.factors.noise_search import (
     LEAST_PROCESS,
     Learned,
-    _cost,
     _tabulate_parameters,
+    _weigh_log,
 )
 from bodylog.estimation.factors.solve import filtered, predicted
 from bodylog.estimation.measurements.arm_errors import PLAY_STD, follow_slack
@@ -223,11 +223,11 @@ def test_the_slope_of_the_evidence_is_that_of_differences(at_link):
         assumed = replace(noise(3, rng, True, at_link), groups=(0.01,))
         linear = linearise_problem(problem, initial_path(problem), assumed)
         at = _tabulate_parameters(problem, assumed, 0.01)[1][:, 0]
-        _, slope = _cost(linear, at)
+        _, slope = _weigh_log(linear, at)
         for k, own in enumerate(slope):
             step = np.zeros(len(at))
             step[k] = 1e-3
-            difference = (_cost(linear, at + step)[0] - _cost(linear, at - step)[0]) / 2e-3
+            difference = (_weigh_log(linear, at + step)[0] - _weigh_log(linear, at - step)[0]) / 2e-3
             assert own == pytest.approx(difference, abs=1e-3)
 
 

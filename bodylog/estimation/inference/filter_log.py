@@ -275,7 +275,7 @@ def _step_through_log(
     for k, state in enumerate(_iterate_states(problem, whole, rest, len(line))):
         if (k + 1) % fold.length == 0 and k + 1 < len(line):
             z[:, (k + 1) // fold.length] = state.z
-        p[..., (k + 1) // fold.length] = state.p
+            p[..., (k + 1) // fold.length] = state.p
         means[k] = state.z[:size]
         var[k] = state.p.diagonal()[:size]
         points[k] = means[k, :m] if state.point is None else state.point
