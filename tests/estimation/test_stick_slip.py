@@ -9,10 +9,11 @@ from bodylog.estimation import estimate_from_features
 from bodylog.estimation.measurements.records import Encoders
 from bodylog.estimation.methods import stick_slip
 from bodylog.estimation.methods.stick_slip import StickSlip
+from bodylog.evaluation.scores import truth_at_times
 from bodylog.settings import EstimationSettings
 from bodylog.sim.hardware import Hardware
 from bodylog.types import HARDWARE_ERRORS
-from tests.estimation import mechanisms
+from tests.estimation import mechanisms, resting
 from tests.estimation.mechanisms import Fault, Mechanism
 
 SLIPPING = Mechanism(hardware=Hardware(stick=8.7e-3))
@@ -57,6 +58,19 @@ def test_errors_that_last_are_no_slips_though_these_follow_them(hardware, sticks
     encoders = Encoders(joints.t, joints.values, joints.source_ns)
     slips = stick_slip.learn_slips(encoders, np.full(joints.values.shape[1], 4e-6))
     assert stick_slip._sticks_and_slips(encoders, slips) == sticks
+
+
+def test_readings_that_repeat_because_they_are_counted_are_no_surer_than_a_count():
+    """Between two counts readings repeat as those of a joint that stands still do: NEES of 380 to 930."""
+    world = resting.drawn(200, resting.Drawn("reach", step=1.5e-3))
+    joints = world.features.joints
+    encoders = Encoders(joints.t, joints.values, joints.source_ns)
+    slips = stick_slip.learn_slips(encoders, np.full(3, 1e-7))
+    assert (slips.white >= 1.5e-3**2 / 12.0 * (1.0 - 1e-9)).all()
+    found = estimate_from_features(world.features, world.body, EstimationSettings(method="smoother"))
+    assert "slips" not in found.settings.get(HARDWARE_ERRORS, {})
+    off = found.joints.values - truth_at_times(world.truth, list(found.joints.names), found.joints.t)
+    assert np.mean(off**2 / np.einsum("emm->em", found.cov)) < 1.0
 
 
 def test_beliefs_of_slips_are_as_wrong_as_they_say_and_the_whole_log_knows_more():

@@ -146,18 +146,21 @@ def _sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
 
 def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
     """The slips of most evidence by the encoders alone; variance
-    (M,) rad²: of a reading beside a smooth motion.
+    (M,) rad²: of a reading beside a smooth motion. No reading is surer than its count.
     """
     centre = 0.5 * (encoders.t[0] + encoders.t[-1])
     rows = np.abs(encoders.t - centre) <= 0.5 * LEARNED_S
     read = (encoders.t[rows], encoders.values[rows], encoders.relative[rows])
-    std = np.sqrt(variance)
+    # readings between two counts repeat, as those of a joint that stands still do
+    counts = encoders.count_variance
+    least = np.stack([counts, np.zeros(len(counts)), np.zeros(len(counts))])[:, None]
+    units = np.stack([variance, np.sqrt(variance), np.ones(len(counts))])[:, None]
     grid = np.array(np.meshgrid(*GRID, indexing="ij")).reshape(3, -1)[..., None]
-    best = _most_evident(read, grid * np.stack([variance, std, np.ones(len(std))])[:, None])
+    best = _most_evident(read, np.maximum(grid * units, least))
     for factor in FINER:
         steps = np.array([1.0 / factor, 1.0, factor])
         grid = np.array(np.meshgrid(steps, steps, steps, indexing="ij")).reshape(3, -1)[..., None]
-        best = _most_evident(read, grid * best[:, None])
+        best = _most_evident(read, np.maximum(grid * best[:, None], least))
     return StickSlip(*best)
 
 
