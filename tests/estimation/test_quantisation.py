@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
+from bodylog.estimation.noise import quantisation
 from bodylog.estimation.noise.quantisation import (
     dither_readings,
     quantisation_variance,
@@ -13,7 +14,9 @@ from bodylog.estimation.noise.quantisation import (
     shared_variance,
     step_size,
 )
+from bodylog.evaluation.scores import truth_at_times
 from bodylog.settings import EstimationSettings
+from tests.estimation.resting import Drawn, drawn
 
 
 def test_step_size_is_found_only_for_coarse_encoders():
@@ -86,3 +89,30 @@ def test_belief_of_constant_readings_has_true_error_bars(world, method):
     found = estimate_from_features(features, body, EstimationSettings(method=method))
     columns = [joints.names.index(name) for name in body.joints]
     assert np.mean(off[columns] ** 2 / np.einsum("nii->ni", found.cov)) < 3.0
+
+
+@pytest.mark.parametrize("method", ["filter", "smoother"])
+@pytest.mark.parametrize("motion", ["rest", "slow", "reach"])
+@pytest.mark.parametrize("noise", [0.05, 0.2, 0.35])
+def test_error_bars_of_counted_readings_are_true_at_any_rate(method, motion, noise):
+    """Noise that moves few readings to the next count; NEES of up to 95 where each reading was one more."""
+    for seed, rate in ((600, 50.0), (601, 500.0)):
+        how = Drawn(motion, step=1.5e-3, noise=noise * 1.5e-3, encoder_hz=rate, camera_hz=20.0, pixel=0.3)
+        world = drawn(seed, how)
+        found = estimate_from_features(world.features, world.body, EstimationSettings(method=method))
+        assert not found.faults
+        off = found.joints.values - truth_at_times(world.truth, list(found.joints.names), found.joints.t)
+        assert np.mean(off**2 / np.einsum("nii->ni", found.cov)) < (3.0 if motion == "rest" else 2.0)
+
+
+def test_what_readings_of_one_place_have_in_common_is_what_they_do_not_average():
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 40.0, 1e-3)
+    for noise in (0.0, 0.1, 0.2, 0.3):
+        errors = []
+        for place in rng.uniform(0.0, 1.0, 400):
+            read = np.round(place + noise * rng.normal(0.0, 1.0, 2000))
+            errors.append(read.mean() - place)
+        slow = np.round(0.5 * t + noise * rng.normal(0.0, 1.0, len(t)))
+        share = quantisation._find_stays(t, slow).share
+        assert share == pytest.approx(12.0 * np.mean(np.square(errors)), rel=0.25, abs=0.03)

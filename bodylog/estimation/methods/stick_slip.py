@@ -24,6 +24,7 @@ from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.filter_problem import FilterProblem
 from ..measurements.long_arrays import find_finite_rows, median_step
 from ..measurements.records import Encoders, Sighting
+from ..noise.quantisation import weigh_as_one
 from . import results
 from .results import Beliefs
 from .trust import RoughMotion
@@ -91,6 +92,8 @@ def estimate_stick_slip(
     encoders = problem.evidence.encoders
     if encoders is None or problem.precision.drift is not None:
         return None
+    encoders = _weigh_counts(encoders)
+    problem = replace(problem, evidence=replace(problem.evidence, encoders=encoders))
     slips = learn_slips(encoders, problem.precision.encoder)
     t = problem.timeline.t
     early = range(int(np.searchsorted(t, t[0] + LEARNED_S, "right")))
@@ -136,12 +139,29 @@ def estimate_stick_slip(
     )
 
 
+def _weigh_counts(encoders: Encoders) -> Encoders:
+    """The encoders with all readings of one count as one reading: a joint that stands still for
+    long is known no better, as no process noise makes a belief forget.
+    """
+    weights = np.ones(encoders.values.shape)
+    for own, column in zip(weights.T, encoders.values.T, strict=True):
+        known = np.isfinite(column)
+        if known.any():
+            own[known] = weigh_as_one(encoders.t[known], column[known])
+    return replace(encoders, own_variance=weights)
+
+
 def _sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
     """Whether some joint stands still between slips: errors that last make other steps
     each time.
     """
     slipping = -np.expm1(-slips.rate * median_step(encoders.t))
-    return bool((slipping < MOST_SLIPPING).any())
+    return bool((~_find_constant(encoders) & (slipping < MOST_SLIPPING)).any())
+
+
+def _find_constant(encoders: Encoders) -> Array:
+    """Joints (M,) bool whose readings never change: they tell of no noise, and of no slip."""
+    return np.asarray(np.nanmax(encoders.values, axis=0) == np.nanmin(encoders.values, axis=0))
 
 
 def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
@@ -152,7 +172,7 @@ def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
     rows = np.abs(encoders.t - centre) <= 0.5 * LEARNED_S
     read = (encoders.t[rows], encoders.values[rows], encoders.relative[rows])
     # readings between two counts repeat, as those of a joint that stands still do
-    counts = encoders.count_variance
+    counts = np.where(_find_constant(encoders), variance, encoders.count_variance)
     least = np.stack([counts, np.zeros(len(counts)), np.zeros(len(counts))])[:, None]
     units = np.stack([variance, np.sqrt(variance), np.ones(len(counts))])[:, None]
     grid = np.array(np.meshgrid(*GRID, indexing="ij")).reshape(3, -1)[..., None]
