@@ -430,11 +430,11 @@ class LiveEstimator:
         silence = [np.nan] * len(names)
 
         def step(before: State, at: Instant) -> State:
-            return steps.step(
+            return steps.filter_instant(
                 before, at.t, silence if at.angles is None else at.angles.tolist(), var, at.frames
             )
 
-        return ReplayBuffer(steps.first(x), self._lag, step)
+        return ReplayBuffer(steps.build_first_state(x), self._lag, step)
 
 
 def _needs_no_log(settings: EstimationSettings) -> None:

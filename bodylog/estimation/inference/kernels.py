@@ -30,7 +30,8 @@ from .compiler import (
 )
 
 TWO_PI = 2.0 * math.pi
-LEAST_PRODUCT, MOST_PRODUCT = 1e-100, 1e100
+LEAST_PRODUCT = 1e-100
+MOST_PRODUCT = 1e100
 """A product of variances beyond these is replaced by its logarithm, far from overflow."""
 READINGS_AT_ONCE = 16
 """Variances, in units of the noise, of which one logarithm is taken."""
@@ -527,7 +528,7 @@ def clear_readings(i: int, information: Array, weights: Array) -> None:
 
 
 @declare_kernel(
-    # dt, encoders, encoder_var, y, jac, var, reset, more, move, shift, noise
+    # dt, encoders, encoder_var, y, jac, var, reset, process_factor, move, shift, noise
     *(input_array(axes) for axes in (2, 3, 3, 4, 5, 4)),
     input_flags(3),
     *(input_array(axes) for axes in (3, 5, 4, 5)),
@@ -555,7 +556,7 @@ def filter_instants(
     jac: Array,
     var: Array,
     reset: Array,
-    more: Array,
+    process_factor: Array,
     move: Array,
     shift: Array,
     noise: Array,
@@ -624,8 +625,8 @@ def filter_instants(
             product[c] = 1.0
             for j in range(joints):
                 density[j, c] = process[j, c % process.shape[1]]
-                if more.size > 0:
-                    density[j, c] *= more[i, j, share[c]]
+                if process_factor.size > 0:
+                    density[j, c] *= process_factor[i, j, share[c]]
                 reading[j, c] = encoders[i, j, share[c]]
                 encoder_noise[j, c] = encoder_var[i, j, share[c]]
                 deviation[j, c] = math.nan

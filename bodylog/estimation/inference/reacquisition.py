@@ -98,7 +98,7 @@ def _test_lost_joints(
     ), present & ~mute
 
 
-def open_joints(ages: Array, numbers: Array | int) -> Array:
+def find_open_joints(ages: Array, numbers: Array | int) -> Array:
     """Joints (…,M) bool read last `ages` (…,M) s ago, long
     before now, that images of `numbers` (…) values leave open.
 
@@ -115,7 +115,7 @@ def find_silent_joints(t: Array, encoders: Encoders) -> Array:
     return _reading_ages(t, encoders) > LONG_SILENCE_S
 
 
-def joints_left_open(t: Array, evidence: Evidence) -> Array:
+def find_joints_left_open(t: Array, evidence: Evidence) -> Array:
     """Silent joints (E,M) bool at times t (E,) s that images
     of the time before, with no more numbers, leave open.
     """
@@ -125,7 +125,7 @@ def joints_left_open(t: Array, evidence: Evidence) -> Array:
         (rows * (np.abs(_time_since_last(times, t)) <= LONG_SILENCE_S) for times, rows in seen),
         np.zeros(len(t)),
     )
-    return open_joints(_reading_ages(t, evidence.encoders), numbers)
+    return find_open_joints(_reading_ages(t, evidence.encoders), numbers)
 
 
 def extend_open_silence(t: Array, held: Array) -> Array:

@@ -16,13 +16,13 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from .filter_log import filter_sequentially, frames_by_instant, write_lines
+from .filter_log import filter_sequentially, group_frames_by_instant, write_track_lines
 from .filter_problem import FilterProblem, Fold
 from .leave_one_out import remove_readings
 from .scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE, TraceDetail, filter_stretches
 from .sequential import linearise_over_belief
 from .solution import Smooth, Solution, assemble_smooth
-from .tangents import stretch_priors
+from .tangents import repeat_state_prior
 
 BRIEF_SILENCE_S = 5.0
 """s: a longer silence starts once, as evidence of 40 sines with 10 s does not tell postures apart.
@@ -75,7 +75,7 @@ def _undo_resets(problem: FilterProblem, solution: Solution) -> Solution:
 
 def _frames_by_silence(problem: FilterProblem, alone: Array) -> Iterator[Frames]:
     """The frames of each run of instants `alone` (E,) bool, by instant and by track."""
-    every = frames_by_instant(problem, True, len(alone)) if alone.any() else {}
+    every = group_frames_by_instant(problem, True, len(alone)) if alone.any() else {}
     shown = np.array([k for k in sorted(every) if alone[k]], int)
     for part in np.split(shown, np.flatnonzero(np.diff(np.cumsum(~alone)[shown])) + 1):
         if len(part):
@@ -96,7 +96,9 @@ def _start_from_cubature_points(
     count = 1 + 2 * m if line[at[-1]] - line[at[0]] <= BRIEF_SILENCE_S else 1
     fold = Fold(length * count, length, count)
     silent_solution = replace(
-        solution, fold=fold, readings=solution.readings.between(first, last).repeated(count)
+        solution,
+        fold=fold,
+        readings=solution.readings.select_instants(first, last).repeat_stretches(count),
     )
     sights = {lane * length + k - first: frames[k] for lane in range(count) for k in at}
     if count > 1:
@@ -164,7 +166,7 @@ def _beliefs_at_frames(
     path = _smooth_stretches(problem, solution)
     at = np.array(list(frames))
     m = len(problem.start)
-    x, cov = (path.fold.pick(part, at) for part in (path.z, path.cov))
+    x, cov = (path.fold.select_events(part, at) for part in (path.z, path.cov))
     return x[:, :m], cov[:, :m, :m], path.trace.nats.sum(axis=0)
 
 
@@ -186,7 +188,7 @@ def _write_lines_over_beliefs(
             for track, sight in sights.items()
         }
         last |= {(lane, track): line.memory for track, line in lines.items()}
-        write_lines(np.array([k]), lines, solution.fold, solution.readings)
+        write_track_lines(k, lines, solution.fold, solution.readings)
 
 
 def _smooth_stretches(problem: FilterProblem, solution: Solution) -> Smooth:
@@ -194,7 +196,7 @@ def _smooth_stretches(problem: FilterProblem, solution: Solution) -> Smooth:
     trace = filter_stretches(
         solution.readings,
         problem.dynamics,
-        *stretch_priors(problem, solution.fold),
+        *repeat_state_prior(problem, solution.fold),
         TraceDetail.MEANS,
     )
     return assemble_smooth(
