@@ -51,7 +51,7 @@ class Observation:
     places: Mapping[str, tuple[Array, Array]]
 
 
-class Inputs:
+class LiveInputs:
     """The senses of a body, which of them are used, and counts of each one's readings."""
 
     def __init__(self, body: BodyModel, settings: EstimationSettings, to_angles: ToAngles) -> None:
@@ -321,7 +321,7 @@ class LiveEstimator:
             carry_noise_model(body, learned), settings, body.joints
         )
         self._stated = noise.of(np.ones((len(body.joints),) * 2))
-        self._inputs = Inputs(body, settings, to_angles)
+        self._inputs = LiveInputs(body, settings, to_angles)
         self._correlations = {
             name: correlate_errors(noise, name, model)
             for name, model in self._inputs.models.items()

@@ -26,19 +26,12 @@ from .scan import (
     DidNotConverge,
     FilterReadings,
     TraceDetail,
+    advance_starts,
     filter_stretches,
-    measure_farthest_move,
-    require_finite,
 )
 from .sequential import Line, SequentialFilter, State
 from .solution import Solution
-from .tangents import (
-    Tangents,
-    begin_along_path,
-    correlate_errors,
-    hand_over_starts,
-    repeat_state_prior,
-)
+from .tangents import Tangents, begin_along_path, correlate_errors, repeat_state_prior
 
 
 def solve_by_gauss_newton(
@@ -54,41 +47,41 @@ def solve_by_gauss_newton(
     linearisation points, in rad.
     """
     fold = choose_fold(len(problem.timeline.t))
-    tangents, z, p = begin_sweeps(problem, fold, warm)
-    tangents.resting = rest
-    tangents.whole = False
-    readings = fold_readings(problem, fold)
+    readings, tangents, z, p = begin_sweeps(problem, fold, warm, rest)
     trace = None
     move = np.inf
-    tangents.write_all_tangents(problem, fold, readings)
     for _ in range(MAX_SWEEPS):
         moved = tangents.write_stale_tangents(problem, fold, readings)
         if trace is not None and move < rest and not moved:
             return Solution(fold, readings, tangents, trace)
         trace = filter_stretches(readings, problem.dynamics, z, p, into=trace)
         tangents.move_points(problem, fold, trace.prior if at == "prior" else trace.z)
-        next_z, next_p = hand_over_starts(z, p, trace.z[-1], trace.end_p)
-        move = require_finite(measure_farthest_move(z, p, next_z, next_p))
-        z = next_z
-        p = next_p
+        z, p, move = advance_starts(z, p, trace)
     raise DidNotConverge(f"filter: no rest after {MAX_SWEEPS} sweeps, last move {move:.2g}")
 
 
 def begin_sweeps(
-    problem: FilterProblem, fold: Fold, warm: Solution | None
-) -> tuple[Tangents, Array, Array]:
-    """Tangents and each stretch's start z (K,C), p (K,K,C) to begin with.
+    problem: FilterProblem, fold: Fold, warm: Solution | None, resting: float, whole: bool = False
+) -> tuple[FilterReadings, Tangents, Array, Array]:
+    """Readings, tangents and each stretch's start z (K,C), p (K,K,C) to begin with.
 
     They come from a solution of the same log, `warm`, except for new offsets, or else from a path.
+    resting: tangents stay where points move by less, rad · whole: for a smoother.
     """
     if warm is None:
-        return begin_along_path(problem, fold)
-    z, p = repeat_state_prior(problem, fold)
-    k = min(len(z), warm.trace.z.shape[1])
-    z[:k, 1:] = warm.fold.select_events(warm.trace.z, fold.handover_events)[:, :k].T
-    if warm.fold == fold:
-        p[:k, :k, 1:] = warm.trace.end_p[:k, :k, :-1]
-    return warm.tangents.copy_tangents(problem.evidence.sightings), z, p
+        tangents, z, p = begin_along_path(problem, fold)
+    else:
+        tangents = warm.tangents.copy_tangents(problem.evidence.sightings)
+        z, p = repeat_state_prior(problem, fold)
+        k = min(len(z), warm.trace.z.shape[1])
+        z[:k, 1:] = warm.fold.select_events(warm.trace.z, fold.handover_events)[:, :k].T
+        if warm.fold == fold:
+            p[:k, :k, 1:] = warm.trace.end_p[:k, :k, :-1]
+    tangents.resting = resting
+    tangents.whole = whole
+    readings = fold_readings(problem, fold)
+    tangents.write_all_tangents(problem, fold, readings)
+    return readings, tangents, z, p
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ encoder offsets]; the last axis C is the stretch.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -37,13 +37,6 @@ smoother keeps a wrong posture in a log whose encoder is off by 0.5 rad in its f
 
 class DidNotConverge(Exception):
     """Sweeps over the log, or outliers' weights, did not converge."""
-
-
-def require_finite(move: float) -> float:
-    """A sweep's largest move; DidNotConverge if rounding left no number."""
-    if np.isnan(move):
-        raise DidNotConverge("rounding leaves no number")
-    return move
 
 
 def measure_farthest_move(z: Array, p: Array, next_z: Array, next_p: Array) -> float:
@@ -180,10 +173,11 @@ class FilterReadings:
     y: Array
     jac: Array
     var: Array
-    reset: Array | None = field(default=None, kw_only=True)
-    process_factor: Array | None = field(default=None, kw_only=True)
-    moves: tuple[Array, Array, Array] | None = field(default=None, kw_only=True)
-    gate: float = field(default=GATE_SIGMA, kw_only=True)
+    _: KW_ONLY
+    reset: Array | None = None
+    process_factor: Array | None = None
+    moves: tuple[Array, Array, Array] | None = None
+    gate: float = GATE_SIGMA
 
     def select_instants(self, first: int, last: int) -> "FilterReadings":
         """The readings from the instant `first` to before `last`."""
@@ -339,6 +333,28 @@ def prepare_filter(
         weights=weights,
         marks=trace.marks,
     )
+
+
+def hand_over_starts(z: Array, p: Array, trace: FilterTrace) -> tuple[Array, Array]:
+    """Starts z (K,C), p (K,K,C) for the next sweep: each stretch starts from its predecessor's
+    end, and the first one as before.
+    """
+    z = z.copy()
+    p = p.copy()
+    z[:, 1:] = trace.z[-1, :, :-1]
+    p[:, :, 1:] = trace.end_p[:, :, :-1]
+    return z, p
+
+
+def advance_starts(z: Array, p: Array, trace: FilterTrace) -> tuple[Array, Array, float]:
+    """Starts for the next sweep, and how far the farthest moved; DidNotConverge if rounding left no
+    number.
+    """
+    next_z, next_p = hand_over_starts(z, p, trace)
+    move = measure_farthest_move(z, p, next_z, next_p)
+    if np.isnan(move):
+        raise DidNotConverge("rounding leaves no number")
+    return next_z, next_p, move
 
 
 def restart_filter(

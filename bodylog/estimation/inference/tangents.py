@@ -231,17 +231,6 @@ def repeat_state_prior(problem: FilterProblem, fold: Fold) -> tuple[Array, Array
     return np.repeat(z[:, None], fold.count, axis=1), np.repeat(p[:, :, None], fold.count, axis=2)
 
 
-def hand_over_starts(z: Array, p: Array, z_end: Array, p_end: Array) -> tuple[Array, Array]:
-    """Starts z (K,C), p (K,K,C) for the next sweep: each stretch starts from its predecessor's
-    end, and the first one as before.
-    """
-    z = z.copy()
-    p = p.copy()
-    z[:, 1:] = z_end[:, :-1]
-    p[:, :, 1:] = p_end[:, :, :-1]
-    return z, p
-
-
 def begin_along_path(problem: FilterProblem, fold: Fold) -> tuple[Tangents, Array, Array]:
     """Tangents at the initial path, or at the encoders'
     readings; each stretch's start z (K,C), p (K,K,C).

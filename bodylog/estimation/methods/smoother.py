@@ -13,7 +13,7 @@ from ...body_model import BodyModel
 from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Features
 from ..inference.filter_log import begin_sweeps
-from ..inference.filter_problem import FilterProblem, choose_fold, fold_readings
+from ..inference.filter_problem import FilterProblem, choose_fold
 from ..inference.leave_one_out import (
     SmoothedWithResiduals,
     compute_smoothed_free_energy,
@@ -26,9 +26,8 @@ from ..inference.scan import (
     MAX_SWEEPS,
     DidNotConverge,
     TraceDetail,
+    advance_starts,
     filter_stretches,
-    measure_farthest_move,
-    require_finite,
     restart_filter,
 )
 from ..inference.silence import smooth_across_silence
@@ -40,7 +39,6 @@ from ..inference.solution import (
     hand_back_adjoints,
     smooth_states,
 )
-from ..inference.tangents import hand_over_starts
 from .contract import Method
 from .explained import explained_estimate
 from .filtering import (
@@ -144,25 +142,18 @@ def solve_map_path(problem: FilterProblem, warm: Solution | None = None) -> Smoo
     lasting = CONVERGED_MOVE**0.5
     fold = choose_fold(len(problem.timeline.t))
     dynamics = problem.dynamics
-    tangents, z, p = begin_sweeps(problem, fold, warm)
-    tangents.resting = lasting
-    tangents.whole = True
-    readings = fold_readings(problem, fold)
+    readings, tangents, z, p = begin_sweeps(problem, fold, warm, lasting, whole=True)
     trace = None
     rest = np.inf
     # adjoints by all later readings, and by those far from a stretch's start
     ends, beyond = np.zeros((2, *z.shape))
-    tangents.write_all_tangents(problem, fold, readings)
     for sweep in range(MAX_SWEEPS):
         moved = tangents.write_stale_tangents(problem, fold, readings)
         if trace is None or moved:
             trace = filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS, into=trace)
         else:
             restart_filter(readings, dynamics, z, p, trace)
-        next_z, next_p = hand_over_starts(z, p, trace.z[-1], trace.end_p)
-        move = require_finite(measure_farthest_move(z, p, next_z, next_p))
-        z = next_z
-        p = next_p
+        z, p, move = advance_starts(z, p, trace)
         path = trace.z
         if sweep or isinstance(warm, Smooth):
             near = compute_start_adjoints(readings, trace, dynamics)

@@ -33,9 +33,10 @@ from ..inference.scan import (
     FilterTrace,
     TraceDetail,
     filter_stretches,
+    hand_over_starts,
 )
 from ..inference.solution import Solution, hand_back_adjoints, smooth_states
-from ..inference.tangents import hand_over_starts, repeat_state_prior
+from ..inference.tangents import repeat_state_prior
 from ..measurements.long_arrays import find_finite_rows, median_step
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import (
@@ -148,20 +149,11 @@ def _smooth_path(
     var = solved.tangents.fold_smoother_variances(posed, fold, solved.readings)
     readings = replace(solved.readings, var=var)
     prior = repeat_state_prior(posed, fold)
-    before = solved.trace
     trace = filter_stretches(
-        readings,
-        dynamics,
-        *hand_over_starts(*prior, before.z[-1], before.end_p),
-        TraceDetail.MEANS,
-        into,
+        readings, dynamics, *hand_over_starts(*prior, solved.trace), TraceDetail.MEANS, into
     )
     trace = filter_stretches(
-        readings,
-        dynamics,
-        *hand_over_starts(*prior, trace.z[-1], trace.end_p),
-        TraceDetail.MEANS,
-        trace,
+        readings, dynamics, *hand_over_starts(*prior, trace), TraceDetail.MEANS, trace
     )
     _, start = smooth_states(readings, trace, np.zeros_like(trace.z[-1]), dynamics)
     smooth, _ = smooth_states(readings, trace, hand_back_adjoints(start), dynamics)
@@ -179,9 +171,7 @@ def stack_candidates(
     g = processes.shape[1]
     fold = solved.fold
     dynamics = replace(part.dynamics, process=np.tile(processes, fold.count))
-    starts = hand_over_starts(
-        *repeat_state_prior(part, fold), solved.trace.z[-1], solved.trace.end_p
-    )
+    starts = hand_over_starts(*repeat_state_prior(part, fold), solved.trace)
     z, p = (np.repeat(part, g, axis=-1) for part in starts)
     return (
         replace(solved.readings, var=var.reshape(*var.shape[:-2], var.shape[-2] * g)),
