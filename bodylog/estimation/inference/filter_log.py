@@ -114,9 +114,7 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
     if confirmed and not _has_long_silence(problem, t[-1:]):
         return replace(problem, resets=resets)
     problem = _with_stationary_motion(problem)
-    path = _step_through_log(
-        problem, False, ROUGHLY_CONVERGED_MOVE, Fold(len(t), length=len(t), count=1)
-    )
+    path = _step_through_log(problem, False, ROUGHLY_CONVERGED_MOVE, Fold(len(t), length=len(t)))
     stepwise = (
         not confirmed
         or _has_long_silence(problem, t[:0])
@@ -183,7 +181,7 @@ def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution
     """
     events = len(problem.timeline.t)
     keep = TraceDetail.MEANS if whole else TraceDetail.BELIEFS
-    fold = Fold(events, length=events, count=1) if whole else choose_fold(events)
+    fold = Fold(events, length=events) if whole else choose_fold(events)
     path = _step_through_log(problem, whole, CONVERGED_MOVE, fold)
     points = tuple(path.points[at] for at in problem.timeline.sightings)
     tangents = Tangents(problem.evidence.sightings, points)

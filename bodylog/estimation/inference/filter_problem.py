@@ -105,11 +105,15 @@ MIN_STRETCH_INSTANTS = 32
 
 @dataclass(frozen=True)
 class Fold:
-    """`count` stretches C of `length` instants L each."""
+    """So many events, instants in time order, in C stretches of `length` instants L each."""
 
     events: int
     length: int
-    count: int
+
+    @property
+    def count(self) -> int:
+        """Number C of stretches, of which the last one may not be full."""
+        return max(1, -(-self.events // self.length))
 
     def fold_events(self, a: Array, fill: float) -> Array:
         """(E,…) -> (L,…,C), with `fill` after the last event."""
@@ -142,8 +146,7 @@ class Fold:
 def choose_fold(events: int) -> Fold:
     """Fold with MAX_STRETCHES, or fewer if the log is short."""
     count = min(MAX_STRETCHES, max(1, events // MIN_STRETCH_INSTANTS))
-    length = max(1, -(-events // count))
-    return Fold(events, length, max(1, -(-events // length)))
+    return Fold(events, max(1, -(-events // count)))
 
 
 def fold_readings(problem: FilterProblem, fold: Fold, held: Array | None = None) -> FilterReadings:

@@ -59,13 +59,12 @@ one in a hundred in an image of 320×240 px costs 14.
 
 @dataclass(frozen=True, eq=False)
 class FilterDynamics:
-    """Process noise (M,) of joints, rad²/s³ or rad²/s⁵ ·
-    random walk (M,) rad²/s of offsets, or None; or (M,C).
+    """How the state moves: all joints' angles, rates[, accelerations][, encoder offsets].
 
-    is_prior (M,) bool: joints whose readings come from the posture prior; they do not count as
-    evidence · motion: name of their motion model · stationary: motion of joints whose encoders are
-    silent for long, or None. A state holds all joints' angles, rates[, accelerations][, encoder
-    offsets].
+    process: noise (M,) of joints, rad²/s³ or rad²/s⁵, or (M,C) by candidate · drift: random walk
+    (M,) rad²/s of encoder offsets, or None · is_prior (M,) bool: joints whose readings come from
+    the posture prior and do not count as evidence · motion: name of their motion model ·
+    stationary: motion of joints whose encoders are silent for long, or None.
     """
 
     process: Array
@@ -157,14 +156,15 @@ class FilterDynamics:
 
 @dataclass(frozen=True, eq=False)
 class FilterReadings:
-    """Measurements, folded (L,…,C): dt s · encoders,
-    var (L,M,C), NaN where silent · T tracks of D rows.
+    """Measurements, folded (L,…,C): dt (L,C) s · encoders (L,M,C) rad, NaN where silent, with
+    variances · T tracks of D rows.
 
-    A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where
-    unseen. reset (L,M,C) bool: joints that restart from a wide prior at an instant, or None.
-    process_factor (L,M,C): on the process variance before an instant, or None for 1. moves: move
-    (L,S,S,M,C), shift (L,S,M,C), noise (L,S,S,M,C) of the states before an instant; NaN: by dt.
-    gate: standard deviations beyond which innovations count as outliers.
+    A track's row reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where
+    unseen. reset (L,M,C) bool: joints that restart from a wide prior at an instant, or None ·
+    process_factor (L,M,C): on the process variance before an instant, or None for 1 · moves: move
+    (L,S,S,M,C), shift (L,S,M,C) and noise (L,S,S,M,C) of the S states of joints before an instant,
+    NaN where they move by dt · gate: standard deviations beyond which innovations count as
+    outliers.
     """
 
     dt: Array
@@ -217,13 +217,16 @@ class TraceDetail(Enum):
 
 @dataclass(frozen=True, eq=False)
 class FilterTrace:
-    """Per instant: prior mean and covariance of x, posterior
-    state z, nats, and covariances cov (L,O,O,C) of angles.
+    """The filtered beliefs of all instants.
 
-    With offsets also theirs: O = M or 2 M · end_p (K,K,C): covariance of the state at the end. For
-    the smoother: p (L,O,K,C) or (L,K,K,C), rows of the state's covariance · information (L,R,C):
-    inverse noise of each reading, 0 of missing ones · back: gains (L,R,K,C) and weights (L,R,C)
-    of readings · marks (B,K,K+1,C): the belief before every BLOCK_INSTANTS instants, the upper
+    prior (L,M,C) rad, prior_cov (L,M,M,C): of the angles before an instant's readings · z (L,K,C):
+    state after them · cov (L,O,O,C): of the angles and, if there are any, encoder offsets after
+    them, O = M or 2 M · end_p (K,K,C): covariance of the state at the end · nats (L,C) of the
+    readings · encoder_d (L,M,C): innovations of encoders, in standard deviations.
+
+    For the smoother: p (L,O,K,C) or (L,K,K,C), rows of the state's covariance · information (L,R,C):
+    inverse noise of each reading, 0 of missing ones · back: gains (L,R,K,C) and weights (L,R,C) of
+    readings · marks (B,K,K+1,C): the belief before every BLOCK_INSTANTS instants, the upper
     triangle of its covariance beside its mean.
     """
 

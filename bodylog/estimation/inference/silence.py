@@ -92,7 +92,7 @@ def _start_from_cubature_points(
     first, last = np.searchsorted(t, [begin - BRIEF_SILENCE_S, end + BRIEF_SILENCE_S])
     length = last - first
     count = 1 + 2 * m if end - begin <= BRIEF_SILENCE_S else 1
-    fold = Fold(length * count, length, count)
+    fold = Fold(length * count, length)
     silent_solution = replace(
         solution,
         fold=fold,
