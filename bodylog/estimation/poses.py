@@ -230,20 +230,20 @@ def _evaluate_poses(poses: StillPoses, x: Array) -> SolvedPoses:
     r = np.where(seen, poses.y - g, 0.0)
     weight = seen / np.maximum(np.square(r) / (GATE_SIGMA**2 * var), 1.0)
     information = (jac * (weight / var)[..., None]).swapaxes(1, 2) @ jac + np.diag(poses.span**-2.0)
-    found = SolvedPoses(x, np.linalg.inv(information), r, jac, var, weight, np.empty(len(x)))
+    solved = SolvedPoses(x, np.linalg.inv(information), r, jac, var, weight, np.empty(len(x)))
     logs = (np.log(2.0 * np.pi * var) * seen).sum(axis=1) + 2.0 * np.log(poses.span).sum()
     logs += np.linalg.slogdet(information)[1]
-    return replace(found, cost=_compute_robust_misfit(poses, found, var) + 0.5 * logs)
+    return replace(solved, cost=_compute_robust_misfit(poses, solved, var) + 0.5 * logs)
 
 
-def _compute_robust_misfit(poses: StillPoses, at: SolvedPoses, var: Array) -> Array:
+def _compute_robust_misfit(poses: StillPoses, solved: SolvedPoses, var: Array) -> Array:
     """Half the robust squares (P,) of all readings, with
     variances `var` (P,R), and of the prior, in nats.
     """
-    over = np.square(at.r) / (GATE_SIGMA**2 * var)
+    over = np.square(solved.r) / (GATE_SIGMA**2 * var)
     robust = GATE_SIGMA**2 * (np.minimum(over, 1.0) + np.log(np.maximum(over, 1.0)))
     return np.asarray(
-        0.5 * (robust.sum(axis=1) + np.square((at.x - poses.centre) / poses.span).sum(axis=1))
+        0.5 * (robust.sum(axis=1) + np.square((solved.x - poses.centre) / poses.span).sum(axis=1))
     )
 
 
@@ -278,19 +278,21 @@ def learn_pose_encoders(
     and offsets as `bias` (auto, on, off) allows.
     """
     m = len(known)
-    found = PoseEncoders(known, np.zeros(m), np.zeros(m))
+    encoders = PoseEncoders(known, np.zeros(m), np.zeros(m))
     seen = np.isfinite(poses.y)
     some = np.flatnonzero(seen[:, :m].any(axis=1) & seen[:, m:].any(axis=1))
     if not len(some) or not (noise or bias != "off"):
-        return found
+        return encoders
     x: Array | None = None
     for turn in range(3):
         # at first, angles are where the images want them
-        variance = np.maximum(known, PRIOR_STD_RAD**2) if turn == 0 else found.variance
-        trusted = poses.with_encoders(variance, found.offset)
+        variance = np.maximum(known, PRIOR_STD_RAD**2) if turn == 0 else encoders.variance
+        trusted = poses.with_encoders(variance, encoders.offset)
         errors, x = _collect_encoder_errors(poses, trusted, some, x)
-        found = _choose_pose_offsets(errors, known, names, noise, bias, np.log(found.variance))
-    return found
+        encoders = _choose_pose_offsets(
+            errors, known, names, noise, bias, np.log(encoders.variance)
+        )
+    return encoders
 
 
 def _collect_encoder_errors(
@@ -299,17 +301,16 @@ def _collect_encoder_errors(
     """What the positions show of the encoder errors
     at some of the poses, and all angles x (P,M) rad.
     """
-    at = solve_poses(trusted, x)
+    solved = solve_poses(trusted, x)
     m = len(poses.centre)
-    jac = at.jac[some, m:]
-    weight = (at.weight / at.var)[some, m:, None]
+    jac = solved.jac[some, m:]
+    weight = (solved.weight / solved.var)[some, m:, None]
     information = (jac * weight).swapaxes(1, 2) @ jac
     z = poses.y[some, :m]
-    apart = np.where(np.isfinite(z), z, poses.centre) - at.x[some]
-    pull = (information @ apart[..., None])[..., 0] - (jac * weight * at.r[some, m:, None]).sum(
-        axis=1
-    )
-    return EncoderErrors(information, pull, np.isfinite(z), poses.span), at.x
+    apart = np.where(np.isfinite(z), z, poses.centre) - solved.x[some]
+    pull = (information @ apart[..., None])[..., 0]
+    pull -= (jac * weight * solved.r[some, m:, None]).sum(axis=1)
+    return EncoderErrors(information, pull, np.isfinite(z), poses.span), solved.x
 
 
 def _choose_pose_offsets(
@@ -411,14 +412,14 @@ def compute_position_evidence(
 
 
 def list_pose_offset_faults(
-    names: tuple[str, ...], found: PoseEncoders, since: float
+    names: tuple[str, ...], encoders: PoseEncoders, since: float
 ) -> tuple[Fault, ...]:
     """Encoders with a significant offset in all poses."""
-    certain = np.abs(found.offset) > np.maximum(
-        OFFSET_STD, CERTAIN_SIGMA * np.sqrt(found.offset_var)
+    certain = np.abs(encoders.offset) > np.maximum(
+        OFFSET_STD, CERTAIN_SIGMA * np.sqrt(encoders.offset_var)
     )
     return tuple(
-        Fault("encoders", names[j], FaultKind.OFFSET, since, float(found.offset[j]), "rad")
+        Fault("encoders", names[j], FaultKind.OFFSET, since, float(encoders.offset[j]), "rad")
         for j in np.flatnonzero(certain)
     )
 
@@ -456,9 +457,9 @@ def estimate_still_poses(
         settings.sigma_encoders, body.joints, np.array(body.noise.encoder, float)
     )
     unknown = settings.precision == "auto" and settings.sigma_encoders is None
-    found = learn_pose_encoders(poses, known, body.joints, unknown, settings.bias)
-    poses = poses.with_encoders(found.variance, found.offset)
-    return _build_pose_estimate(settings, body, evidence, poses, found, solve_poses(poses))
+    encoders = learn_pose_encoders(poses, known, body.joints, unknown, settings.bias)
+    poses = poses.with_encoders(encoders.variance, encoders.offset)
+    return _build_pose_estimate(settings, body, evidence, poses, encoders, solve_poses(poses))
 
 
 def _build_pose_estimate(
@@ -466,8 +467,8 @@ def _build_pose_estimate(
     body: BodyModel,
     evidence: Evidence,
     poses: StillPoses,
-    found: PoseEncoders,
-    at: SolvedPoses,
+    encoders: PoseEncoders,
+    solved: SolvedPoses,
 ) -> Estimate:
     """The public record of solved poses."""
     t = poses.t
@@ -476,9 +477,9 @@ def _build_pose_estimate(
     errors = dict[str, Series]()
     predicted = dict[str, Series]()
     covs = dict[str, Array]()
-    readings = poses.predict_readings(at.x)[0]
+    readings = poses.predict_readings(solved.x)[0]
     for sense, rows in zip(poses.senses[1:], poses.rows[1:], strict=True):
-        left, cov = _leave_out_rows(poses, at, rows)
+        left, cov = _leave_out_rows(poses, solved, rows)
         std = np.sqrt(np.einsum("pkk->pk", cov))
         outputs = sense.model.outputs
         seen = find_finite_rows(left)
@@ -488,52 +489,52 @@ def _build_pose_estimate(
         predicted[sense.name] = Series(t, mean, outputs, unit, source, std)
         covs[sense.name] = cov
     if np.isfinite(poses.y[:, : len(names)]).any():
-        each = [_leave_out_rows(poses, at, slice(j, j + 1)) for j in range(len(names))]
-        encoders = np.column_stack([left / np.sqrt(cov[:, 0]) for left, cov in each])
-        errors["encoders"] = Series(t, encoders, names, "std", source)
+        each = [_leave_out_rows(poses, solved, slice(j, j + 1)) for j in range(len(names))]
+        encoder_errors = np.column_stack([left / np.sqrt(cov[:, 0]) for left, cov in each])
+        errors["encoders"] = Series(t, encoder_errors, names, "std", source)
     used = {
-        "encoder": found.variance.tolist(),
+        "encoder": encoders.variance.tolist(),
         "scale": {name: 1.0 for name in predicted},
         "motion": "none",
     }
-    offset = Series(t, np.tile(found.offset, (len(t), 1)), names, "rad", source)
+    offset = Series(t, np.tile(encoders.offset, (len(t), 1)), names, "rad", source)
     text = f"{len(t)} still poses, each estimated separately"
     return Estimate(
         settings.method,
-        Series(t, at.x, names, "rad", source),
-        Series(t, np.zeros(at.x.shape), names, "rad/s", source),
-        _compute_pose_covariance(found, at, body),
+        Series(t, solved.x, names, "rad", source),
+        Series(t, np.zeros(solved.x.shape), names, "rad/s", source),
+        _compute_pose_covariance(encoders, solved, body),
         errors,
-        at.cost,
+        solved.cost,
         evidence.used,
         predicted,
         covs,
         used,
-        offset if found.offset_var.any() else None,
-        (*evidence.faults, *list_pose_offset_faults(names, found, float(t[0]))),
-        (*evidence.findings, *found.findings, Finding("info", text)),
+        offset if encoders.offset_var.any() else None,
+        (*evidence.faults, *list_pose_offset_faults(names, encoders, float(t[0]))),
+        (*evidence.findings, *encoders.findings, Finding("info", text)),
     )
 
 
-def _compute_pose_covariance(found: PoseEncoders, at: SolvedPoses, body: BodyModel) -> Array:
+def _compute_pose_covariance(encoders: PoseEncoders, solved: SolvedPoses, body: BodyModel) -> Array:
     """Covariance (P,M,M) of the angles, including the offsets' uncertainty: dx/db = −Λ⁻¹ Σ⁻¹.
 
     Errors in the poses that the tracks were learned from
     are common to all tracks, so they add to it, too.
     """
-    m = at.x.shape[1]
+    m = solved.x.shape[1]
     std = np.array(body.provenance.get("pose_std", [0.0] * m), float)
     if std.shape != (m,):
         raise ModelError(
             f"provenance.pose_std: {len(std)} numbers for {m} joints; fit the body again"
         )
-    lean = at.cov * (at.weight / at.var)[:, None, :m]
+    lean = solved.cov * (solved.weight / solved.var)[:, None, :m]
     return np.asarray(
-        at.cov + np.diag(np.square(std)) + (lean * found.offset_var) @ lean.swapaxes(1, 2)
+        solved.cov + np.diag(np.square(std)) + (lean * encoders.offset_var) @ lean.swapaxes(1, 2)
     )
 
 
-def _leave_out_rows(poses: StillPoses, at: SolvedPoses, rows: slice) -> tuple[Array, Array]:
+def _leave_out_rows(poses: StillPoses, solved: SolvedPoses, rows: slice) -> tuple[Array, Array]:
     """Leave-one-out errors (P,D) of rows of readings, NaN
     where missing, and their predicted covariance (P,D,D).
 
@@ -542,16 +543,16 @@ def _leave_out_rows(poses: StillPoses, at: SolvedPoses, rows: slice) -> tuple[Ar
     of H in units of R, 1 − s is how well the others predict it: where it is below LEAST_LEFT, the
     error is NaN, and the covariance the prior's.
     """
-    jac = at.jac[:, rows]
+    jac = solved.jac[:, rows]
     eye = np.eye(rows.stop - rows.start)
-    noise = at.var[:, None, rows] * eye
-    std = np.sqrt(at.var[:, rows] / np.maximum(at.weight[:, rows], 1e-12))
+    noise = solved.var[:, None, rows] * eye
+    std = np.sqrt(solved.var[:, rows] / np.maximum(solved.weight[:, rows], 1e-12))
     units = std[:, :, None] * std[:, None]
-    inside = jac @ at.cov @ jac.swapaxes(1, 2)
+    inside = jac @ solved.cov @ jac.swapaxes(1, 2)
     share, axes = np.linalg.eigh(inside / units)
     foretold = share[:, -1] <= 1.0 - LEAST_LEFT
     left = np.maximum(1.0 - share, LEAST_LEFT)[:, None]
-    along = (at.r[:, rows] / std)[:, None] @ axes
+    along = (solved.r[:, rows] / std)[:, None] @ axes
     error = std * ((along / left) @ axes.swapaxes(1, 2))[:, 0]
     others = units * ((axes * (share[:, None] / left)) @ axes.swapaxes(1, 2))
     prior = (jac * poses.span**2) @ jac.swapaxes(1, 2)
