@@ -297,7 +297,7 @@ def group_frames_by_instant(
     problem: FilterProblem, whole: bool, before: int
 ) -> dict[int, dict[int, PendingFrame]]:
     """Frames by instant, and by track, of the first `before` instants."""
-    found: dict[int, dict[int, PendingFrame]] = {}
+    frames: dict[int, dict[int, PendingFrame]] = {}
     precision = problem.precision
     for track, (sighting, events) in enumerate(
         zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
@@ -312,5 +312,5 @@ def group_frames_by_instant(
             frame = PendingFrame(
                 sighting.model, t, values[row], scale * var[row], like, LastFrame(), own
             )
-            found.setdefault(int(events[row]), {})[track] = frame
-    return found
+            frames.setdefault(int(events[row]), {})[track] = frame
+    return frames

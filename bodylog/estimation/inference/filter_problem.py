@@ -91,8 +91,8 @@ class FilterProblem:
             )
         if not fewer:
             return None
-        found, which = list_track_sets(self.evidence.sightings, self.timeline.t)
-        return np.stack([fewer.get(view, usual) / usual for view in found])[which]
+        views, which = list_track_sets(self.evidence.sightings, self.timeline.t)
+        return np.stack([fewer.get(view, usual) / usual for view in views])[which]
 
 
 MAX_STRETCHES = 8

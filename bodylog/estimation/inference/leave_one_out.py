@@ -69,18 +69,18 @@ def _predict_left_out_encoders(
     """Errors and nats (N,M); smoothed x (E,K), their
     variances var (E,O), innovations d (E,M), gated.
     """
-    found = problem.evidence.encoders
+    encoders = problem.evidence.encoders
     at = problem.timeline.encoders
     m = len(problem.start)
-    if found is None:
+    if encoders is None:
         return np.empty((0, m)), np.empty((0, m))
     offset = problem.dynamics.offset
     read = x[at, :m] if offset is None else x[at, :m] + x[at, offset:]
-    noise = problem.precision.encoder * found.relative
+    noise = problem.precision.encoder * encoders.relative
     used = np.abs(d[at]) <= gate
     a = np.maximum(var[at, -m:], 0.0)  # not below 0 by rounding
     total = np.where(used, np.maximum(noise - a, MIN_VARIANCE_SHARE * noise), noise + a)
-    errors = (found.values - read) / np.sqrt(total)
+    errors = (encoders.values - read) / np.sqrt(total)
     removed = np.isnan(d[at]) & np.isfinite(errors)
     nats = np.zeros(errors.shape)
     nats[removed] = _compute_removal_cost(
@@ -109,13 +109,13 @@ def _predict_left_out_frames(
     far = ~removed & _find_gated_frames(smooth, at, index)
     a = project_covariance(h, select(smooth.cov[:, :m, :m], at))
     used = ~(removed | far)[:, None, None]
-    one = np.eye(h.shape[1])
-    inverse, log_total = _invert_with_log_determinant(one + np.where(used, -a, a))
+    identity = np.eye(h.shape[1])
+    inverse, log_total = _invert_with_log_determinant(identity + np.where(used, -a, a))
     scaled = np.einsum("fde,fe->fd", inverse, residual)
     square = (scaled * residual).sum(axis=1)
     log_size = log_total + np.log(2.0 * np.pi * std * std).sum(axis=1)
     error = std * np.where(used[..., 0], scaled, residual)
-    spread = np.where(used, inverse - one, a)
+    spread = np.where(used, inverse - identity, a)
     place = np.where(np.isfinite(error), values - error, mean)
     nats = np.where(removed & np.isfinite(square), _compute_removal_cost(square, log_size), 0.0)
     return unmix_rows(mix, (place, std[..., None] * spread * std[:, None], var)), square, nats, far
@@ -161,13 +161,13 @@ def _compute_removal_cost(d2: Array, log_size: Array) -> Array:
     )
 
 
-def find_contradicted_readings(found: LeftOut) -> tuple[Array, ...]:
+def find_contradicted_readings(left_out: LeftOut) -> tuple[Array, ...]:
     """Readings that all others contradict: encoders'
     (N,M) bool, then frames (F,) of each sighting.
     """
     return (
-        np.abs(found.encoders) > GATE_SIGMA,
-        *(square > GATE_SIGMA**2 for square in found.squares),
+        np.abs(left_out.encoders) > GATE_SIGMA,
+        *(square > GATE_SIGMA**2 for square in left_out.squares),
     )
 
 
@@ -187,11 +187,13 @@ def remove_readings(problem: FilterProblem, removed: tuple[Array, ...]) -> Filte
     return replace(problem, evidence=replace(evidence, encoders=rows, sightings=sightings))
 
 
-def compute_smoothed_free_energy(problem: FilterProblem, smooth: Smooth, found: LeftOut) -> Array:
+def compute_smoothed_free_energy(
+    problem: FilterProblem, smooth: Smooth, left_out: LeftOut
+) -> Array:
     """Nats (E,) of a smoothed log and of the readings removed from it."""
     nats = smooth.fold.unfold_events(smooth.trace.nats).copy()
     line = problem.timeline
-    encoders, *frames = found.nats
+    encoders, *frames = left_out.nats
     nats[line.encoders] += encoders.sum(axis=1)
     for at, cost in zip(line.sightings, frames, strict=True):
         nats[at] += cost

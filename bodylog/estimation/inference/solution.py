@@ -84,16 +84,18 @@ def _solve_stretch_starts(
     """
     k, c = trace.z.shape[1:]
     end = np.concatenate([np.zeros((k, k, c)), np.repeat(np.eye(k)[..., None], c, axis=-1)], axis=1)
-    own = end[:, :k]
-    across = end[:, k:]
+    information = end[:, :k]
+    adjoint_map = end[:, k:]
     for at in trace.blocks:
         part = _propagate_adjoint_back(*_cut_block(readings, trace, at, dynamics), end, dynamics)
-        own = own + np.einsum("aic,ijc,bjc->abc", across, part[:, :k], across, optimize=True)
-        across = np.einsum("aic,ijc->ajc", across, part[:, k:])
-        later = np.einsum("aic,ijc,ajc->ac", across, own, across, optimize=True)
-        if (later <= np.finfo(float).eps * np.einsum("aac->ac", own)).all():
+        information = information + np.einsum(
+            "aic,ijc,bjc->abc", adjoint_map, part[:, :k], adjoint_map, optimize=True
+        )
+        adjoint_map = np.einsum("aic,ijc->ajc", adjoint_map, part[:, k:])
+        later = np.einsum("aic,ijc,ajc->ac", adjoint_map, information, adjoint_map, optimize=True)
+        if (later <= np.finfo(float).eps * np.einsum("aac->ac", information)).all():
             break
-    return np.concatenate([own, across], axis=1)
+    return np.concatenate([information, adjoint_map], axis=1)
 
 
 def _cut_block(
@@ -162,9 +164,9 @@ def _compute_end_information(starts: Array) -> Array:
     by_stretch = np.moveaxis(starts, -1, 0)
     ends = np.zeros((c, k, k))
     for j in range(c - 1, 0, -1):
-        own = by_stretch[j, :, :k]
-        across = by_stretch[j, :, k:]
-        ends[j - 1] = own + across @ ends[j] @ across.T
+        information = by_stretch[j, :, :k]
+        adjoint_map = by_stretch[j, :, k:]
+        ends[j - 1] = information + adjoint_map @ ends[j] @ adjoint_map.T
     return np.ascontiguousarray(np.moveaxis(ends, 0, -1))
 
 

@@ -41,7 +41,7 @@ class Tangents:
         self._seen = tuple(index_true_rows(rows) for rows in seen)
         self._precision: NoiseModel | None = None
         self._intercept: tuple[Array, ...] = tuple(
-            np.full(one.values.shape, np.nan) for one in sightings
+            np.full(sighting.values.shape, np.nan) for sighting in sightings
         )
         self._jac = tuple(
             np.zeros((*y.shape, x.shape[1])) for x, y in zip(points, self._intercept, strict=True)
@@ -49,11 +49,13 @@ class Tangents:
         self.model_var = tuple(np.zeros(y.shape) for y in self._intercept)
         self._var = tuple(np.ones(y.shape) for y in self._intercept)
         # the misfit of the kernel is each model's own
-        common = [one.common / getattr(one.model, "misfit", 1.0) for one in sightings]
+        common = [
+            sighting.common / getattr(sighting.model, "misfit", 1.0) for sighting in sightings
+        ]
         counted = [int(rows.sum()) for rows in seen]
         models = [
-            one.model
-            for one, share, count in zip(sightings, common, counted, strict=True)
+            sighting.model
+            for sighting, share, count in zip(sightings, common, counted, strict=True)
             if share * count > 0
         ]
         distinct = (
