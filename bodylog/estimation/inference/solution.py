@@ -24,28 +24,28 @@ from .tangents import Tangents
 
 
 def smooth_states(
-    readings: FilterReadings, trace: FilterTrace, end: Array, dynamics: FilterDynamics
+    readings: FilterReadings,
+    trace: FilterTrace,
+    end: Array,
+    dynamics: FilterDynamics,
+    instants: int | None = None,
 ) -> tuple[Array, Array]:
     """Smoothed means (L,O,C) or (L,K,C) of the states that the trace keeps, and adjoints (K,C) at
-    the start, from the adjoints (K,C) at the `end`.
+    the start, from the adjoints (K,C) at the `end`; of the first `instants` alone, if given.
     """
     assert trace.p is not None
-    x = np.empty((*trace.p.shape[:2], trace.p.shape[-1]))
-    return x, _propagate_adjoint_back(
-        readings, trace, np.ascontiguousarray(end)[:, None], dynamics, smooth=x
-    )[:, 0]
+    length, rows, _, stretches = trace.p.shape
+    x = np.empty((min(instants or length, length), rows, stretches))
+    end = np.ascontiguousarray(end)[:, None]
+    return x, _propagate_adjoint_back(readings, trace, end, dynamics, smooth=x)[:, 0]
 
 
 def compute_start_adjoints(
     readings: FilterReadings, trace: FilterTrace, dynamics: FilterDynamics
 ) -> Array:
     """Adjoints (K,C) at the start by the first block alone: what comes after it matters little."""
-    assert trace.p is not None
-    length, o, _, c = trace.p.shape
-    x = np.empty((min(BLOCK_INSTANTS, length), o, c))
-    return _propagate_adjoint_back(
-        readings, trace, np.zeros((trace.z.shape[1], 1, c)), dynamics, smooth=x
-    )[:, 0]
+    end = np.zeros_like(trace.z[-1])
+    return smooth_states(readings, trace, end, dynamics, BLOCK_INSTANTS)[1]
 
 
 def smooth_with_covariances(
