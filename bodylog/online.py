@@ -61,6 +61,6 @@ class Estimator(LiveEstimator):
         for name, place in places.items():
             by = 0.0 if name == "touch" else self._delays.get(camera_of_track(name), 0.0)
             by_delay.setdefault(by, {})[name] = place
-        return self._step_all(
+        return self._step_together(
             [(t - by, joints if by == own else None, given) for by, given in by_delay.items()]
         )

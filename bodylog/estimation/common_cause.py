@@ -1,9 +1,9 @@
-"""Whether a touch that is felt and a stroke that is
-seen have one cause, in place (Körding et al. 2007).
+"""Whether a touch that is felt and a stroke that is seen have one cause, by where they are (Körding
+et al. 2007).
 
-With one cause the hand is seen where the skin is touched, so its place o is N(g_v(x̂), J P Jᵀ + σ²
-I) by the belief of all other senses. With two causes it is anywhere in the image. Samad et al.
-(2015) explain the rubber hand so.
+With one cause the hand is seen where the skin is touched. By the belief x̂, P of all other senses
+its place has the density N(g_v(x̂), J P Jᵀ + σ² I). With two causes it is anywhere in the image.
+Samad et al. (2015) explain the rubber hand so.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from ..body_model import BodyModel, ForwardModel
 from ..errors import UsageError
 from ..settings import EstimationSettings
 from ..types import Array, Estimate, Features, Synchrony
-from .measurements.long_arrays import find_finite_rows as rows_seen
+from .measurements.long_arrays import find_finite_rows
 from .measurements.records import interpolate_values
 from .measurements.touch import place_of_cell
 
@@ -41,20 +41,16 @@ def infer_common_causes(
             "common_cause: the log has no images, so their size is not known; leave "
             "common_cause out of [estimate]"
         )
-    alone = solve(features, _without_touch(settings))
-    pairs = tuple(
-        replace(
-            pair,
-            common_cause=compute_common_cause_posterior(
-                prior, *_compute_cause_densities(features, body, alone, pair)
-            ),
-        )
-        for pair in features.synchrony
-    )
-    return replace(features, synchrony=pairs)
+    alone = solve(features, _remove_touch(settings))
+    pairs = []
+    for pair in features.synchrony:
+        densities = _compute_cause_densities(features, body, alone, pair)
+        posterior = compute_common_cause_posterior(prior, *densities)
+        pairs.append(replace(pair, common_cause=posterior))
+    return replace(features, synchrony=tuple(pairs))
 
 
-def _without_touch(settings: EstimationSettings) -> EstimationSettings:
+def _remove_touch(settings: EstimationSettings) -> EstimationSettings:
     """The settings with every other sense."""
     if settings.senses is None:
         return replace(settings, without=(*settings.without, "touch"), common_cause=None)
@@ -87,7 +83,7 @@ def _compute_cause_densities(
     touch = features.touches[pair.touch]
     hand = features.hand
     width, height = features.picture_size
-    during = rows_seen(hand.values) & (hand.t >= touch.onset) & (hand.t <= touch.offset)
+    during = find_finite_rows(hand.values) & (hand.t >= touch.onset) & (hand.t <= touch.offset)
     if pair.stroke is None or not during.any():
         return 0.0, 1.0 / (width * height)
     u, v, spread_variance = place_of_cell(body, touch.strongest)

@@ -1,10 +1,7 @@
-"""Readings given to a live filter: angles by joint,
-positions by track; checked, counted and filtered.
+"""The live filter beside a robot, with the same belief as the filter of a log: one step an instant.
 
-The live filter: one step per instant, with the same belief as the batch filter.
-
-The last instants of a live filter: late readings
-are inserted at their time and later ones re-applied.
+Readings, angles by joint and positions by track, are checked, counted and filtered. Late ones are
+inserted at their time, and the later ones of the last instants applied again.
 """
 
 from bisect import bisect_left
@@ -24,11 +21,12 @@ from .faults.encoder_offset import RANDOM_WALKS
 from .inference.reacquisition import LONG_SILENCE_S
 from .inference.scan import FilterDynamics
 from .inference.sequential import SequentialFilter, State
+from .inference.tangents import correlate_errors
 from .measurements.gather import choose_senses, given_start
 from .measurements.track import pixel_variance
 from .methods.table import METHODS
 from .noise import noise_model
-from .noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, correlation_length
+from .noise.correlated_noise import LastFrame, PendingFrame
 from .noise.noise_model import carry_noise_model
 from .noise.posture_prior import build_posture_prior, build_stationary_motion
 
@@ -53,7 +51,7 @@ class Observation:
     places: Mapping[str, tuple[Array, Array]]
 
 
-class Inputs:
+class LiveInputs:
     """The senses of a body, which of them are used, and counts of each one's readings."""
 
     def __init__(self, body: BodyModel, settings: EstimationSettings, to_angles: ToAngles) -> None:
@@ -69,20 +67,26 @@ class Inputs:
         self._to_angles = to_angles
         self._newest_angles = [-inf] * len(body.joints)
         self._newest: dict[str, float] = {}
-        self._variance = {
+        self._typed_variance = {
             name: noise_model.typed_track_variance(settings, name) for name in self.models
         }
         self._counts: dict[str, dict[str, int]] = {}
 
-    def read(self, joints: Angles | None, places: Mapping[str, Place | None]) -> Observation:
+    def parse_readings(
+        self, joints: Angles | None, places: Mapping[str, Place | None]
+    ) -> Observation:
         """Convert readings to arrays; UsageError or ModelError where they do not fit the body."""
-        angles = None if joints is None else self._angles(joints)
         return Observation(
-            angles,
-            {name: self._place(name, one) for name, one in places.items() if one is not None},
+            None if joints is None else self._parse_angles(joints),
+            {
+                name: self._parse_place(name, place)
+                for name, place in places.items()
+                if place is not None
+            },
         )
 
-    def _angles(self, given: Angles) -> Array:
+    def _parse_angles(self, given: Angles) -> Array:
+        """Angles (M,) rad, NaN where missing."""
         names = self._joints
         if isinstance(given, Mapping):
             if not any(name in given for name in names):
@@ -94,7 +98,8 @@ class Inputs:
         x = self._to_angles(_parse_numbers("joints", given, (len(names),), possible))
         return np.where(np.isfinite(x), x, np.nan)
 
-    def _place(self, name: str, given: Place) -> tuple[Array, Array]:
+    def _parse_place(self, name: str, given: Place) -> tuple[Array, Array]:
+        """A place (D,) px or mm, and its variance (D,)."""
         if name not in self.models:
             raise UsageError(
                 f"{name}: the body has no such sense; it has "
@@ -102,35 +107,35 @@ class Inputs:
             )
         axes = self.models[name].outputs
         count = len(axes)
-        alone, both = (count,), (2 * count,)
-        words = f"({', '.join(axes)}, {', '.join(f'std_{axis}' for axis in axes)})"
         unit = "m" if TRACK_AXES[count][1] == "mm" else "px"
-        sizes, possible = (
-            (both, f"{words} in {unit}")
-            if name == "touch"
-            else ((*alone, *both), f"({', '.join(axes)}) or {words} in {unit}")
-        )
-        found = _parse_numbers(name, given, sizes, possible) * (MM_PER_M if unit == "m" else 1.0)
-        place = found[:count]
-        std = found[count:] if len(found) == 2 * count else None
-        if (given_var := self._variance[name]) is not None:
-            return place, np.full(count, given_var)
+        sizes: tuple[int, ...] = (2 * count,)
+        possible = f"({', '.join(axes)}, {', '.join(f'std_{axis}' for axis in axes)}) in {unit}"
+        if name != "touch":
+            sizes = (count, 2 * count)
+            possible = f"({', '.join(axes)}) or {possible}"
+        numbers = _parse_numbers(name, given, sizes, possible) * (MM_PER_M if unit == "m" else 1.0)
+        place = numbers[:count]
+        std = numbers[count:] if len(numbers) == 2 * count else None
+        typed = self._typed_variance[name]
+        if typed is not None:
+            return place, np.full(count, typed)
         if name == "touch" and std is not None:
             return place, np.square(std)
-        return place, pixel_variance(
-            std, self.models[name], np.array(self._noise.get(name, (1.0,) * count), float)
-        )
+        noise = np.array(self._noise.get(name, (1.0,) * count), float)
+        return place, pixel_variance(std, self.models[name], noise)
 
-    def accept(self, t: float, given: Observation, late: bool) -> Observation:
+    def accept_readings(self, t: float, given: Observation, late: bool) -> Observation:
         """Keep the readings of time t (s) that may be used; count the others by reason."""
         places = {
-            name: one for name, one in given.places.items() if self._accepted(name, t, one[0], late)
+            name: (place, var)
+            for name, (place, var) in given.places.items()
+            if self._accept_place(name, t, place, late)
         }
-        return Observation(
-            None if given.angles is None else self._accepted_angles(t, given.angles, late), places
-        )
+        angles = None if given.angles is None else self._accept_angles(t, given.angles, late)
+        return Observation(angles, places)
 
-    def _accepted(self, name: str, t: float, place: Array, late: bool) -> bool:
+    def _accept_place(self, name: str, t: float, place: Array, late: bool) -> bool:
+        """Whether a track's place may be used."""
         after = t > self._newest.get(name, -np.inf)
         if after and not late:
             self._newest[name] = t
@@ -139,9 +144,10 @@ class Inputs:
             "time runs backwards": not after,
             "out of view": not np.isfinite(place).all(),
         }
-        return self._count(name, {**rejected, "not asked for": name not in self.wanted})
+        return self._count_reading(name, {**rejected, "not asked for": name not in self.wanted})
 
-    def _accepted_angles(self, t: float, x: Array, late: bool) -> Array:
+    def _accept_angles(self, t: float, x: Array, late: bool) -> Array:
+        """Angles (M,) rad, NaN where they may not be used."""
         known = np.isfinite(x).tolist()
         before = self._newest_angles
         fresh = [sure and t > last for sure, last in zip(known, before, strict=True)]
@@ -155,10 +161,11 @@ class Inputs:
             "not a number": not any(known),
             "time runs backwards": not any(fresh),
         }
-        accepted = self._count("encoders", {**rejected, "not asked for": not any(usable)})
+        accepted = self._count_reading("encoders", {**rejected, "not asked for": not any(usable)})
         return x if accepted and all(usable) else np.where(np.array(usable) & accepted, x, np.nan)
 
-    def _count(self, sense: str, rejected: Mapping[str, bool]) -> bool:
+    def _count_reading(self, sense: str, rejected: Mapping[str, bool]) -> bool:
+        """Count a reading by the first reason to reject it that holds; whether there is none."""
         counts = self._counts.setdefault(sense, {})
         reason = next((reason for reason, holds in rejected.items() if holds), "")
         counts[reason] = counts.get(reason, 0) + 1
@@ -187,6 +194,7 @@ def require_finite_time(t: float) -> float:
 def _parse_numbers(
     what: str, given: Sequence[float] | Array, sizes: tuple[int, ...], possible: str
 ) -> Array:
+    """The numbers given, as many as one of the sizes; UsageError otherwise."""
     try:
         found = np.asarray(given, float)
     except (TypeError, ValueError):
@@ -197,7 +205,7 @@ def _parse_numbers(
 
 
 @dataclass(eq=False)
-class Instant:
+class LiveInstant:
     """Time t (s), the state after it, and its readings:
     angles (M,) rad, NaN where missing, or None, and frames.
     """
@@ -208,7 +216,7 @@ class Instant:
     frames: Mapping[str, PendingFrame] = field(default_factory=dict)
     nats: float = 0.0
 
-    def add(self, angles: Array | None, frames: Mapping[str, PendingFrame]) -> None:
+    def add_readings(self, angles: Array | None, frames: Mapping[str, PendingFrame]) -> None:
         """Add readings of the same time."""
         if self.angles is not None and angles is not None:
             angles = np.where(np.isfinite(angles), angles, self.angles)
@@ -219,40 +227,43 @@ class Instant:
 class ReplayBuffer:
     """The instants of the last `lag` seconds, at least one, and the one before them."""
 
-    def __init__(self, first: State, lag: float, step: Callable[[State, Instant], State]) -> None:
+    def __init__(
+        self, first: State, lag: float, step: Callable[[State, LiveInstant], State]
+    ) -> None:
         """Only the `first` state; `step` gives the state after an instant from the one before."""
-        self._instants = [Instant(first.t, first)]
+        self._instants = [LiveInstant(first.t, first)]
         self._lag = lag
         self._step = step
 
     @property
-    def last(self) -> State:
+    def last_state(self) -> State:
         """The state now."""
         return self._instants[-1].after
 
-    def late(self, t: float) -> bool:
+    def is_too_late(self, t: float) -> bool:
         """Whether t (s) is before all instants that can be recomputed."""
         return t <= self._instants[0].t
 
-    def add(
+    def insert_readings(
         self, t: float, angles: Array | None, frames: Mapping[str, PendingFrame]
     ) -> tuple[State, State, float]:
         """Insert readings at t (s) and recompute all later
         instants: the states after t and now, and the nats added.
         """
-        at = bisect_left(self._instants, t, key=lambda one: one.t)
+        at = bisect_left(self._instants, t, key=lambda instant: instant.t)
         if at == len(self._instants) or self._instants[at].t > t:
-            self._instants.insert(at, Instant(t, self._instants[at - 1].after))
-        self._instants[at].add(angles, frames)
+            self._instants.insert(at, LiveInstant(t, self._instants[at - 1].after))
+        self._instants[at].add_readings(angles, frames)
         nats = 0.0
         for before, instant in pairwise(self._instants[at - 1 :]):
             instant.after = self._step(before.after, instant)
             nats += instant.after.nats - instant.nats
             instant.nats = instant.after.nats
         then = self._instants[at].after
-        while len(self._instants) > 2 and self._instants[1].t < self.last.t - self._lag:
+        now = self.last_state
+        while len(self._instants) > 2 and self._instants[1].t < now.t - self._lag:
             del self._instants[0]
-        return then, self.last, nats
+        return then, now, nats
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,7 +308,7 @@ class LiveEstimator:
         settings that need the whole log, and for variances of another body.
         """
         settings = settings or EstimationSettings(precision="model", bias="off")
-        _needs_no_log(settings)
+        _refuse_whole_log_settings(settings)
         if not lag >= 0:
             raise UsageError(f"lag: {lag} found, a time of at least 0 s is possible")
         self._body = body
@@ -310,20 +321,13 @@ class LiveEstimator:
             carry_noise_model(body, learned), settings, body.joints
         )
         self._stated = noise.of(np.ones((len(body.joints),) * 2))
-        self._inputs = Inputs(body, settings, to_angles)
-        self._like = {
-            name: ErrorCorrelation(
-                noise.process,
-                correlation_length(model),
-                noise.near.get(name, 0.0),
-                order=noise.order,
-            )
+        self._inputs = LiveInputs(body, settings, to_angles)
+        self._correlations = {
+            name: correlate_errors(noise, name, model)
             for name, model in self._inputs.models.items()
         }
-        self._first, self._given = (
-            np.full(len(body.joints), np.nan),
-            given_start(settings, body.joints),
-        )
+        self._first_angles = np.full(len(body.joints), np.nan)
+        self._given_start = given_start(settings, body.joints)
         self._buffer: ReplayBuffer | None = None
         self._waiting: list[tuple[float, Observation]] = []
 
@@ -341,21 +345,23 @@ class LiveEstimator:
         readings that do not fit the body. LogError until every joint has been read
         once; earlier readings are then applied together.
         """
-        return self._step_all([(require_finite_time(t), joints, places)])
+        return self._step_together([(require_finite_time(t), joints, places)])
 
-    def _step_all(
+    def _step_together(
         self, parts: Sequence[tuple[float, Angles | None, Mapping[str, Place | None]]]
     ) -> Belief:
         """The belief after readings of several times (s): each a time, joints and places."""
-        given = [(t, self._inputs.read(joints, places)) for t, joints, places in parts]
+        given = [(t, self._inputs.parse_readings(joints, places)) for t, joints, places in parts]
         if self._buffer is None:
             self._waiting += given
             while self._waiting[0][0] < max(t for t, _ in given) - self._lag:
-                self._inputs.accept(*self._waiting.pop(0), late=True)
-            self._buffer = self._begin([one.angles for _, one in given if one.angles is not None])
+                self._inputs.accept_readings(*self._waiting.pop(0), late=True)
+            self._buffer = self._begin_buffer(
+                [readings.angles for _, readings in given if readings.angles is not None]
+            )
             given = self._waiting
             self._waiting = []
-        beliefs = [self._add(self._buffer, *one) for one in given]
+        beliefs = [self._filter_readings(self._buffer, t, readings) for t, readings in given]
         if len(beliefs) == 1:
             return beliefs[0]
         errors = {
@@ -367,46 +373,53 @@ class LiveEstimator:
             beliefs[-1], free_energy=sum(belief.free_energy for belief in beliefs), errors=errors
         )
 
-    def _add(self, buffer: ReplayBuffer, t: float, given: Observation) -> Belief:
-        late = buffer.late(t)
-        accepted = self._inputs.accept(t, given, late)
+    def _filter_readings(self, buffer: ReplayBuffer, t: float, given: Observation) -> Belief:
+        """The belief now, after readings of the time t (s)."""
+        late = buffer.is_too_late(t)
+        accepted = self._inputs.accept_readings(t, given, late)
         if late:
-            return self._belief(buffer.last, 0.0, {})
-        frames = {name: self._frame(name, t, *place) for name, place in accepted.places.items()}
-        then, now, nats = buffer.add(t, accepted.angles, frames)
+            return self._build_belief(buffer.last_state, 0.0, {})
+        frames = {
+            name: self._build_frame(name, t, place, var)
+            for name, (place, var) in accepted.places.items()
+        }
+        then, now, nats = buffer.insert_readings(t, accepted.angles, frames)
         errors = {name: then.errors[name] for name in frames}
         if accepted.angles is not None:
             errors["encoders"] = np.array(then.encoder_d)
-        return self._belief(now, nats, errors, then.lost)
+        return self._build_belief(now, nats, errors, then.lost)
 
-    def _frame(self, name: str, t: float, place: Array, var: Array) -> PendingFrame:
+    def _build_frame(self, name: str, t: float, place: Array, var: Array) -> PendingFrame:
+        """A track's frame at t (s), of place (D,) and variance (D,)."""
         scale = self._noise.scale.get(name, 1.0)
         return PendingFrame(
-            self._inputs.models[name], t, place, scale * var, self._like[name], LastFrame()
+            self._inputs.models[name], t, place, scale * var, self._correlations[name], LastFrame()
         )
 
-    def _belief(
+    def _build_belief(
         self, now: State, nats: float, errors: Mapping[str, Array], lost: Array | None = None
     ) -> Belief:
-        m = len(self._body.joints)
-        z = now.z.copy()
-        first = self._noise.order * m
-        cov = (
-            self._stated * now.p[:m, :m]
-            if now.held is None
-            else self._noise.of(now.p[:m, :m], now.held)
-        )
-        bias = z[first:] if len(z) > first else None
+        """The public record of a state."""
         names = self._body.joints
+        m = len(names)
+        z = now.z.copy()
+        cov = now.p[:m, :m]
+        cov = self._stated * cov if now.held is None else self._noise.of(cov, now.held)
+        offset = self._noise.order * m
+        bias = z[offset:] if len(z) > offset else None
         return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, bias, lost, names)
 
-    def _begin(self, readings: Sequence[Array]) -> ReplayBuffer:
-        """An empty buffer with the initial belief; `readings` (M,) rad of this call."""
+    def _begin_buffer(self, readings: Sequence[Array]) -> ReplayBuffer:
+        """A buffer with the initial belief alone; `readings` (M,) rad of this call.
+
+        LogError while a joint has not been read.
+        """
         names = self._body.joints
         noise = self._noise
         for angles in readings:
-            self._first = np.where(np.isfinite(self._first), self._first, angles)
-        x = self._first if self._given is None else self._given
+            known = np.isfinite(self._first_angles)
+            self._first_angles = np.where(known, self._first_angles, angles)
+        x = self._first_angles if self._given_start is None else self._given_start
         if not np.isfinite(x).all():
             unknown = ", ".join(
                 name for name, angle in zip(names, x, strict=True) if not np.isfinite(angle)
@@ -418,26 +431,20 @@ class LiveEstimator:
         inputs = self._inputs
         posture = build_posture_prior(inputs.silent, inputs.wanted, noise.process, x, noise.order)
         is_prior = None if posture is None else posture.joints
-        dynamics = FilterDynamics(
-            noise.process,
-            drift,
-            is_prior,
-            noise.motion,
-            build_stationary_motion(inputs.wanted, x, noise),
-        )
-        steps = SequentialFilter(dynamics, posture)
+        stationary = build_stationary_motion(inputs.wanted, x, noise)
+        dynamics = FilterDynamics(noise.process, drift, is_prior, noise.motion, stationary)
+        sequential = SequentialFilter(dynamics, posture)
         var = noise.encoder.tolist()
         silence = [np.nan] * len(names)
 
-        def step(before: State, at: Instant) -> State:
-            return steps.step(
-                before, at.t, silence if at.angles is None else at.angles.tolist(), var, at.frames
-            )
+        def filter_instant(before: State, at: LiveInstant) -> State:
+            readings = silence if at.angles is None else at.angles.tolist()
+            return sequential.filter_instant(before, at.t, readings, var, at.frames)
 
-        return ReplayBuffer(steps.first(x), self._lag, step)
+        return ReplayBuffer(sequential.build_first_state(x), self._lag, filter_instant)
 
 
-def _needs_no_log(settings: EstimationSettings) -> None:
+def _refuse_whole_log_settings(settings: EstimationSettings) -> None:
     """UsageError for settings that need the whole log."""
     able = tuple(name for name, method in METHODS.items() if method.live)
     possible = {"method": able, "precision": ("model",), "bias": ("off", "on"), "motion": ("auto",)}

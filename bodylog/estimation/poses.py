@@ -1,24 +1,20 @@
-"""Angles of still poses by robust Gauss–Newton, each
-from its own encoders and positions, all vectorised.
+"""The estimate of a table of still poses: each a separate belief, by robust Gauss–Newton from its
+own encoders and positions, with noise and constant offsets of encoders learned from all.
 
-The cost of a pose is ½ Σ ρ(d) over its readings, d in standard
-deviations: d² within GATE_SIGMA, 2 GATE² ln beyond, so that outliers
-lose influence with distance (the weight of a row is 1, then GATE²/d²).
+The cost of a pose is ½ Σ ρ(d) over its readings, d in standard deviations: ρ = d² within
+GATE_SIGMA, GATE² (1 + 2 ln(d/GATE)) beyond, so that outliers lose influence with distance: the
+weight of a row is 1, then GATE²/d².
 
-Encoder noise and constant encoder offsets, learned from still poses.
-
-Linearised at the angles found, the positions of a pose give its encoders' errors e = z
-− q the likelihood exp(eᵀl − ½ eᵀΛe). These errors have the encoders' variances about
-their offsets b. Variances and offsets maximise the evidence of all poses. An angle
-without a reading has its prior instead.
+Linearised at the angles found, the positions of a pose give its encoders' errors e = z − q the
+likelihood exp(eᵀl − ½ eᵀΛe). These errors have the encoders' variances about their offsets b.
+Variances and offsets maximise the evidence of all poses. An angle without a reading has its prior
+instead.
 
 Few numbers per pose hardly tell encoders apart, so the ratios of their variances in the body count
 as one reading: the logarithms have the variance 2. How large they all are is left to the poses. On
 drawn tables of 1 to 40 poses, a prior on that, too, makes errors up to 6 % smaller where the body
 is right; where its standard deviations are a fortieth of the true ones, up to 4 % larger, with an
 NEES of 2.3 in place of 1.9 at three poses.
-
-The estimate of a table of still poses, each a separate belief.
 """
 
 from collections.abc import Sequence
@@ -45,7 +41,7 @@ from .faults.screening import screen_measurements
 from .faults.threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 from .inference.scan import GATE_SIGMA
 from .inference.tangents import OFFSET_STD
-from .measurements.long_arrays import find_finite_rows as seen_rows
+from .measurements.long_arrays import find_finite_rows
 from .measurements.posture import PostureModel
 from .measurements.records import Encoders, Evidence, Sighting
 from .measurements.timeline import merge_clocks
@@ -57,9 +53,9 @@ class StillPoses:
     """P poses: t (P,) s · source_ns · readings y (P,R), NaN if missing, with variances var (P,R).
 
     The first M rows are encoders, rad, which read as a sighting of the angles themselves; those of
-    the other senses follow, px. The prior of an angle is
-    `centre` (M,) with std `span` (M,) rad: the range in which the body's tracks were learned, or
-    else the range of encoder readings.
+    the other senses follow, px or mm; rows: each sense's. The prior of an angle is `centre` (M,)
+    with std `span` (M,) rad: the range in which the body's tracks were learned, or else the range
+    of encoder readings.
     """
 
     t: Array
@@ -71,7 +67,7 @@ class StillPoses:
     centre: Array
     span: Array
 
-    def encoded(self, variance: Array, offset: Array) -> "StillPoses":
+    def with_encoders(self, variance: Array, offset: Array) -> "StillPoses":
         """The same with encoders of `variance` (M,) rad², their `offset` (M,) rad subtracted."""
         m = len(offset)
         y = self.y.copy()
@@ -80,13 +76,17 @@ class StillPoses:
         var[:, :m] = variance
         return replace(self, y=y, var=var)
 
-    def some(self, chosen: Array) -> "StillPoses":
+    def select_poses(self, chosen: Array) -> "StillPoses":
         """Some of the poses."""
         return replace(
-            self, **{name: getattr(self, name)[chosen] for name in ("t", "source_ns", "y", "var")}
+            self,
+            t=self.t[chosen],
+            source_ns=self.source_ns[chosen],
+            y=self.y[chosen],
+            var=self.var[chosen],
         )
 
-    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+    def predict_readings(self, x: Array) -> tuple[Array, Array, Array]:
         """Predict at x (P,M) rad: readings (P,R) ·
         Jacobian (P,R,M) · the model's variance (P,R).
         """
@@ -156,7 +156,8 @@ def solve_poses(poses: StillPoses, start: Array | None = None) -> SolvedPoses:
     )
     if not len(loose):
         return best
-    tried = descend_poses(poses.some(loose), _guess_postures(poses.some(loose)))
+    some = poses.select_poses(loose)
+    tried = descend_poses(some, _guess_postures(some))
     better = tried.cost < best.cost[loose] - 1e-9
     return _replace_solved_poses(best, tried, loose[better], better)
 
@@ -179,12 +180,13 @@ def _guess_postures(poses: StillPoses) -> Array:
     least = np.full(len(poses.t), np.inf)
     guess = np.where(np.isfinite(z), z, poses.centre)
     undamped = np.zeros(len(poses.t))
-    explored = [s.model.samples for s in poses.senses if hasattr(s.model, "samples")]
+    explored = [sense.model.samples for sense in poses.senses if hasattr(sense.model, "samples")]
     for posture in np.unique(np.concatenate([poses.centre[None], *explored]), axis=0):
         near = _evaluate_poses(poses, np.where(np.isfinite(z), z, posture))
-        near = _evaluate_poses(poses, near.x + _damped_step(poses, near, undamped))
+        near = _evaluate_poses(poses, near.x + _compute_damped_step(poses, near, undamped))
         better = near.cost < least
-        guess[better], least[better] = near.x[better], near.cost[better]
+        guess[better] = near.x[better]
+        least[better] = near.cost[better]
     return guess
 
 
@@ -195,11 +197,10 @@ def descend_poses(poses: StillPoses, x: Array) -> SolvedPoses:
     now = _evaluate_poses(poses, x)
     damp = np.full(len(x), 1e-6)
     for _ in range(60):
-        step = _damped_step(poses, now, damp)
+        step = _compute_damped_step(poses, now, damp)
         tried = _evaluate_poses(poses, now.x + step)
-        better = (
-            _robust_misfit(poses, tried, now.var) <= _robust_misfit(poses, now, now.var) + 1e-12
-        )
+        misfit = _compute_robust_misfit(poses, tried, now.var)
+        better = misfit <= _compute_robust_misfit(poses, now, now.var) + 1e-12
         size = np.abs(step) / np.sqrt(np.einsum("pmm->pm", now.cov))
         damp = np.where(better, np.maximum(damp * 0.1, 1e-9), damp * 10.0)
         now = _replace_solved_poses(now, tried, np.flatnonzero(better), better)
@@ -208,7 +209,7 @@ def descend_poses(poses: StillPoses, x: Array) -> SolvedPoses:
     return now
 
 
-def _damped_step(poses: StillPoses, now: SolvedPoses, damp: Array) -> Array:
+def _compute_damped_step(poses: StillPoses, now: SolvedPoses, damp: Array) -> Array:
     """The Gauss–Newton step (P,M), damped along the posterior's axes (Levenberg–Marquardt)."""
     pull = (
         np.einsum("prm,pr->pm", now.jac, now.weight * now.r / now.var)
@@ -223,32 +224,32 @@ def _damped_step(poses: StillPoses, now: SolvedPoses, damp: Array) -> Array:
 
 def _evaluate_poses(poses: StillPoses, x: Array) -> SolvedPoses:
     """Residuals, weights, covariance and cost at x (P,M)."""
-    g, jac, model = poses.predict(x)
+    g, jac, model = poses.predict_readings(x)
     var = model + poses.var
     seen = np.isfinite(poses.y)
     r = np.where(seen, poses.y - g, 0.0)
     weight = seen / np.maximum(np.square(r) / (GATE_SIGMA**2 * var), 1.0)
     information = (jac * (weight / var)[..., None]).swapaxes(1, 2) @ jac + np.diag(poses.span**-2.0)
-    found = SolvedPoses(x, np.linalg.inv(information), r, jac, var, weight, np.empty(len(x)))
+    solved = SolvedPoses(x, np.linalg.inv(information), r, jac, var, weight, np.empty(len(x)))
     logs = (np.log(2.0 * np.pi * var) * seen).sum(axis=1) + 2.0 * np.log(poses.span).sum()
     logs += np.linalg.slogdet(information)[1]
-    return replace(found, cost=_robust_misfit(poses, found, var) + 0.5 * logs)
+    return replace(solved, cost=_compute_robust_misfit(poses, solved, var) + 0.5 * logs)
 
 
-def _robust_misfit(poses: StillPoses, at: SolvedPoses, var: Array) -> Array:
+def _compute_robust_misfit(poses: StillPoses, solved: SolvedPoses, var: Array) -> Array:
     """Half the robust squares (P,) of all readings, with
     variances `var` (P,R), and of the prior, in nats.
     """
-    over = np.square(at.r) / (GATE_SIGMA**2 * var)
+    over = np.square(solved.r) / (GATE_SIGMA**2 * var)
     robust = GATE_SIGMA**2 * (np.minimum(over, 1.0) + np.log(np.maximum(over, 1.0)))
     return np.asarray(
-        0.5 * (robust.sum(axis=1) + np.square((at.x - poses.centre) / poses.span).sum(axis=1))
+        0.5 * (robust.sum(axis=1) + np.square((solved.x - poses.centre) / poses.span).sum(axis=1))
     )
 
 
 @dataclass(frozen=True, eq=False)
-class Encoding:
-    """variance (M,) rad² · offset (M,) rad and its variance (M,) rad², 0 where fixed."""
+class PoseEncoders:
+    """Encoders: variance (M,) rad² · offset (M,) rad and its variance (M,) rad², 0 where fixed."""
 
     variance: Array
     offset: Array
@@ -272,26 +273,26 @@ class EncoderErrors:
 
 def learn_pose_encoders(
     poses: StillPoses, known: Array, names: tuple[str, ...], noise: bool, bias: str
-) -> Encoding:
+) -> PoseEncoders:
     """Learn variances from `known` (M,) rad² if `noise`,
     and offsets as `bias` (auto, on, off) allows.
     """
     m = len(known)
-    found = Encoding(known, np.zeros(m), np.zeros(m))
+    encoders = PoseEncoders(known, np.zeros(m), np.zeros(m))
     seen = np.isfinite(poses.y)
     some = np.flatnonzero(seen[:, :m].any(axis=1) & seen[:, m:].any(axis=1))
     if not len(some) or not (noise or bias != "off"):
-        return found
+        return encoders
     x: Array | None = None
     for turn in range(3):
         # at first, angles are where the images want them
-        trusted = poses.encoded(
-            np.maximum(found.variance, PRIOR_STD_RAD**2) if turn == 0 else found.variance,
-            found.offset,
-        )
+        variance = np.maximum(known, PRIOR_STD_RAD**2) if turn == 0 else encoders.variance
+        trusted = poses.with_encoders(variance, encoders.offset)
         errors, x = _collect_encoder_errors(poses, trusted, some, x)
-        found = _choose_pose_offsets(errors, known, names, noise, bias, np.log(found.variance))
-    return found
+        encoders = _choose_pose_offsets(
+            errors, known, names, noise, bias, np.log(encoders.variance)
+        )
+    return encoders
 
 
 def _collect_encoder_errors(
@@ -300,17 +301,16 @@ def _collect_encoder_errors(
     """What the positions show of the encoder errors
     at some of the poses, and all angles x (P,M) rad.
     """
-    at = solve_poses(trusted, x)
+    solved = solve_poses(trusted, x)
     m = len(poses.centre)
-    jac = at.jac[some, m:]
-    weight = (at.weight / at.var)[some, m:, None]
+    jac = solved.jac[some, m:]
+    weight = (solved.weight / solved.var)[some, m:, None]
     information = (jac * weight).swapaxes(1, 2) @ jac
     z = poses.y[some, :m]
-    apart = np.where(np.isfinite(z), z, poses.centre) - at.x[some]
-    pull = (information @ apart[..., None])[..., 0] - (jac * weight * at.r[some, m:, None]).sum(
-        axis=1
-    )
-    return EncoderErrors(information, pull, np.isfinite(z), poses.span), at.x
+    apart = np.where(np.isfinite(z), z, poses.centre) - solved.x[some]
+    pull = (information @ apart[..., None])[..., 0]
+    pull -= (jac * weight * solved.r[some, m:, None]).sum(axis=1)
+    return EncoderErrors(information, pull, np.isfinite(z), poses.span), solved.x
 
 
 def _choose_pose_offsets(
@@ -320,7 +320,7 @@ def _choose_pose_offsets(
     noise: bool,
     bias: str,
     begin: Array,
-) -> Encoding:
+) -> PoseEncoders:
     """Noise and offsets of greatest evidence; with `auto`, one offset after the other while each
     wins EVIDENCE_THRESHOLD_NATS.
 
@@ -332,13 +332,12 @@ def _choose_pose_offsets(
     free = np.full(len(known), bias == "on")
     value, log_var = _maximise_evidence(errors, known, free, noise, begin)
     while bias == "auto":
-        now = position_evidence(log_var, errors, free)[0]
-        more = {j: free | (joints == j) for j in joints[~free].tolist()}
-        likely = {
-            j: one for j, one in more.items() if position_evidence(log_var, errors, one)[0] > now
-        }
+        now = compute_position_evidence(log_var, errors, free)[0]
+        wider = {j: free | (joints == j) for j in joints[~free].tolist()}
         trials = {
-            j: _maximise_evidence(errors, known, one, noise, log_var) for j, one in likely.items()
+            j: _maximise_evidence(errors, known, offsets, noise, log_var)
+            for j, offsets in wider.items()
+            if compute_position_evidence(log_var, errors, offsets)[0] > now
         }
         best = max(trials, key=lambda j: trials[j][0], default=-1)
         if best < 0 or trials[best][0] - value < EVIDENCE_THRESHOLD_NATS:
@@ -353,9 +352,10 @@ def _choose_pose_offsets(
             )
             findings.append(Finding("warning", f"encoders: {text}"))
             break
-        free, (value, log_var) = more[best], trials[best]
-    _, _, offset, cov = position_evidence(log_var, errors, free)
-    return Encoding(np.exp(log_var), offset, np.diag(cov), tuple(findings))
+        free = wider[best]
+        value, log_var = trials[best]
+    _, _, offset, cov = compute_position_evidence(log_var, errors, free)
+    return PoseEncoders(np.exp(log_var), offset, np.diag(cov), tuple(findings))
 
 
 def _maximise_evidence(
@@ -368,19 +368,19 @@ def _maximise_evidence(
 
     first = np.log(known)
     if not noise:
-        return position_evidence(first, errors, free)[0], first
+        return compute_position_evidence(first, errors, free)[0], first
 
-    def loss(log_var: Array) -> tuple[float, Array]:
-        value, slope, *_ = position_evidence(log_var, errors, free)
+    def evaluate_loss(log_var: Array) -> tuple[float, Array]:
+        value, slope, *_ = compute_position_evidence(log_var, errors, free)
         away = log_var - first - (log_var - first).mean()
         return -value + 0.25 * float(away @ away), -slope + 0.5 * away
 
     bounds = [(2.0 * np.log(1e-6), 2.0 * np.log(10.0))] * len(first)  # rad
-    best = minimize(loss, begin, jac=True, method="L-BFGS-B", bounds=bounds)
+    best = minimize(evaluate_loss, begin, jac=True, method="L-BFGS-B", bounds=bounds)
     return -float(best.fun), np.asarray(best.x)
 
 
-def position_evidence(
+def compute_position_evidence(
     log_var: Array, errors: EncoderErrors, free: Array
 ) -> tuple[float, Array, Array, Array]:
     """ln density (nats, but for a constant) of all positions,
@@ -412,14 +412,14 @@ def position_evidence(
 
 
 def list_pose_offset_faults(
-    names: tuple[str, ...], found: Encoding, since: float
+    names: tuple[str, ...], encoders: PoseEncoders, since: float
 ) -> tuple[Fault, ...]:
     """Encoders with a significant offset in all poses."""
-    certain = np.abs(found.offset) > np.maximum(
-        OFFSET_STD, CERTAIN_SIGMA * np.sqrt(found.offset_var)
+    certain = np.abs(encoders.offset) > np.maximum(
+        OFFSET_STD, CERTAIN_SIGMA * np.sqrt(encoders.offset_var)
     )
     return tuple(
-        Fault("encoders", names[j], FaultKind.OFFSET, since, float(found.offset[j]), "rad")
+        Fault("encoders", names[j], FaultKind.OFFSET, since, float(encoders.offset[j]), "rad")
         for j in np.flatnonzero(certain)
     )
 
@@ -438,16 +438,15 @@ def estimate_still_poses(
     UsageError for a method that needs motion; EvidenceError without readings.
     """
     if can.from_paper:
-        possible = "filter, smoother or ekf, which are the same for poses"
         raise UsageError(
             f"method: {settings.method!r} needs motion, but the log has still poses; type "
-            f"{possible}"
+            "filter, smoother or ekf, which are the same for poses"
         )
     evidence = screen_measurements(replace(features, touches=None), body, settings)
     sightings = [
-        s
-        for s in noise_model.with_typed_variances(evidence.sightings, settings)
-        if s.name != "touch"
+        sighting
+        for sighting in noise_model.with_typed_variances(evidence.sightings, settings)
+        if sighting.name != "touch"
     ]
     poses = collect_pose_readings(evidence.encoders, sightings, body)
     if not len(poses.t):
@@ -458,9 +457,9 @@ def estimate_still_poses(
         settings.sigma_encoders, body.joints, np.array(body.noise.encoder, float)
     )
     unknown = settings.precision == "auto" and settings.sigma_encoders is None
-    found = learn_pose_encoders(poses, known, body.joints, unknown, settings.bias)
-    poses = poses.encoded(found.variance, found.offset)
-    return _build_pose_estimate(settings, body, evidence, poses, found, solve_poses(poses))
+    encoders = learn_pose_encoders(poses, known, body.joints, unknown, settings.bias)
+    poses = poses.with_encoders(encoders.variance, encoders.offset)
+    return _build_pose_estimate(settings, body, evidence, poses, encoders, solve_poses(poses))
 
 
 def _build_pose_estimate(
@@ -468,72 +467,74 @@ def _build_pose_estimate(
     body: BodyModel,
     evidence: Evidence,
     poses: StillPoses,
-    found: Encoding,
-    at: SolvedPoses,
+    encoders: PoseEncoders,
+    solved: SolvedPoses,
 ) -> Estimate:
-    """The public record."""
+    """The public record of solved poses."""
     t = poses.t
     names = body.joints
     source = poses.source_ns
     errors = dict[str, Series]()
     predicted = dict[str, Series]()
     covs = dict[str, Array]()
-    for one, rows in zip(poses.senses[1:], poses.rows[1:], strict=True):
-        left, cov = _leave_out_rows(poses, at, rows)
+    readings = poses.predict_readings(solved.x)[0]
+    for sense, rows in zip(poses.senses[1:], poses.rows[1:], strict=True):
+        left, cov = _leave_out_rows(poses, solved, rows)
         std = np.sqrt(np.einsum("pkk->pk", cov))
-        outputs = one.model.outputs
-        seen = seen_rows(left)
-        errors[one.name] = Series(t[seen], (left / std)[seen], outputs, "std", source[seen])
-        mean = np.where(seen[:, None], poses.y[:, rows] - left, poses.predict(at.x)[0][:, rows])
+        outputs = sense.model.outputs
+        seen = find_finite_rows(left)
+        errors[sense.name] = Series(t[seen], (left / std)[seen], outputs, "std", source[seen])
+        mean = np.where(seen[:, None], poses.y[:, rows] - left, readings[:, rows])
         unit = TRACK_AXES[len(outputs)][1]
-        predicted[one.name], covs[one.name] = Series(t, mean, outputs, unit, source, std), cov
+        predicted[sense.name] = Series(t, mean, outputs, unit, source, std)
+        covs[sense.name] = cov
     if np.isfinite(poses.y[:, : len(names)]).any():
-        each = [_leave_out_rows(poses, at, slice(j, j + 1)) for j in range(len(names))]
-        encoders = np.column_stack([left / np.sqrt(cov[:, 0]) for left, cov in each])
-        errors["encoders"] = Series(t, encoders, names, "std", source)
+        each = [_leave_out_rows(poses, solved, slice(j, j + 1)) for j in range(len(names))]
+        encoder_errors = np.column_stack([left / np.sqrt(cov[:, 0]) for left, cov in each])
+        errors["encoders"] = Series(t, encoder_errors, names, "std", source)
     used = {
-        "encoder": found.variance.tolist(),
+        "encoder": encoders.variance.tolist(),
         "scale": {name: 1.0 for name in predicted},
         "motion": "none",
     }
-    offset = Series(t, np.tile(found.offset, (len(t), 1)), names, "rad", source)
+    offset = Series(t, np.tile(encoders.offset, (len(t), 1)), names, "rad", source)
     text = f"{len(t)} still poses, each estimated separately"
     return Estimate(
         settings.method,
-        Series(t, at.x, names, "rad", source),
-        Series(t, np.zeros(at.x.shape), names, "rad/s", source),
-        _pose_covariance(found, at, body),
+        Series(t, solved.x, names, "rad", source),
+        Series(t, np.zeros(solved.x.shape), names, "rad/s", source),
+        _compute_pose_covariance(encoders, solved, body),
         errors,
-        at.cost,
+        solved.cost,
         evidence.used,
         predicted,
         covs,
         used,
-        offset if found.offset_var.any() else None,
-        (*evidence.faults, *list_pose_offset_faults(names, found, float(t[0]))),
-        (*evidence.findings, *found.findings, Finding("info", text)),
+        offset if encoders.offset_var.any() else None,
+        (*evidence.faults, *list_pose_offset_faults(names, encoders, float(t[0]))),
+        (*evidence.findings, *encoders.findings, Finding("info", text)),
     )
 
 
-def _pose_covariance(found: Encoding, at: SolvedPoses, body: BodyModel) -> Array:
+def _compute_pose_covariance(encoders: PoseEncoders, solved: SolvedPoses, body: BodyModel) -> Array:
     """Covariance (P,M,M) of the angles, including the offsets' uncertainty: dx/db = −Λ⁻¹ Σ⁻¹.
 
     Errors in the poses that the tracks were learned from
     are common to all tracks, so they add to it, too.
     """
-    m = at.x.shape[1]
+    m = solved.x.shape[1]
     std = np.array(body.provenance.get("pose_std", [0.0] * m), float)
     if std.shape != (m,):
         raise ModelError(
             f"provenance.pose_std: {len(std)} numbers for {m} joints; fit the body again"
         )
-    lean = at.cov * (at.weight / at.var)[:, None, :m]
+    lean = solved.cov * (solved.weight / solved.var)[:, None, :m]
     return np.asarray(
-        at.cov + np.diag(np.square(std)) + (lean * found.offset_var) @ lean.swapaxes(1, 2)
+        solved.cov + np.diag(np.square(std)) + (lean * encoders.offset_var) @ lean.swapaxes(1, 2)
     )
 
 
-def _leave_out_rows(poses: StillPoses, at: SolvedPoses, rows: slice) -> tuple[Array, Array]:
+def _leave_out_rows(poses: StillPoses, solved: SolvedPoses, rows: slice) -> tuple[Array, Array]:
     """Leave-one-out errors (P,D) of rows of readings, NaN
     where missing, and their predicted covariance (P,D,D).
 
@@ -542,19 +543,19 @@ def _leave_out_rows(poses: StillPoses, at: SolvedPoses, rows: slice) -> tuple[Ar
     of H in units of R, 1 − s is how well the others predict it: where it is below LEAST_LEFT, the
     error is NaN, and the covariance the prior's.
     """
-    jac = at.jac[:, rows]
+    jac = solved.jac[:, rows]
     eye = np.eye(rows.stop - rows.start)
-    noise = at.var[:, None, rows] * eye
-    std = np.sqrt(at.var[:, rows] / np.maximum(at.weight[:, rows], 1e-12))
+    noise = solved.var[:, None, rows] * eye
+    std = np.sqrt(solved.var[:, rows] / np.maximum(solved.weight[:, rows], 1e-12))
     units = std[:, :, None] * std[:, None]
-    inside = jac @ at.cov @ jac.swapaxes(1, 2)
+    inside = jac @ solved.cov @ jac.swapaxes(1, 2)
     share, axes = np.linalg.eigh(inside / units)
     foretold = share[:, -1] <= 1.0 - LEAST_LEFT
     left = np.maximum(1.0 - share, LEAST_LEFT)[:, None]
-    along = (at.r[:, rows] / std)[:, None] @ axes
+    along = (solved.r[:, rows] / std)[:, None] @ axes
     error = std * ((along / left) @ axes.swapaxes(1, 2))[:, 0]
     others = units * ((axes * (share[:, None] / left)) @ axes.swapaxes(1, 2))
     prior = (jac * poses.span**2) @ jac.swapaxes(1, 2)
     cov = np.where(foretold[:, None, None], others, prior)
-    known = foretold & seen_rows(poses.y[:, rows])
+    known = foretold & find_finite_rows(poses.y[:, rows])
     return np.where(known[:, None], error, np.nan), noise + cov

@@ -477,7 +477,7 @@ def test_step_equals_the_matrix_form(seed, offsets, order):
         Line(jac := rng.normal(size=(n, m)), jac @ z[:m], rng.uniform(0.1, 1.0, n), LastFrame())
         for n in (2, 1)
     ]
-    found = step(*begin, dt, readings, var, lines, more=more)
+    found = step(*begin, dt, readings, var, lines, process_factor=more)
     np.testing.assert_allclose(found.x, z[:m], atol=1e-12)
     np.testing.assert_allclose(found.cov, p[:m, :m], atol=1e-12)
     h, seen = np.eye(m, k) + np.eye(m, k, order * m), np.isfinite(readings)
@@ -515,7 +515,7 @@ def test_search_that_is_satisfied_at_once_linearises_at_the_prior_mean(world):
     frame = PendingFrame(model, 0.0, seen, np.ones(2), like, LastFrame())
     for rest, kept in ((np.inf, True), (1e-8, False)):
         steps = SequentialFilter(dynamics, None, rest)
-        found = steps.step(steps.first(start), 0.0, [np.nan] * 3, [1e-4] * 3, {"effector": frame})
+        found = steps.filter_instant(steps.build_first_state(start), 0.0, [np.nan] * 3, [1e-4] * 3, {"effector": frame})
         assert (
             np.array_equal(found.point, start)
             == np.array_equal(found.seen["effector"].memory.point, start)

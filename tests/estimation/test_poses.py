@@ -13,8 +13,8 @@ from bodylog.estimation import estimate_from_features
 from bodylog.estimation.poses import (
     EncoderErrors,
     collect_pose_readings,
+    compute_position_evidence,
     descend_poses,
-    position_evidence,
 )
 from bodylog.settings import BodySettings, EstimationSettings, Settings
 from bodylog.types import Features, Series
@@ -161,7 +161,7 @@ def test_descended_pose_has_the_lowest_cost_nearby(learned):
     from bodylog.estimation.faults.screening import screen_measurements
 
     sound = screen_measurements(features, learned, EstimationSettings())
-    poses = collect_pose_readings(sound.encoders, sound.sightings, learned).encoded(
+    poses = collect_pose_readings(sound.encoders, sound.sightings, learned).with_encoders(
         np.full(3, 1e-4), np.zeros(3)
     )
     found = descend_poses(poses, poses.y[:, :3])
@@ -199,14 +199,14 @@ def test_pose_evidence_is_a_dense_one_and_its_gradient_a_finite_difference():
 
     for free in (np.zeros(3, bool), np.array([False, True, True])):
         at, other = np.log([1e-4, 1e-5, 1e-3]), np.log([3e-4, 2e-5, 1e-4])
-        value, slope, *_ = position_evidence(at, errors, free)
+        value, slope, *_ = compute_position_evidence(at, errors, free)
         for k, step in enumerate(np.eye(3) * 1e-5):
             rise = (
-                position_evidence(at + step, errors, free)[0]
-                - position_evidence(at - step, errors, free)[0]
+                compute_position_evidence(at + step, errors, free)[0]
+                - compute_position_evidence(at - step, errors, free)[0]
             ) / 2e-5
             assert abs(rise - slope[k]) < 1e-4 * max(1.0, abs(slope[k]))
-        gained = position_evidence(other, errors, free)[0] - value
+        gained = compute_position_evidence(other, errors, free)[0] - value
         assert abs(gained - (dense(other, free) - dense(at, free))) < 1e-6 * abs(gained)
 
 

@@ -166,7 +166,7 @@ def test_full_reset_separates_what_precedes_and_follows(world, linear_model, sol
             if solve is smoother.solve_map_path
             else (found.trace.z, found.trace.cov[:, :3, :3])
         )
-        return problem.timeline.t, found.fold.unfold(z)[:, :3], found.fold.unfold(cov)
+        return problem.timeline.t, found.fold.unfold_events(z)[:, :3], found.fold.unfold_events(cov)
 
     middle = joints.t[223]
     t, *whole = solved(0.0, 9.0, (np.array([middle]), np.ones((1, 3), bool)))
@@ -335,4 +335,4 @@ def test_estimate_refuses_a_grid_of_mostly_silence(world):
 
 def test_belief_whose_rates_rounding_broke_is_refused():
     with pytest.raises(np.linalg.LinAlgError, match="rates have the variance -1e-14"):
-        sequential.statistical_lines(1, np.zeros(2), np.diag([1.0, -1e-14]), [])
+        sequential.fit_statistical_lines(1, np.zeros(2), np.diag([1.0, -1e-14]), [])

@@ -84,12 +84,12 @@ def filtered(features, body, process, poses):
     like = ErrorCorrelation(np.full(3, process), np.asarray(np.inf), 0.0)
     rows = [(t, y, None) for t, y in zip(joints.t, joints.values, strict=True)]
     rows += [(t, np.full(3, np.nan), row) for row, t in enumerate(poses.t) if np.isfinite(poses.values[row]).all()]
-    state, means, covs = steps.first(joints.values[0]), [], []
+    state, means, covs = steps.build_first_state(joints.values[0]), [], []
     for t, y, row in sorted(rows, key=lambda one: one[0]):
         frames = {} if row is None else {
             "tag": PendingFrame(poses.model, t, values[row], var[row], like, LastFrame(), mix[row])
         }  # fmt: skip
-        state = steps.step(state, t, y.tolist(), body.noise.encoder, frames)
+        state = steps.filter_instant(state, t, y.tolist(), body.noise.encoder, frames)
         if row is None:
             means.append(state.z[:3])
             covs.append(state.p[:3, :3])

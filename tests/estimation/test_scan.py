@@ -45,7 +45,7 @@ def of_all(dynamics, parts, offsets):
 
 def moved(readings, dynamics, i, c):
     dt = readings.dt[i, c]
-    more = np.ones(JOINTS) if readings.more is None else readings.more[i, :, c]
+    more = np.ones(JOINTS) if readings.process_factor is None else readings.process_factor[i, :, c]
     moves, noises = zip(*(discretised(dynamics, dt, more[j], j) for j in range(JOINTS)), strict=True)
     walk = None if dynamics.drift is None else np.diag(dynamics.drift * dt)
     return of_all(dynamics, moves, np.eye(JOINTS)), of_all(dynamics, noises, walk)
@@ -166,7 +166,7 @@ def test_scan_is_the_kalman_filter_with_a_gate(drawn):
 def test_scan_knows_changing_noise_and_restarts(drawn):
     readings, dynamics, z, p = drawn
     rng, shape = np.random.default_rng(1), readings.encoders.shape
-    changed = replace(readings, more=rng.uniform(0.5, 2.0, shape), reset=rng.random(shape) < 0.03)
+    changed = replace(readings, process_factor=rng.uniform(0.5, 2.0, shape), reset=rng.random(shape) < 0.03)
     compared(changed, replace(dynamics, is_prior=np.array([False, True, False])), z, p)
 
 
@@ -207,7 +207,7 @@ def test_stretches_that_follow_each_other_are_one(drawn):
     trace, ends = filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS), np.zeros_like(z)
     for _ in range(c):
         _, start = solution.smooth_states(readings, trace, ends, dynamics)
-        ends = solution.adjoints_for_next_round(start)
+        ends = solution.hand_back_adjoints(start)
     x, cov = solution.smooth_with_covariances(readings, trace, ends, dynamics)
     one = filter_stretches(whole, dynamics, z[:, :1], p[..., :1], TraceDetail.MEANS)
     expected, expected_cov = solution.smooth_with_covariances(whole, one, np.zeros((dynamics.size, 1)), dynamics)

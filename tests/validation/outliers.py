@@ -101,8 +101,8 @@ def row(name, those, kind):
                 patch.setattr(
                     smoother,
                     "remove_outliers",
-                    lambda problem, smooth: SmoothedWithResiduals.of(
-                        smooth, predict_left_out(problem, smooth)
+                    lambda problem, smooth: SmoothedWithResiduals(
+                        **vars(smooth), left_out=predict_left_out(problem, smooth)
                     ),
                 )
             runs = [figures.found(log, body, method=method).within(2.0) for log, body in spoilt]

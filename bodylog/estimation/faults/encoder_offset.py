@@ -51,7 +51,7 @@ class OffsetHypothesis(NamedTuple):
 
 def total_free_energy(solution: Solution) -> float:
     """Free energy (nats) of a whole filtered log."""
-    return float(solution.fold.unfold(solution.trace.nats).sum())
+    return float(solution.fold.unfold_events(solution.trace.nats).sum())
 
 
 def find_likeliest_changes(
@@ -71,7 +71,7 @@ def find_likeliest_changes(
 
     def measure_residuals(posed: FilterProblem) -> Array:
         solution = filter_roughly(posed, solved)
-        angles = solution.fold.unfold(solution.trace.z[:, joint])
+        angles = solution.fold.unfold_events(solution.trace.z[:, joint])
         return np.asarray(y - angles[problem.timeline.encoders])
 
     followed = measure_residuals(wandering)
@@ -254,7 +254,7 @@ def _encoder_sums(solved: Solution, bounds: Array) -> tuple[Array, Array]:
     d = solved.trace.encoder_d
     spread = np.einsum("liic->lic", solved.trace.prior_cov) + solved.readings.encoder_var
     each = np.clip(d, -CERTAIN_SIGMA, CERTAIN_SIGMA) / np.sqrt(spread), 1.0 / spread
-    rows = (solved.fold.unfold(np.where(np.isfinite(d), a, 0.0)) for a in each)
+    rows = (solved.fold.unfold_events(np.where(np.isfinite(d), a, 0.0)) for a in each)
     pull, weight = (np.add.reduceat(a, bounds[:-1]) for a in rows)
     return pull, weight
 
@@ -267,9 +267,9 @@ def _track_sums(problem: FilterProblem, solved: Solution, track: int, bounds: Ar
     seen = seen_rows(sighting.values)
     size = np.arange(sighting.values.shape[1])
     events = problem.timeline.sightings[track][seen]
-    x, cov = (solved.fold.pick(a, events) for a in (trace.prior, trace.prior_cov))
+    x, cov = (solved.fold.select_events(a, events) for a in (trace.prior, trace.prior_cov))
     y, jac, var = (
-        solved.fold.pick(a[:, track, size], events)
+        solved.fold.select_events(a[:, track, size], events)
         for a in (readings.y, readings.jac, readings.var)
     )
     s = jac @ cov @ jac.swapaxes(1, 2)
@@ -287,7 +287,7 @@ def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
     so that frames of like postures count as one.
     """
     points = solved.tangents.points[track][seen]
-    model = solved.tangents.model_var(track)[seen]
+    model = solved.tangents.model_var[track][seen]
     # within 0.3 rad errors of the body model are correlated, and look like an offset
     duplicates = count_effective_frames(
         np.exp(-np.linalg.norm(np.diff(points, axis=0), axis=1) / 0.3)

@@ -1,3 +1,3 @@
-"""The Gaussian engine: one pass over a log, the same
-instant by instant, and re-acquisition after silences.
+"""Gaussian inference: the filter of a log in stretches or instant by instant, re-acquisition after
+silences, and the backward pass of the smoother.
 """

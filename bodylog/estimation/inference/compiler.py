@@ -52,16 +52,15 @@ class Kernel:
 
     @cached_property
     def compiled(self) -> Any:
-        """It as machine code, from the cache if that has it. Without a cache each start compiles."""
+        """The function as machine code, from the cache if it is there; else each start compiles."""
         try:
             return njit(self.signature, cache=True, **OPTIONS)(self.function)
         except Exception as err:
             # no folder for the cache, a full disk, a broken file: each has its own kind
             compiled = njit(self.signature, **OPTIONS)(self.function)
             LOG.warning(
-                "%s",
                 f"{self.function.__name__}: its machine code is not kept, so that each start "
-                f"compiles it: {err!r}; set NUMBA_CACHE_DIR to a new folder that can be written",
+                f"compiles it: {err!r}; set NUMBA_CACHE_DIR to a new folder that can be written"
             )
             return compiled
 
@@ -74,19 +73,17 @@ def declare_kernel(*arguments: Any) -> Callable[[Callable[..., None]], Kernel]:
 class CompilationNotice(event.Listener):
     """Logs once that the kernels are compiled, when they are not in the cache."""
 
-    def __init__(self) -> None:
-        """Nothing has been compiled yet."""
-        self._told = False
+    _logged = False
 
     def on_start(self, event: Any) -> None:
         """A function is about to be compiled."""
-        if not self._told:
+        if not self._logged:
             LOG.warning("bodylog compiles its filter, once: this takes half a minute")
-        self._told = True
+        self._logged = True
 
     def on_end(self, event: Any) -> None:
         """It is compiled."""
 
 
 NOTICE = CompilationNotice()
-"""That of this process."""
+"""The listener of this process."""

@@ -14,9 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
-from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, correlation_length
+from ..measurements.long_arrays import find_finite_rows
+from ..noise.correlated_noise import LastFrame, PendingFrame
 from ..noise.posture_prior import build_stationary_motion
-from .filter_problem import FilterProblem, Fold, choose_fold, encoder_rows, fold_readings
+from .filter_problem import FilterProblem, Fold, build_encoder_rows, choose_fold, fold_readings
 from .reacquisition import LONG_SILENCE_S
 from .scan import (
     CONVERGED_MOVE,
@@ -25,13 +26,12 @@ from .scan import (
     DidNotConverge,
     FilterReadings,
     TraceDetail,
+    advance_starts,
     filter_stretches,
-    measure_farthest_move,
-    require_finite,
 )
 from .sequential import Line, SequentialFilter, State
 from .solution import Solution
-from .tangents import Tangents, hand_over_starts, initial_tangents, stretch_priors
+from .tangents import Tangents, begin_along_path, correlate_errors, repeat_state_prior
 
 
 def solve_by_gauss_newton(
@@ -40,68 +40,59 @@ def solve_by_gauss_newton(
     at: str = "posterior",
     rest: float = CONVERGED_MOVE,
 ) -> Solution:
-    """The sequential filter's fixed point; frames are linearised
-    at the `posterior` (iterated) or the `prior` mean.
+    """Sweep over the log until the solution is the sequential filter's, or raise DidNotConverge.
 
-    `warm` is a solution of the same log to start from;
-    `rest`: tolerance on starts, in standard deviations.
+    Frames are linearised at the `posterior` mean (iterated) or at the `prior` one. warm: a solution
+    of the same log to start from · rest: tolerance on starts, in standard deviations, and on
+    linearisation points, in rad.
     """
     fold = choose_fold(len(problem.timeline.t))
-    tangents, z, p = initial_sweep(problem, fold, warm)
-    tangents.resting = rest
-    tangents.whole = False
-    readings = fold_readings(problem, fold)
+    readings, tangents, z, p = begin_sweeps(problem, fold, warm, rest)
     trace = None
     move = np.inf
-    tangents.write(problem, fold, readings)
     for _ in range(MAX_SWEEPS):
-        moved = tangents.draw(problem, fold, readings)
+        moved = tangents.write_stale_tangents(problem, fold, readings)
         if trace is not None and move < rest and not moved:
             return Solution(fold, readings, tangents, trace)
         trace = filter_stretches(readings, problem.dynamics, z, p, into=trace)
-        tangents.follow(problem, fold, trace.prior if at == "prior" else trace.z)
-        next_z, next_p = hand_over_starts(z, p, trace.z[-1], trace.end_p)
-        move = require_finite(measure_farthest_move(z, p, next_z, next_p))
-        z = next_z
-        p = next_p
+        tangents.move_points(problem, fold, trace.prior if at == "prior" else trace.z)
+        z, p, move = advance_starts(z, p, trace)
     raise DidNotConverge(f"filter: no rest after {MAX_SWEEPS} sweeps, last move {move:.2g}")
 
 
-def initial_sweep(
-    problem: FilterProblem, fold: Fold, warm: Solution | None
-) -> tuple[Tangents, Array, Array]:
-    """Tangents and starts to begin with: from the encoders alone, or from the solution `warm`."""
-    if warm is None:
-        return initial_tangents(problem, fold)
-    return warm.tangents.again(problem.evidence.sightings), *starts_from_solution(
-        problem, fold, warm
-    )
+def begin_sweeps(
+    problem: FilterProblem, fold: Fold, warm: Solution | None, resting: float, whole: bool = False
+) -> tuple[FilterReadings, Tangents, Array, Array]:
+    """Readings, tangents and each stretch's start z (K,C), p (K,K,C) to begin with.
 
-
-def starts_from_solution(
-    problem: FilterProblem, fold: Fold, known: Solution
-) -> tuple[Array, Array]:
-    """Each stretch's start z (K,C), p (K,K,C) from a
-    solution of the same log; new offsets from the prior.
+    They come from a solution of the same log, `warm`, except for new offsets, or else from a path.
+    resting: tangents stay where points move by less, rad · whole: for a smoother.
     """
-    z, p = stretch_priors(problem, fold)
-    lasts = fold.lasts()
-    k = min(len(z), known.trace.z.shape[1])
-    z[:k, 1:] = known.fold.pick(known.trace.z, lasts)[:, :k].T
-    if known.fold == fold:
-        p[:k, :k, 1:] = known.trace.end_p[:k, :k, :-1]
-    return z, p
+    if warm is None:
+        tangents, z, p = begin_along_path(problem, fold)
+    else:
+        tangents = warm.tangents.copy_tangents(problem.evidence.sightings)
+        z, p = repeat_state_prior(problem, fold)
+        k = min(len(z), warm.trace.z.shape[1])
+        z[:k, 1:] = warm.fold.select_events(warm.trace.z, fold.handover_events)[:, :k].T
+        if warm.fold == fold:
+            p[:k, :k, 1:] = warm.trace.end_p[:k, :k, :-1]
+    tangents.resting = resting
+    tangents.whole = whole
+    readings = fold_readings(problem, fold)
+    tangents.write_all_tangents(problem, fold, readings)
+    return readings, tangents, z, p
 
 
 @dataclass(frozen=True, eq=False)
 class SequentialPath:
-    """The filtered log: points (E,M) rad of linearisation,
-    starts z (K,C), p (K,K,C) of a fold's stretches.
+    """What a pass over the log, instant by instant, leaves behind.
 
-    resets: times (R,) s of resets and their joints (R,M), or None · held (E,M) bool: joints silent
-    for long · adrift: by instant where images hardly determined some joints, the lines of its
-    tracks, and nats · moments (O,M): mean squares of the angles, from their usual mean, and of
-    their derivatives, where encoders were read.
+    points (E,M) rad: where frames were linearised · z (K,C), p (K,K,C): starts of a fold's
+    stretches · resets: times (R,) s of resets and their joints (R,M), or None · held (E,M) bool:
+    joints silent for long · adrift: states after the instants at which images hardly determined
+    some joints · moments (O,M): mean squares of the angles, from their usual mean, and of their
+    derivatives, where encoders were read.
     """
 
     points: Array
@@ -117,25 +108,24 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
     """Add resets, and a path to linearise along first where
     encoders do not give one, or the belief is `lost`.
     """
-    line = problem.timeline.t
-    confirmed, resets = _encoders_confirm_start(problem)
+    t = problem.timeline.t
+    confirmed, resets = _confirm_start_by_encoders(problem)
     confirmed = confirmed and not lost
-    if confirmed and not _has_long_silence(problem, line[-1:]):
+    if confirmed and not _has_long_silence(problem, t[-1:]):
         return replace(problem, resets=resets)
-    problem = _with_stationary(problem)
-    whole = _step_through_log(problem, False, ROUGHLY_CONVERGED_MOVE, _single_stretch(len(line)))
+    problem = _with_stationary_motion(problem)
+    path = _step_through_log(problem, False, ROUGHLY_CONVERGED_MOVE, Fold(len(t), length=len(t)))
     stepwise = (
         not confirmed
-        or _has_long_silence(problem, line[:0])
-        or len(whole.adrift) > 0
+        or _has_long_silence(problem, t[:0])
+        or len(path.adrift) > 0
         or problem.is_undetermined
     )
-    problem = replace(problem, path=(line, whole.points), resets=whole.resets, stepwise=stepwise)
+    problem = replace(problem, path=(t, path.points), resets=path.resets, stepwise=stepwise)
     if problem.precision.learned is None:  # noise is not to be learned from the log
         return problem
-    return _with_stationary(
-        replace(problem, precision=replace(problem.precision, moments=whole.moments))
-    )
+    precision = replace(problem.precision, moments=path.moments)
+    return _with_stationary_motion(replace(problem, precision=precision))
 
 
 def loses_encoder(problem: FilterProblem, solution: Solution) -> bool:
@@ -145,45 +135,39 @@ def loses_encoder(problem: FilterProblem, solution: Solution) -> bool:
     t = problem.evidence.encoders.t[:, None]
     read = np.isfinite(problem.evidence.encoders.values)
     # NaN where a smoother has removed a reading as an outlier
-    d = np.abs(solution.fold.unfold(solution.trace.encoder_d)[problem.timeline.encoders])
+    d = np.abs(solution.fold.unfold_events(solution.trace.encoder_d)[problem.timeline.encoders])
     accepted = d <= solution.readings.gate
     confirmed = np.maximum.accumulate(np.where(accepted, t, t[0]), axis=0)
     return bool((read & ~accepted & (t - confirmed > LONG_SILENCE_S)).any())
 
 
-def _encoders_confirm_start(problem: FilterProblem) -> tuple[bool, tuple[Array, Array] | None]:
+def _confirm_start_by_encoders(problem: FilterProblem) -> tuple[bool, tuple[Array, Array] | None]:
     """Whether each encoder soon confirms the belief that
     its first reading starts; and the resets until then.
     """
     encoders = problem.evidence.encoders
-    line = problem.timeline.t
-    soon = (
-        np.zeros((0, 1))
-        if encoders is None
-        else encoders.values[encoders.t <= line[0] + LONG_SILENCE_S]
-    )
-    often = np.isfinite(soon).sum(axis=0) > 1
+    t = problem.timeline.t
+    soon = t[0] + LONG_SILENCE_S
+    first = np.zeros((0, 1)) if encoders is None else encoders.values[encoders.t <= soon]
+    testable = np.isfinite(first).sum(axis=0) > 1
     lost = dict[float, Array]()
-    unsure = bool(often.any())
-    for state in _iterate_states(
-        problem,
-        False,
-        CONVERGED_MOVE,
-        int(np.searchsorted(line, line[0] + LONG_SILENCE_S, "right")),
-    ):
+    unsure = bool(testable.any())
+    instants = int(np.searchsorted(t, soon, "right"))
+    for state in _iterate_states(problem, False, CONVERGED_MOVE, instants):
         if state.lost is not None:
             lost[state.t] = state.lost
-        unsure = unsure and not np.isfinite(state.borne)[often].all()
+        unsure = unsure and not np.isfinite(state.confirmed_t)[testable].all()
         if not unsure:
             break
     return not unsure, _stack_resets(lost)
 
 
 def _stack_resets(lost: dict[float, Array]) -> tuple[Array, Array] | None:
+    """Times (R,) s and joints (R,M) bool of resets, from the joints by time; None without any."""
     return (np.array(list(lost)), np.array(list(lost.values()))) if lost else None
 
 
-def _with_stationary(problem: FilterProblem) -> FilterProblem:
+def _with_stationary_motion(problem: FilterProblem) -> FilterProblem:
     """The problem with the stationary motion of joints whose encoders are silent for long."""
     models = {sighting.name: sighting.model for sighting in problem.evidence.sightings}
     return replace(
@@ -197,22 +181,18 @@ def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution
     """
     events = len(problem.timeline.t)
     keep = TraceDetail.MEANS if whole else TraceDetail.BELIEFS
-    fold = _single_stretch(events) if whole else choose_fold(events)
-    found = _step_through_log(problem, whole, CONVERGED_MOVE, fold)
-    tangents = Tangents(
-        problem.evidence.sightings, tuple(found.points[rows] for rows in problem.timeline.sightings)
-    )
+    fold = Fold(events, length=events) if whole else choose_fold(events)
+    path = _step_through_log(problem, whole, CONVERGED_MOVE, fold)
+    points = tuple(path.points[at] for at in problem.timeline.sightings)
+    tangents = Tangents(problem.evidence.sightings, points)
     tangents.whole = whole
-    readings = fold_readings(replace(problem, resets=found.resets), fold, found.held)
-    tangents.draw(problem, fold, readings)
-    for at, state in found.adrift.items():
-        write_lines(np.array([at]), state.lines or {}, fold, readings)
-    trace = filter_stretches(readings, problem.dynamics, found.z, found.p, keep)
-    fold.put(
-        trace.nats,
-        np.array([*found.adrift], int),
-        np.array([state.nats for state in found.adrift.values()]),
-    )
+    readings = fold_readings(replace(problem, resets=path.resets), fold, path.held)
+    tangents.write_stale_tangents(problem, fold, readings)
+    for event, state in path.adrift.items():
+        write_track_lines(event, state.lines or {}, fold, readings)
+    trace = filter_stretches(readings, problem.dynamics, path.z, path.p, keep)
+    for event, state in path.adrift.items():
+        fold.write_events(trace.nats, event, np.array(state.nats))
     return Solution(fold, readings, tangents, trace)
 
 
@@ -228,30 +208,24 @@ def filter_roughly(
         return filter_sequentially(problem)
 
 
-def write_lines(at: Array, lines: Mapping[int, Line], fold: Fold, readings: FilterReadings) -> None:
-    """Write the lines of tracks at one instant (1,) into the readings."""
+def write_track_lines(
+    event: int, lines: Mapping[int, Line], fold: Fold, readings: FilterReadings
+) -> None:
+    """Write the lines of tracks at one instant into the readings."""
     for track, line in lines.items():
-        for folded, row in (
-            (readings.y, line.y),
-            (readings.jac, line.jac),
-            (readings.var, line.var),
-        ):
-            fold.put(folded[:, track, : len(row)], at, row[None])
-
-
-def _single_stretch(events: int) -> Fold:
-    """One single stretch."""
-    return Fold(events, events, 1)
+        rows = len(line.y)
+        fold.write_events(readings.y[:, track, :rows], event, line.y)
+        fold.write_events(readings.jac[:, track, :rows], event, line.jac)
+        fold.write_events(readings.var[:, track, :rows], event, line.var)
 
 
 def _has_long_silence(problem: FilterProblem, end: Array) -> bool:
     """Whether an encoder is silent for long; `end` (0 or 1,) s: end of the log, if that counts."""
     encoders = problem.evidence.encoders
-    line = problem.timeline.t
     if encoders is None:
         return len(end) > 0
     known = [
-        np.concatenate([line[:1], encoders.t[np.isfinite(column)], end])
+        np.concatenate([problem.timeline.t[:1], encoders.t[np.isfinite(column)], end])
         for column in encoders.values.T
     ]
     return max(float(np.diff(times).max(initial=0.0)) for times in known) > LONG_SILENCE_S
@@ -260,26 +234,29 @@ def _has_long_silence(problem: FilterProblem, end: Array) -> bool:
 def _step_through_log(
     problem: FilterProblem, whole: bool, rest: float, fold: Fold
 ) -> SequentialPath:
-    """Filter the log, each frame linearised until it moves less than `rest` standard deviations."""
-    line = problem.timeline.t
+    """Filter the log instant by instant, for the smoother of the `whole` log or not.
+
+    Each frame is linearised until its point moves by less than `rest` rad.
+    """
+    t = problem.timeline.t
     m = len(problem.start)
-    size = problem.dynamics.order * len(problem.start)
-    points = np.empty((len(line), m))
-    means = np.empty((len(line), size))
-    var = np.empty((len(line), size))
-    held = np.zeros((len(line), m), bool)
-    read = np.zeros(len(line), bool)
+    size = problem.dynamics.order * m
+    points = np.empty((len(t), m))
+    means = np.empty((len(t), size))
+    var = np.empty((len(t), size))
+    held = np.zeros((len(t), m), bool)
+    read = np.zeros(len(t), bool)
     lost = dict[float, Array]()
     adrift = dict[int, State]()
-    z, p = stretch_priors(problem, fold)
-    for k, state in enumerate(_iterate_states(problem, whole, rest, len(line))):
-        if (k + 1) % fold.length == 0 and k + 1 < len(line):
+    z, p = repeat_state_prior(problem, fold)
+    for k, state in enumerate(_iterate_states(problem, whole, rest, len(t))):
+        if (k + 1) % fold.length == 0 and k + 1 < len(t):
             z[:, (k + 1) // fold.length] = state.z
             p[..., (k + 1) // fold.length] = state.p
         means[k] = state.z[:size]
         var[k] = state.p.diagonal()[:size]
         points[k] = means[k, :m] if state.point is None else state.point
-        read[k] = state.t > line[0] + LONG_SILENCE_S and min(state.borne) == state.t
+        read[k] = state.t > t[0] + LONG_SILENCE_S and min(state.confirmed_t) == state.t
         if state.held is not None:
             held[k] = state.held
         if state.lost is not None:
@@ -298,50 +275,42 @@ def _iterate_states(
     problem: FilterProblem, whole: bool, rest: float, events: int
 ) -> Iterator[State]:
     """The states after the first `events` instants."""
-    steps = SequentialFilter(problem.dynamics, problem.posture_prior, rest)
-    more = problem.process_factor
+    sequential = SequentialFilter(problem.dynamics, problem.posture_prior, rest)
+    factors = problem.process_factor
     readings, var = (
-        part.tolist() for part in encoder_rows(replace(problem, posture_prior=None), events)
+        part.tolist() for part in build_encoder_rows(replace(problem, posture_prior=None), events)
     )
-    state = steps.first(problem.start)
-    sights = frames_by_instant(problem, whole, events)
+    state = sequential.build_first_state(problem.start)
+    frames = group_frames_by_instant(problem, whole, events)
     for k, t in enumerate(problem.timeline.t[:events].tolist()):
+        factor = None if factors is None else factors[k]
         try:
-            state = steps.step(
-                state, t, readings[k], var[k], sights.get(k, {}), None if more is None else more[k]
+            state = sequential.filter_instant(
+                state, t, readings[k], var[k], frames.get(k, {}), factor
             )
         except np.linalg.LinAlgError as error:
             raise np.linalg.LinAlgError(f"at {t:.3f} s {error}") from None
         yield state
 
 
-def frames_by_instant(
+def group_frames_by_instant(
     problem: FilterProblem, whole: bool, before: int
 ) -> dict[int, dict[int, PendingFrame]]:
     """Frames by instant, and by track, of the first `before` instants."""
-    found: dict[int, dict[int, PendingFrame]] = {}
+    frames: dict[int, dict[int, PendingFrame]] = {}
     precision = problem.precision
-    line = problem.timeline
     for track, (sighting, events) in enumerate(
-        zip(problem.evidence.sightings, line.sightings, strict=True)
+        zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
     ):
         scale = precision.scale.get(sighting.name, 1.0)
-        near = precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(
-            precision.process,
-            correlation_length(sighting.model),
-            near,
-            whole,
-            order=precision.order,
-        )
+        like = correlate_errors(precision, sighting.name, sighting.model, whole)
         values, var, mix = sighting.independent
-        for row in np.flatnonzero(
-            np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)
-        ):
+        early = sighting.values[: np.searchsorted(events, before)]
+        for row in np.flatnonzero(find_finite_rows(early)):
             t = float(sighting.t[row])
             own = None if mix is None else mix[row]
             frame = PendingFrame(
                 sighting.model, t, values[row], scale * var[row], like, LastFrame(), own
             )
-            found.setdefault(int(events[row]), {})[track] = frame
-    return found
+            frames.setdefault(int(events[row]), {})[track] = frame
+    return frames

@@ -13,7 +13,7 @@ from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline, list_track_sets
 from ..noise.noise_model import NoiseModel
 from ..noise.posture_prior import PosturePrior
-from .reacquisition import extend_open_silence, joints_left_open
+from .reacquisition import extend_open_silence, find_joints_left_open
 from .scan import GATE_SIGMA, FilterDynamics, FilterReadings
 
 
@@ -40,14 +40,6 @@ class FilterProblem:
     alternatives: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
     stationary: Stationary | None = None
     gate: float = GATE_SIGMA
-
-    def resets_at(self, t: Array) -> tuple[Array, Array]:
-        """Indices of resets among the instants t (E,) s, and their joints (R,M) bool."""
-        if self.resets is None:
-            return np.empty(0, int), np.empty((0, len(self.start)), bool)
-        times, joints = self.resets
-        here = np.isin(times, t)
-        return np.searchsorted(t, times[here]), joints[here]
 
     @property
     def dynamics(self) -> FilterDynamics:
@@ -76,7 +68,7 @@ class FilterProblem:
         """
         if self.stationary is None or self.evidence.encoders is None:
             return None
-        return joints_left_open(self.timeline.t, self.evidence)
+        return find_joints_left_open(self.timeline.t, self.evidence)
 
     @property
     def process_factor(self) -> Array | None:
@@ -99,8 +91,8 @@ class FilterProblem:
             )
         if not fewer:
             return None
-        found, which = list_track_sets(self.evidence.sightings, self.timeline.t)
-        return np.stack([fewer.get(view, usual) / usual for view in found])[which]
+        views, which = list_track_sets(self.evidence.sightings, self.timeline.t)
+        return np.stack([fewer.get(view, usual) / usual for view in views])[which]
 
 
 MAX_STRETCHES = 8
@@ -113,13 +105,17 @@ MIN_STRETCH_INSTANTS = 32
 
 @dataclass(frozen=True)
 class Fold:
-    """`count` stretches C of `length` instants L each."""
+    """So many events, instants in time order, in C stretches of `length` instants L each."""
 
     events: int
     length: int
-    count: int
 
-    def fold(self, a: Array, fill: float | Array) -> Array:
+    @property
+    def count(self) -> int:
+        """Number C of stretches, of which the last one may not be full."""
+        return max(1, -(-self.events // self.length))
+
+    def fold_events(self, a: Array, fill: float) -> Array:
         """(E,…) -> (L,…,C), with `fill` after the last event."""
         padded = np.empty((self.length * self.count, *a.shape[1:]))
         padded[: self.events] = a
@@ -128,93 +124,92 @@ class Fold:
             np.moveaxis(padded.reshape(self.count, self.length, *a.shape[1:]), 0, -1)
         )
 
-    def unfold(self, a: Array) -> Array:
+    def unfold_events(self, a: Array) -> Array:
         """(L,…,C) -> (E,…)."""
         return np.moveaxis(a, -1, 0).reshape(-1, *a.shape[1:-1])[: self.events]
 
-    def pick(self, a: Array, events: Array) -> Array:
+    def select_events(self, a: Array, events: Array) -> Array:
         """Rows (F,…) of the folded a (L,…,C) at the given events."""
         rows: Array = a[events % self.length, ..., events // self.length]
         return rows
 
-    def put(self, a: Array, events: Array, rows: Array) -> None:
-        """Write rows (F,…) into the folded a (L,…,C) at the given events."""
+    def write_events(self, a: Array, events: Array | int, rows: Array) -> None:
+        """Write rows (F,…) into the folded a (L,…,C) at the given events, or at one."""
         a[events % self.length, ..., events // self.length] = rows
 
-    def lasts(self) -> Array:
-        """Last event (C−1,) before each stretch but the first starts."""
+    @property
+    def handover_events(self) -> Array:
+        """Last event (C−1,) of every stretch that has a successor."""
         return np.arange(1, self.count) * self.length - 1
 
 
 def choose_fold(events: int) -> Fold:
     """Fold with MAX_STRETCHES, or fewer if the log is short."""
     count = min(MAX_STRETCHES, max(1, events // MIN_STRETCH_INSTANTS))
-    length = max(1, -(-events // count))
-    return Fold(events, length, max(1, -(-events // length)))
+    return Fold(events, max(1, -(-events // count)))
 
 
 def fold_readings(problem: FilterProblem, fold: Fold, held: Array | None = None) -> FilterReadings:
-    """Readings of all instants, folded, without the frames'
-    tangents; held (E,M) bool: joints silent for long.
+    """Readings of all instants, folded, with room for the frames' tangents.
+
+    held (E,M) bool: joints silent for long; by default those that images leave open.
     """
-    more = None if problem.process_factor is None else fold.fold(problem.process_factor, 1.0)
-    held = problem.left_open if held is None else held
-    parts = _build_reading_parts(problem, fold, *encoder_rows(problem))
-    found = FilterReadings(
-        *parts, reset=_mark_restarting_joints(problem, fold), more=more, gate=problem.gate
+    m = len(problem.start)
+    t = problem.timeline.t
+    dt = np.diff(t, prepend=t[0])
+    encoders, encoder_var = build_encoder_rows(problem)
+    sizes = [sighting.values.shape[1] for sighting in problem.evidence.sightings]
+    frames = (fold.length, len(sizes), max(sizes, default=2))
+    process_factor = problem.process_factor
+    readings = FilterReadings(
+        fold.fold_events(dt, 0.0),
+        fold.fold_events(encoders, np.nan),
+        fold.fold_events(encoder_var, 1.0),
+        np.full((*frames, fold.count), np.nan),
+        np.zeros((*frames, m, fold.count)),
+        np.ones((*frames, fold.count)),
+        reset=_mark_restarting_joints(problem, fold),
+        process_factor=None if process_factor is None else fold.fold_events(process_factor, 1.0),
+        gate=problem.gate,
     )
+    held = problem.left_open if held is None else held
     if held is None or problem.stationary is None or not held.any():
-        return found
-    dt = np.diff(problem.timeline.t, prepend=problem.timeline.t[0])
+        return readings
     # other joints move by dt, with the process of a candidate
     move, shift, noise = (
-        fold.fold(part, np.nan) for part in problem.dynamics.silent_moves(dt, held)
+        fold.fold_events(part, np.nan) for part in problem.dynamics.compute_silent_moves(dt, held)
     )
-    return replace(found, moves=(move, shift, noise))
+    return replace(readings, moves=(move, shift, noise))
 
 
 def _mark_restarting_joints(problem: FilterProblem, fold: Fold) -> Array | None:
     """Joints (L,M,C) bool that restart from a wide prior at an instant; None if none does."""
-    events, joints = problem.resets_at(problem.timeline.t)
-    if not len(events):
+    if problem.resets is None:
+        return None
+    times, joints = problem.resets
+    t = problem.timeline.t
+    here = np.isin(times, t)
+    if not here.any():
         return None
     reset = np.zeros((fold.length, len(problem.start), fold.count), bool)
-    fold.put(reset, events, joints)
+    fold.write_events(reset, np.searchsorted(t, times[here]), joints[here])
     return reset
 
 
-def _build_reading_parts(
-    problem: FilterProblem, fold: Fold, values: Array, values_var: Array
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """The parts of `FilterReadings`: encoder rows (E,M) with variances, and room for the frames."""
-    line = problem.timeline
-    m = len(problem.start)
-    sizes = [sighting.values.shape[1] for sighting in problem.evidence.sightings]
-    shape = (fold.length, len(sizes), max(sizes, default=2))
-    y = np.full((*shape, fold.count), np.nan)
-    var = np.ones((*shape, fold.count))
-    jac = np.zeros((*shape, m, fold.count))
-    dt = fold.fold(np.diff(line.t, prepend=line.t[0]), 0.0)
-    return dt, fold.fold(values, np.nan), fold.fold(values_var, 1.0), y, jac, var
+def build_encoder_rows(problem: FilterProblem, until: int | None = None) -> tuple[Array, Array]:
+    """Readings (E,M) rad, NaN where silent, and variances (E,M) rad² of the first `until` instants.
 
-
-def encoder_rows(problem: FilterProblem, until: int | None = None) -> tuple[Array, Array]:
-    """Readings (E,M) rad, NaN where silent, and variances
-    (E,M); the posture prior for joints without an encoder.
-
-    Only of the first `until` instants, if given.
+    Joints without an encoder have readings of the posture prior, if there is one.
     """
     t = problem.timeline.t[:until]
     at = problem.timeline.encoders
-    encoders = np.full((len(t), len(problem.start)), np.nan)
-    found = problem.evidence.encoders
+    values = np.full((len(t), len(problem.start)), np.nan)
     var = np.tile(problem.precision.encoder, (len(t), 1))
-    if found is not None:
+    encoders = problem.evidence.encoders
+    if encoders is not None:
         rows = int(np.searchsorted(at, len(t)))
-        encoders[at[:rows]] = found.values[:rows]
-        var[at[:rows]] *= found.relative[:rows]
-    return (
-        (encoders, var)
-        if problem.posture_prior is None
-        else problem.posture_prior.fill(t, encoders, var)
-    )
+        values[at[:rows]] = encoders.values[:rows]
+        var[at[:rows]] *= encoders.relative[:rows]
+    if problem.posture_prior is None:
+        return values, var
+    return problem.posture_prior.fill(t, values, var)

@@ -1,5 +1,5 @@
-"""Calls of the compiled loops over instants: Numba and
-these are imported where something is estimated.
+"""Calls of the compiled loops over instants. Numba and kernels.py are imported by the first call,
+so that what estimates nothing does not wait for them.
 """
 
 from collections.abc import Callable
@@ -40,12 +40,13 @@ def bind_kernel_call(function: str, **values: Any) -> Callable[[], None]:
     kinds = kernel.nopython_signatures[0].args
     names = kernel.py_func.__code__.co_varnames[: len(kinds)]
     assert values.keys() == set(names), values.keys() ^ set(names)
-    given = []
+    arguments = []
     for name, kind in zip(names, kinds, strict=True):
         value = values[name]
-        if axes := getattr(kind, "ndim", 0):
+        axes = getattr(kind, "ndim", 0)
+        if axes:
             dtype = np.dtype(str(kind.dtype))
             value = np.empty((0,) * axes, dtype) if value is None else value
             assert value.ndim == axes and value.dtype == dtype and value.flags.c_contiguous, name
-        given.append(value)
-    return partial(kernel, *given)
+        arguments.append(value)
+    return partial(kernel, *arguments)

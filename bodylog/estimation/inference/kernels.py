@@ -30,7 +30,8 @@ from .compiler import (
 )
 
 TWO_PI = 2.0 * math.pi
-LEAST_PRODUCT, MOST_PRODUCT = 1e-100, 1e100
+LEAST_PRODUCT = 1e-100
+MOST_PRODUCT = 1e100
 """A product of variances beyond these is replaced by its logarithm, far from overflow."""
 READINGS_AT_ONCE = 16
 """Variances, in units of the noise, of which one logarithm is taken."""
@@ -43,7 +44,7 @@ NOISE_SHARES = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 
 
 @compile_inner
 def integrate_noise(dt: Array, order: int, growth: Array) -> None:
-    """Covariances (O,O,C) that white noise of density 1 brings within dt (C,)."""
+    """Write into growth (O,O,C) the covariance that white noise of density 1 adds within dt (C,)."""
     for r in range(order):
         for q in range(order):
             for c in range(len(dt)):
@@ -55,7 +56,8 @@ def integrate_noise(dt: Array, order: int, growth: Array) -> None:
 
 @compile_inner
 def move_by_dt(belief: Array, joints: int, order: int, dt: Array) -> None:
-    """F P Fᵀ and F z, where F is Taylor's series of each joint within dt (C,).
+    """Make P and z of the belief F P Fᵀ and F z, where F is Taylor's series of each joint within
+    dt (C,).
 
     First the rows, in the order in which each reads others that are still those of before.
     """
@@ -110,7 +112,7 @@ def mirror_upper_triangle(belief: Array) -> None:
 
 
 @compile_inner
-def any_joint_leaps(move: Array, i: int) -> bool:
+def has_own_motion(move: Array, i: int) -> bool:
     """Whether a joint of any stretch has a motion of its own before instant i."""
     if move.size > 0:
         for j in range(move.shape[3]):
@@ -124,7 +126,9 @@ def any_joint_leaps(move: Array, i: int) -> bool:
 def choose_motion(
     move: Array, i: int, j: int, s: int, dt: float, order: int, motion: Array
 ) -> bool:
-    """A joint's motion (S,S) before instant i; whether it is its own, and not by dt."""
+    """Write a joint's motion before instant i into motion (S,S); whether it is its own, and not by
+    Taylor's series.
+    """
     own = not math.isnan(move[i, 0, 0, j, s])
     for r in range(len(motion)):
         for q in range(len(motion)):
@@ -142,8 +146,8 @@ def choose_motion(
 
 
 @compile_inner
-def leap_joint(belief: Array, j: int, joints: int, c: int, motion: Array, old: Array) -> None:
-    """Replace the rows and the columns of a joint's states by its motion (S,S) times them."""
+def move_joint(belief: Array, j: int, joints: int, c: int, motion: Array, old: Array) -> None:
+    """Replace the rows and columns of a joint's states by motion (S,S) times them; old (S,): room."""
     states, width, _ = belief.shape
     for b in range(width):
         for r in range(len(old)):
@@ -164,7 +168,7 @@ def leap_joint(belief: Array, j: int, joints: int, c: int, motion: Array, old: A
 
 
 @compile_inner
-def leap_belief(
+def move_by_own_motion(
     belief: Array,
     i: int,
     share: Array,
@@ -190,7 +194,7 @@ def leap_belief(
     for j in range(joints):
         for c in range(stretches):
             own = choose_motion(move, i, j, share[c], dt[c], order, motion)
-            leap_joint(belief, j, joints, c, motion, old)
+            move_joint(belief, j, joints, c, motion, old)
             for r in range(size):
                 at = r * joints + j
                 if own:
@@ -236,7 +240,7 @@ def restart_joint(
 
 
 @compile_inner
-def count_innovation(innovation: Array, weight: Array, nats: Array, product: Array) -> None:
+def add_innovation_nats(innovation: Array, weight: Array, nats: Array, product: Array) -> None:
     """Add the nats (C,) of a reading's innovation (C,), of the inverse variance `weight` (C,).
 
     product (C,): of inverse variances whose logarithm is not yet in nats.
@@ -295,8 +299,9 @@ def project_track(
     cross: Array,
     slope: Array,
 ) -> None:
-    """P Hᵀ and minus the innovation (D,K+1,C) of each row h seen (D,C), and H P Hᵀ (D,D,C).
+    """Project the belief on a track's rows h, seen (D,C) or NaN.
 
+    Writes P Hᵀ and minus the innovation into projected (D,K+1,C), and H P Hᵀ into cross (D,D,C).
     slope (C,): room.
     """
     rows, joints = jac.shape[2:4]
@@ -437,7 +442,11 @@ def project_encoder(
     projected: Array,
     weight: Array,
 ) -> None:
-    """P Hᵀ and minus the innovation (K+1,C) of readings (C,), and their inverse variances (C,)."""
+    """Project the belief on an encoder's readings (C,).
+
+    Writes P Hᵀ and minus the innovation into projected (K+1,C), and inverse variances into
+    weight (C,). offset: state of the encoder's offset, or −1.
+    """
     for b in range(len(projected)):
         row = belief[min(j, b), max(j, b)]
         for c in range(len(weight)):
@@ -460,7 +469,7 @@ def project_encoder(
 def take_track(
     y: Array, var: Array, i: int, track: int, share: Array, seen: Array, noise: Array
 ) -> bool:
-    """A track's rows seen (D,C), NaN where not, and their noise (D,C); whether any is seen."""
+    """Copy a track's rows into seen (D,C), NaN where not, and noise (D,C); whether any is seen."""
     anything = False
     for d in range(len(seen)):
         for c in range(len(share)):
@@ -475,7 +484,7 @@ def take_track(
 
 @compile_inner
 def keep_means(belief: Array, i: int, every: int, means: Array) -> None:
-    """The first states' means into (L,…,C)."""
+    """Copy the means of the first states into means (L,…,C)."""
     for a in range(means.shape[1]):
         for kept in range(means.shape[2]):
             means[i, a, kept] = belief[a, -1, kept * every]
@@ -485,7 +494,7 @@ def keep_means(belief: Array, i: int, every: int, means: Array) -> None:
 def keep_covariances(
     belief: Array, i: int, every: int, joints: int, later: int, cov: Array
 ) -> None:
-    """The covariances of angles and, behind these, of states from `later` on, into (L,O,O,C)."""
+    """Copy covariances of angles and, behind these, of states from `later` on into (L,O,O,C)."""
     for a in range(cov.shape[1]):
         at = a if a < joints else a - joints + later
         for b in range(a, cov.shape[1]):
@@ -497,7 +506,7 @@ def keep_covariances(
 
 @compile_inner
 def keep_rows(belief: Array, i: int, every: int, joints: int, p: Array) -> None:
-    """Rows of the covariance into (L,O,K,C): all, or those of the angles and offsets."""
+    """Copy rows of the covariance into p (L,O,K,C): all, or those of the angles and offsets."""
     _, rows, states, stretches = p.shape
     for r in range(rows):
         a = r if r < joints else states - rows + r
@@ -508,7 +517,9 @@ def keep_rows(belief: Array, i: int, every: int, joints: int, p: Array) -> None:
 
 @compile_inner
 def keep_belief(belief: Array, at: int, every: int, marks: Array) -> None:
-    """All of it into (B,K,K+1,C), where what is left of the diagonal has no meaning."""
+    """Copy all of the belief into marks (B,K,K+1,C), where what is below the diagonal has no
+    meaning.
+    """
     for a in range(len(belief)):
         for b in range(belief.shape[1]):
             for kept in range(marks.shape[3]):
@@ -517,7 +528,7 @@ def keep_belief(belief: Array, at: int, every: int, marks: Array) -> None:
 
 @compile_inner
 def clear_readings(i: int, information: Array, weights: Array) -> None:
-    """No information and no weight, until a reading comes."""
+    """Write no information and no weight, until a reading comes."""
     for reading in range(information.shape[1]):
         for kept in range(information.shape[2]):
             information[i, reading, kept] = 0.0
@@ -527,7 +538,7 @@ def clear_readings(i: int, information: Array, weights: Array) -> None:
 
 
 @declare_kernel(
-    # dt, encoders, encoder_var, y, jac, var, reset, more, move, shift, noise
+    # dt, encoders, encoder_var, y, jac, var, reset, process_factor, move, shift, noise
     *(input_array(axes) for axes in (2, 3, 3, 4, 5, 4)),
     input_flags(3),
     *(input_array(axes) for axes in (3, 5, 4, 5)),
@@ -555,7 +566,7 @@ def filter_instants(
     jac: Array,
     var: Array,
     reset: Array,
-    more: Array,
+    process_factor: Array,
     move: Array,
     shift: Array,
     noise: Array,
@@ -624,16 +635,16 @@ def filter_instants(
             product[c] = 1.0
             for j in range(joints):
                 density[j, c] = process[j, c % process.shape[1]]
-                if more.size > 0:
-                    density[j, c] *= more[i, j, share[c]]
+                if process_factor.size > 0:
+                    density[j, c] *= process_factor[i, j, share[c]]
                 reading[j, c] = encoders[i, j, share[c]]
                 encoder_noise[j, c] = encoder_var[i, j, share[c]]
                 deviation[j, c] = math.nan
         if marks.size > 0 and i % block == 0:
             keep_belief(belief, i // block, every, marks)
         integrate_noise(step, order, growth)
-        if any_joint_leaps(move, i):
-            leap_belief(
+        if has_own_motion(move, i):
+            move_by_own_motion(
                 belief, i, share, step, density, drift, growth, move, shift, noise, motion, old
             )
         else:
@@ -670,7 +681,7 @@ def filter_instants(
                     absent = math.isnan(seen[track, d, c])
                     weight[c] = 0.0 if absent else 1.0 / (cross[d, d, c] + own_noise[c])
                 eliminate_row(projected, cross, d, weight)
-                count_innovation(projected[d, states], weight, sum_nats, product)
+                add_innovation_nats(projected[d, states], weight, sum_nats, product)
                 condition_belief(belief, projected[d], weight)
                 keep_reading(
                     projected[d],
@@ -691,7 +702,7 @@ def filter_instants(
                 belief, reading[j], j, offset, encoder_noise[j], read_by_encoder, weight
             )
             if counted[j]:
-                count_innovation(read_by_encoder[states], weight, sum_nats, product)
+                add_innovation_nats(read_by_encoder[states], weight, sum_nats, product)
             condition_belief(belief, read_by_encoder, weight)
             keep_reading(
                 read_by_encoder, weight, encoder_noise[j], i, j, every, information, gains, weights
@@ -715,7 +726,9 @@ def filter_instants(
 
 @compile_inner
 def undo_motion(known: Array, square: bool, joints: int, order: int, dt: Array) -> None:
-    """Fᵀ λ, or Fᵀ W F and Fᵀ Ψ, where F is Taylor's series of each joint within dt (C,)."""
+    """Make λ Fᵀ λ, or W and Ψ Fᵀ W F and Fᵀ Ψ, where F is Taylor's series of each joint within dt
+    (C,).
+    """
     states, width, stretches = known.shape
     for j in range(joints):
         for b in range(width):
@@ -736,10 +749,10 @@ def undo_motion(known: Array, square: bool, joints: int, order: int, dt: Array) 
 
 
 @compile_inner
-def undo_leap(
+def undo_joint_motion(
     known: Array, square: bool, j: int, joints: int, c: int, motion: Array, old: Array
 ) -> None:
-    """The same of one joint's motion (S,S) in a stretch; old (S,): room."""
+    """Carry λ, or W and Ψ, back over one joint's motion (S,S) in a stretch; old (S,): room."""
     states, width, _ = known.shape
     for b in range(width):
         for r in range(len(old)):
@@ -761,7 +774,7 @@ def undo_leap(
 
 @compile_inner
 def undo_restart(known: Array, square: bool, j: int, joints: int, order: int, c: int) -> None:
-    """The states of a joint that restarts depend on nothing before."""
+    """Clear λ, or W and Ψ, of a joint that restarts: its states depend on nothing before."""
     states, width, _ = known.shape
     for r in range(order):
         for b in range(width):
@@ -772,7 +785,7 @@ def undo_restart(known: Array, square: bool, j: int, joints: int, order: int, c:
 
 @compile_inner
 def smooth_means(known: Array, i: int, joints: int, z: Array, p: Array, smooth: Array) -> None:
-    """Smoothed means z − P λ of the rows that p (L,O,K,C) holds, into (L,O,C)."""
+    """Write smoothed means z − P λ of the rows that p (L,O,K,C) holds into smooth (L,O,C)."""
     _, rows, states, stretches = p.shape
     for r in range(rows):
         a = r if r < joints else states - rows + r
@@ -793,7 +806,7 @@ def undo_encoder_readings(
     smooth: Array,
     offsets: bool,
 ) -> None:
-    """λ − Hᵀ R⁻¹ (y − H x), where x is the smoothed mean."""
+    """Make λ of the encoders' readings λ − Hᵀ R⁻¹ (y − H x), where x is the smoothed mean."""
     joints = encoders.shape[1]
     first = len(known) - joints
     for j in range(joints):
@@ -812,7 +825,7 @@ def undo_encoder_readings(
 def undo_track_readings(
     known: Array, i: int, share: Array, y: Array, jac: Array, information: Array, smooth: Array
 ) -> None:
-    """The same of the tracks' rows."""
+    """Make λ of the tracks' rows λ − Hᵀ R⁻¹ (y − H x), where x is the smoothed mean."""
     _, tracks, rows, joints, _ = jac.shape
     for track in range(tracks):
         for d in range(rows):
@@ -829,7 +842,7 @@ def undo_track_readings(
 
 @compile_inner
 def weigh_rows(known: Array, gain: Array, row: int, off: int, total: Array) -> None:
-    """gᵀ W and gᵀ Ψ (W,C), without the states `row` and `off`."""
+    """Write gᵀ W and gᵀ Ψ, without the states `row` and `off`, into total (W,C)."""
     states, width, stretches = known.shape
     for b in range(width):
         for c in range(stretches):
@@ -845,9 +858,9 @@ def weigh_rows(known: Array, gain: Array, row: int, off: int, total: Array) -> N
 def undo_track_row(
     known: Array, gain: Array, weight: Array, slope: Array, total: Array, curve: Array
 ) -> None:
-    """(I − g h)ᵀ W (I − g h) + weight hᵀ h and (I − g h)ᵀ Ψ of a track's row h, slope (M,C).
+    """Make W and Ψ (I − g h)ᵀ W (I − g h) + weight hᵀ h and (I − g h)ᵀ Ψ, of a track's row h.
 
-    total (W,C), curve (C,): room.
+    slope (M,C): h; total (W,C), curve (C,): room.
     """
     states, width, stretches = known.shape
     weigh_rows(known, gain, -1, -1, total)
@@ -872,7 +885,7 @@ def undo_track_row(
 def undo_encoder_columns(
     known: Array, gain: Array, weight: Array, row: int, off: int, at: int, left: Array
 ) -> None:
-    """Of the row `at` of W, the columns of an encoder's states; see undo_encoder_row."""
+    """Carry back the columns of an encoder's states in the row `at` of W; see undo_encoder_row."""
     both = 1.0 if off != row else 0.0
     for c in range(len(left)):
         rest = 0.0
@@ -896,7 +909,8 @@ def undo_encoder_row(
     total: Array,
     left: Array,
 ) -> None:
-    """The same of an encoder, which reads the angle `row` and the offset `off`; row: no offset.
+    """Carry W and Ψ back over an encoder, which reads the angle `row` and the offset `off`, as
+    undo_track_row does; off = row: no offset.
 
     1 − h g = R weight of an exact reading is far below the rounding of h g, and W is as much
     larger, so `left` (C,) is not taken from a difference. total (W,C): room.
@@ -926,7 +940,8 @@ def undo_encoder_row(
 def smooth_covariances(
     known: Array, i: int, joints: int, offset: int, p: Array, cov: Array, rows: Array, half: Array
 ) -> None:
-    """P − P W P of the angles and, behind these, of what encoders with offsets read.
+    """Write P − P W P of the angles and, behind these, of what encoders with offsets read, into
+    cov (L,O,O,C).
 
     offset: state of the first offset · rows (O,K,C), half (O,K,C): room.
     """
@@ -956,7 +971,7 @@ def smooth_covariances(
 
 @compile_inner
 def make_symmetric(known: Array) -> None:
-    """W of both halves of itself."""
+    """Make W the mean of itself and its transpose."""
     for a in range(len(known)):
         for b in range(a):
             for c in range(known.shape[2]):
@@ -969,7 +984,7 @@ def make_symmetric(known: Array) -> None:
 def take_reading(
     gains: Array, weights: Array, i: int, reading: int, gain: Array, weight: Array
 ) -> bool:
-    """Gain (K,C) and weight (C,) of a reading; whether it has any."""
+    """Copy a reading's gain (K,C) and weight (C,); whether it has any."""
     anything = False
     for c in range(len(weight)):
         weight[c] = weights[i, reading, c]
@@ -1064,11 +1079,11 @@ def carry_adjoints_back(
                 for c in range(stretches):
                     if reset[i, j, share[c]]:
                         undo_restart(known, square, j, joints, order, c)
-        if any_joint_leaps(move, i):
+        if has_own_motion(move, i):
             for j in range(joints):
                 for c in range(stretches):
                     choose_motion(move, i, j, share[c], step[c], order, motion)
-                    undo_leap(known, square, j, joints, c, motion, old)
+                    undo_joint_motion(known, square, j, joints, c, motion, old)
         else:
             undo_motion(known, square, joints, order, step)
         if square:

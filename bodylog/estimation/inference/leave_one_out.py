@@ -24,13 +24,12 @@ of A after a wide prior, which is up to 4e-5 of R.
 
 
 class LeftOut(NamedTuple):
-    """Each reading as all others predict it: errors of encoders
-    (N,M), in standard deviations; frames of sightings.
+    """Each reading as all others predict it.
 
-    places: mean (F,D), covariance (F,D,D) and the model's variance (F,D), without the
-    noise of the frame itself · squares (F,) of sightings: errors over their covariance ·
-    nats (N,M), then (F,): cost of readings that were removed, else 0 · gated: whether the
-    smoother's forward pass took any for outliers.
+    encoders (N,M): errors of encoders, in standard deviations · of each sighting: places, mean
+    (F,D), covariance (F,D,D) and the model's variance (F,D), without the noise of the frame itself;
+    squares (F,): errors over their covariance · nats (N,M), then (F,): cost of readings that were
+    removed, else 0 · gated: whether the smoother's forward pass took any for outliers.
     """
 
     encoders: Array
@@ -46,55 +45,51 @@ class SmoothedWithResiduals(Smooth):
 
     left_out: LeftOut
 
-    @staticmethod
-    def of(smooth: Smooth, found: LeftOut) -> "SmoothedWithResiduals":
-        """The smoothed log and its readings left out one by one."""
-        return SmoothedWithResiduals(**vars(smooth), left_out=found)
-
 
 def predict_left_out(problem: FilterProblem, smooth: Smooth) -> LeftOut:
-    """The problem's readings, by a smoothed log from which some may have been removed."""
-    unfold = smooth.fold.unfold
+    """Predict each reading of the problem by a smoothed log from which some may be removed."""
+    unfold = smooth.fold.unfold_events
     d = smooth.trace.encoder_d
     var = unfold(np.einsum("looc->loc", smooth.cov))
-    encoders, nats = _left_out_encoders(
+    encoders, nats = _predict_left_out_encoders(
         problem, unfold(smooth.z), var, unfold(d), smooth.readings.gate
     )
     frames = [
-        _left_out_frames(problem, smooth, index) for index in range(len(problem.evidence.sightings))
+        _predict_left_out_frames(problem, smooth, index)
+        for index in range(len(problem.evidence.sightings))
     ]
     places, squares, costs, far = zip(*frames, strict=True) if frames else ((), (), (), ())
-    gated = bool((np.abs(d) > smooth.readings.gate).any()) or any(some.any() for some in far)
+    gated = bool((np.abs(d) > smooth.readings.gate).any()) or any(rows.any() for rows in far)
     return LeftOut(encoders, places, squares, (nats, *costs), gated)
 
 
-def _left_out_encoders(
+def _predict_left_out_encoders(
     problem: FilterProblem, x: Array, var: Array, d: Array, gate: float
 ) -> tuple[Array, Array]:
     """Errors and nats (N,M); smoothed x (E,K), their
     variances var (E,O), innovations d (E,M), gated.
     """
-    found = problem.evidence.encoders
+    encoders = problem.evidence.encoders
     at = problem.timeline.encoders
     m = len(problem.start)
-    if found is None:
+    if encoders is None:
         return np.empty((0, m)), np.empty((0, m))
-    read = x[at, :m] + (
-        0.0 if problem.dynamics.offset is None else x[at, problem.dynamics.offset :]
-    )
-    noise = problem.precision.encoder * found.relative
-    # rounding
+    offset = problem.dynamics.offset
+    read = x[at, :m] if offset is None else x[at, :m] + x[at, offset:]
+    noise = problem.precision.encoder * encoders.relative
     used = np.abs(d[at]) <= gate
-    a = np.maximum(var[at, -m:], 0.0)
+    a = np.maximum(var[at, -m:], 0.0)  # not below 0 by rounding
     total = np.where(used, np.maximum(noise - a, MIN_VARIANCE_SHARE * noise), noise + a)
-    errors = (found.values - read) / np.sqrt(total)
+    errors = (encoders.values - read) / np.sqrt(total)
     removed = np.isnan(d[at]) & np.isfinite(errors)
     nats = np.zeros(errors.shape)
-    nats[removed] = _removal_cost(np.square(errors[removed]), np.log(2.0 * np.pi * total[removed]))
+    nats[removed] = _compute_removal_cost(
+        np.square(errors[removed]), np.log(2.0 * np.pi * total[removed])
+    )
     return errors, nats
 
 
-def _left_out_frames(
+def _predict_left_out_frames(
     problem: FilterProblem, smooth: Smooth, index: int
 ) -> tuple[tuple[Array, Array, Array], Array, Array, Array]:
     """Places, squares and nats of a sighting's frames, and which were gated."""
@@ -102,28 +97,27 @@ def _left_out_frames(
     at = problem.timeline.sightings[index]
     m = len(problem.start)
     values, _, mix = sighting.independent
-    pick = smooth.fold.pick
-    x = pick(smooth.z[:, :m], at)
-    removed = np.isnan(pick(smooth.readings.y, at)[:, index, 0])
-    mean, jac, var = smooth.tangents.predicted(index, x)
-    std = np.sqrt(
-        pick(smooth.readings.var, at)[:, index, : values.shape[1]] + var * removed[:, None]
-    )
-    # their R is 1
+    select = smooth.fold.select_events
+    x = select(smooth.z[:, :m], at)
+    removed = np.isnan(select(smooth.readings.y, at)[:, index, 0])
+    mean, jac, var = smooth.tangents.predict_from_tangents(index, x)
+    noise = select(smooth.readings.var, at)[:, index, : values.shape[1]]
+    std = np.sqrt(noise + var * removed[:, None])
+    # rows in units of their noise, so that R is 1
     residual = (values - mean) / std
     h = jac / std[..., None]
     far = ~removed & _find_gated_frames(smooth, at, index)
-    a = project_covariance(h, pick(smooth.cov[:, :m, :m], at))
+    a = project_covariance(h, select(smooth.cov[:, :m, :m], at))
     used = ~(removed | far)[:, None, None]
-    one = np.eye(h.shape[1])
-    inverse, log_total = _invert_with_log_determinant(one + np.where(used, -a, a))
+    identity = np.eye(h.shape[1])
+    inverse, log_total = _invert_with_log_determinant(identity + np.where(used, -a, a))
     scaled = np.einsum("fde,fe->fd", inverse, residual)
     square = (scaled * residual).sum(axis=1)
     log_size = log_total + np.log(2.0 * np.pi * std * std).sum(axis=1)
     error = std * np.where(used[..., 0], scaled, residual)
-    spread = np.where(used, inverse - one, a)
+    spread = np.where(used, inverse - identity, a)
     place = np.where(np.isfinite(error), values - error, mean)
-    nats = np.where(removed & np.isfinite(square), _removal_cost(square, log_size), 0.0)
+    nats = np.where(removed & np.isfinite(square), _compute_removal_cost(square, log_size), 0.0)
     return unmix_rows(mix, (place, std[..., None] * spread * std[:, None], var)), square, nats, far
 
 
@@ -150,13 +144,14 @@ def _find_gated_frames(smooth: Smooth, at: Array, index: int) -> Array:
     """
     var = smooth.readings.var
     information = smooth.trace.information
-    pick = smooth.fold.pick
+    select = smooth.fold.select_events
     assert information is not None
     first = information.shape[1] + (index - var.shape[1]) * var.shape[2]
-    return np.asarray(pick(information[:, first], at) * pick(var[:, index, 0], at) < 1.0 - 1e-12)
+    used = select(information[:, first], at) * select(var[:, index, 0], at)
+    return np.asarray(used < 1.0 - 1e-12)
 
 
-def _removal_cost(d2: Array, log_size: Array) -> Array:
+def _compute_removal_cost(d2: Array, log_size: Array) -> Array:
     """Nats of removed readings with squares d2 and ln|2π
     S|: they grow with distance, as those of `outlier_cost`.
     """
@@ -166,11 +161,14 @@ def _removal_cost(d2: Array, log_size: Array) -> Array:
     )
 
 
-def find_contradicted_readings(found: LeftOut) -> tuple[Array, ...]:
+def find_contradicted_readings(left_out: LeftOut) -> tuple[Array, ...]:
     """Readings that all others contradict: encoders'
     (N,M) bool, then frames (F,) of each sighting.
     """
-    return np.abs(found.encoders) > GATE_SIGMA, *(one > GATE_SIGMA**2 for one in found.squares)
+    return (
+        np.abs(left_out.encoders) > GATE_SIGMA,
+        *(square > GATE_SIGMA**2 for square in left_out.squares),
+    )
 
 
 def remove_readings(problem: FilterProblem, removed: tuple[Array, ...]) -> FilterProblem:
@@ -180,8 +178,8 @@ def remove_readings(problem: FilterProblem, removed: tuple[Array, ...]) -> Filte
     evidence = problem.evidence
     encoders, *frames = removed
     sightings = tuple(
-        replace(one, values=np.where(far[:, None], np.nan, one.values))
-        for one, far in zip(evidence.sightings, frames, strict=True)
+        replace(sighting, values=np.where(far[:, None], np.nan, sighting.values))
+        for sighting, far in zip(evidence.sightings, frames, strict=True)
     )
     rows = evidence.encoders and replace(
         evidence.encoders, values=np.where(encoders, np.nan, evidence.encoders.values)
@@ -189,11 +187,13 @@ def remove_readings(problem: FilterProblem, removed: tuple[Array, ...]) -> Filte
     return replace(problem, evidence=replace(evidence, encoders=rows, sightings=sightings))
 
 
-def smoothed_free_energy(problem: FilterProblem, smooth: Smooth, found: LeftOut) -> Array:
+def compute_smoothed_free_energy(
+    problem: FilterProblem, smooth: Smooth, left_out: LeftOut
+) -> Array:
     """Nats (E,) of a smoothed log and of the readings removed from it."""
-    nats = smooth.fold.unfold(smooth.trace.nats).copy()
+    nats = smooth.fold.unfold_events(smooth.trace.nats).copy()
     line = problem.timeline
-    encoders, *frames = found.nats
+    encoders, *frames = left_out.nats
     nats[line.encoders] += encoders.sum(axis=1)
     for at, cost in zip(line.sightings, frames, strict=True):
         nats[at] += cost

@@ -15,6 +15,7 @@ import numpy as np
 from ...motion import START_STD
 from ...types import Array, Finding
 from ...wording import list_in_words
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Encoders, Evidence
 from ..noise.correlated_noise import PendingFrame
 from .scan import GATE_SIGMA
@@ -42,9 +43,9 @@ def find_lost_joints(
     """Joints (M,) bool that a belief z (K,), p (K,K) has lost
     by t (s), or None; encoders (M,) bool that confirm it.
 
-    ages (M,) s: since each encoder confirmed the belief · readings (M,), NaN where silent, with
-    variances var · seen: last frame of each track; `now`: there are further ones · order: the
-    motion's. A joint is lost if its standard deviation exceeds a turn when something is measured.
+    ages (M,) s: since each encoder confirmed the belief · readings (M,) rad, NaN where silent, with
+    variances var · seen: last frame of each track · now: whether there are frames at t · order: of
+    the motion. A joint is lost if its standard deviation exceeds a turn when something is measured.
     """
     present = np.isfinite(readings)
     m = len(readings)
@@ -81,26 +82,25 @@ def _test_lost_joints(
         return tested, present & ~mute
     rows = np.eye(m, len(z)) + np.eye(m, len(z), order * m)
     h = rows[present]
-    nu = (readings - rows @ z)[present]
     noise = np.diag(var[present])
+    nats = _compute_innovation_nats((readings - rows @ z)[present], h @ p @ h.T + noise)
     x, cov = _restart_joints(z, p, mute, readings, order)
     total = h @ cov @ h.T + noise
     # encoders that were not mute still contradict the reset belief
-    if _innovation_nats((readings - rows @ x)[present], total) >= _innovation_nats(
-        nu, h @ p @ h.T + noise
-    ):
+    if _compute_innovation_nats((readings - rows @ x)[present], total) >= nats:
         return np.zeros(m, bool), present & ~mute | tested
     gain = np.linalg.solve(total, h @ cov).T
     x = x + gain @ (readings[present] - h @ x)
     cov = cov - gain @ h @ cov
-    return mute & all(
-        _agrees_with_frames(x, cov, m, t - sight.t, sight, order) for sight in seen.values()
-    ), present & ~mute
+    agrees = all(
+        _agrees_with_frame(x, cov, m, t - sight.t, sight, order) for sight in seen.values()
+    )
+    return mute & agrees, present & ~mute
 
 
-def open_joints(ages: Array, numbers: Array | int) -> Array:
-    """Joints (…,M) bool read last `ages` (…,M) s ago, long
-    before now, that images of `numbers` (…) values leave open.
+def find_open_joints(ages: Array, numbers: Array | int) -> Array:
+    """Joints (…,M) bool that images leave open: they were read last `ages` (…,M) s ago, long
+    before now, and are no fewer than the `numbers` (…) that the images give.
 
     ages is infinite before the first reading.
     """
@@ -112,20 +112,20 @@ def find_silent_joints(t: Array, encoders: Encoders) -> Array:
     """Joints (E,M) bool whose encoders, read before,
     have been silent for long at times t (E,) s.
     """
-    return _reading_ages(t, encoders) > LONG_SILENCE_S
+    return _measure_reading_ages(t, encoders) > LONG_SILENCE_S
 
 
-def joints_left_open(t: Array, evidence: Evidence) -> Array:
+def find_joints_left_open(t: Array, evidence: Evidence) -> Array:
     """Silent joints (E,M) bool at times t (E,) s that images
     of the time before, with no more numbers, leave open.
     """
     assert evidence.encoders is not None
-    seen = [(s.t[np.isfinite(s.values).all(axis=1)], s.values.shape[1]) for s in evidence.sightings]
-    numbers = sum(
-        (rows * (np.abs(_time_since_last(times, t)) <= LONG_SILENCE_S) for times, rows in seen),
-        np.zeros(len(t)),
-    )
-    return open_joints(_reading_ages(t, evidence.encoders), numbers)
+    numbers = np.zeros(len(t))
+    for sighting in evidence.sightings:
+        times = sighting.t[find_finite_rows(sighting.values)]
+        recent = np.abs(_measure_time_since_last(times, t)) <= LONG_SILENCE_S
+        numbers += sighting.values.shape[1] * recent
+    return find_open_joints(_measure_reading_ages(t, evidence.encoders), numbers)
 
 
 def extend_open_silence(t: Array, held: Array) -> Array:
@@ -144,15 +144,18 @@ def extend_open_silence(t: Array, held: Array) -> Array:
     )
 
 
-def _reading_ages(t: Array, encoders: Encoders) -> Array:
+def _measure_reading_ages(t: Array, encoders: Encoders) -> Array:
     """Times (E,M) s since each encoder's last reading before t (E,) s; −∞ before the first."""
     return np.stack(
-        [_time_since_last(encoders.t[np.isfinite(column)], t) for column in encoders.values.T],
+        [
+            _measure_time_since_last(encoders.t[np.isfinite(column)], t)
+            for column in encoders.values.T
+        ],
         axis=1,
     )
 
 
-def _time_since_last(known: Array, t: Array) -> Array:
+def _measure_time_since_last(known: Array, t: Array) -> Array:
     """Times (E,) s since the last of the `known`
     times (N,) before t (E,) s; −∞ before the first.
     """
@@ -165,11 +168,11 @@ def warn_of_resets(names: tuple[str, ...], t: Array, reset: Array) -> Iterator[F
     joints = ", ".join(names[j] for j in np.flatnonzero(reset.any(axis=0)))
     if len(at):
         times = list_in_words([f"{t[k]:.3f}" for k in at], " times", unit=" s")
-        text = (
+        yield Finding(
+            "warning",
             f"belief: lost {joints} until {times} and reset there by the encoders; the angles "
-            "just before"
+            "just before are wrong",
         )
-        yield Finding("warning", f"{text} are wrong")
 
 
 def _restart_joints(
@@ -179,31 +182,26 @@ def _restart_joints(
     bool restart from the prior, at their readings if any.
     """
     m = len(joints)
-    known = joints & np.isfinite(readings)
     gone = np.concatenate([*[joints] * order, np.zeros(len(z) - order * m, bool)])
     p = p * ~(gone[:, None] | gone)
     p[gone, gone] = np.repeat(np.square(START_STD[:order]), joints.sum())
-    z, offset = (
-        np.where(gone & (np.arange(len(z)) >= m), 0.0, z),
-        z[order * m :] if len(z) > order * m else 0.0,
-    )
-    z[:m] = np.where(known, readings - offset, z[:m])
+    offset = z[order * m :] if len(z) > order * m else 0.0
+    z = np.where(gone & (np.arange(len(z)) >= m), 0.0, z)
+    z[:m] = np.where(joints & np.isfinite(readings), readings - offset, z[:m])
     return z, p
 
 
-def _innovation_nats(nu: Array, s: Array) -> float:
+def _compute_innovation_nats(nu: Array, s: Array) -> float:
     """Nats of innovations nu (R,) with covariance s (R,R), without constants."""
     return float(nu @ np.linalg.solve(s, nu) + np.linalg.slogdet(s)[1])
 
 
-def _agrees_with_frames(
+def _agrees_with_frame(
     z: Array, p: Array, m: int, age: float, sight: PendingFrame, order: int
 ) -> bool:
-    """Whether a belief agrees with frames seen `age` s before."""
+    """Whether a belief agrees with a frame seen `age` s before."""
     states = order * m
-    back = np.concatenate([np.eye(m), -age * np.eye(m), 0.5 * age**2 * np.eye(m)], axis=1)[
-        :, :states
-    ]
+    back = np.hstack([np.eye(m), -age * np.eye(m), 0.5 * age**2 * np.eye(m)])[:, :states]
     x = back @ z[:states]
     cov = back @ p[:states, :states] @ back.T
     mean, jac, model = sight.predicted(x)

@@ -6,7 +6,7 @@ encoder offsets]; the last axis C is the stretch.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from enum import Enum
 from typing import Any
 
@@ -39,15 +39,10 @@ class DidNotConverge(Exception):
     """Sweeps over the log, or outliers' weights, did not converge."""
 
 
-def require_finite(move: float) -> float:
-    """A sweep's largest move; DidNotConverge if rounding left no number."""
-    if np.isnan(move):
-        raise DidNotConverge("rounding leaves no number")
-    return move
-
-
 def measure_farthest_move(z: Array, p: Array, next_z: Array, next_p: Array) -> float:
-    """How far the farthest start moved, in standard deviations."""
+    """How far the farthest start moved, and by how much its standard deviation changed, in
+    standard deviations.
+    """
     std, before = (np.sqrt(np.maximum(np.einsum("iic->ic", cov), 1e-24)) for cov in (next_p, p))
     return float(np.maximum(np.abs((next_z - z) / std), np.abs(before / std - 1.0)).max())
 
@@ -64,13 +59,12 @@ one in a hundred in an image of 320×240 px costs 14.
 
 @dataclass(frozen=True, eq=False)
 class FilterDynamics:
-    """Process noise (M,) of joints, rad²/s³ or rad²/s⁵ ·
-    random walk (M,) rad²/s of offsets, or None; or (M,C).
+    """How the state moves: all joints' angles, rates[, accelerations][, encoder offsets].
 
-    is_prior (M,) bool: joints whose readings come from the posture prior; they do not count as
-    evidence · motion: name of their motion model · stationary: motion of joints whose encoders are
-    silent for long, or None. A state holds all joints' angles, rates[, accelerations][, encoder
-    offsets].
+    process: noise (M,) of joints, rad²/s³ or rad²/s⁵, or (M,C) by candidate · drift: random walk
+    (M,) rad²/s of encoder offsets, or None · is_prior (M,) bool: joints whose readings come from
+    the posture prior and do not count as evidence · motion: name of their motion model ·
+    stationary: motion of joints whose encoders are silent for long, or None.
     """
 
     process: Array
@@ -91,7 +85,7 @@ class FilterDynamics:
 
     @property
     def size(self) -> int:
-        """Length K of the state."""
+        """Number K of states."""
         return len(self.process) * (self.order + (self.drift is not None))
 
     @property
@@ -99,73 +93,78 @@ class FilterDynamics:
         """Index of the first encoder offset in the state; None without offsets."""
         return None if self.drift is None else self.order * len(self.process)
 
-    def silent_moves(self, dt: Array, held: Array) -> tuple[Array, Array, Array]:
-        """Move (E,S,S,M), shift (E,S,M) and noise (E,S,S,M) of
-        joints held (E,M) for dt (E,) s: a stationary process.
+    def compute_silent_moves(self, dt: Array, held: Array) -> tuple[Array, Array, Array]:
+        """Stationary motion of joints silent for long, held (E,M) bool, within dt (E,) s.
 
+        Returns move (E,S,S,M), shift (E,S,M) and noise (E,S,S,M) of the S states of each joint.
         The move of other joints is NaN.
         """
         assert self.stationary is not None
         m = len(self.process)
         order = self.order
-        some = np.flatnonzero(held.any(axis=1))
         states = self.size // m
+        some = np.flatnonzero(held.any(axis=1))
         move, noise = np.zeros((2, len(dt), states, states, m))
-        shift = np.zeros((*move.shape[:-2], m))
-        parts = move[:, :order, :order], shift[:, :order], noise[:, :order, :order]
-        for whole, step in zip(parts, self.stationary.step(dt[some]), strict=True):
-            whole[some] = np.moveaxis(step, -1, 0)
+        shift = np.zeros((len(dt), states, m))
+        parts = (move[:, :order, :order], shift[:, :order], noise[:, :order, :order])
+        for part, step in zip(parts, self.stationary.step(dt[some]), strict=True):
+            part[some] = np.moveaxis(step, -1, 0)
         if self.drift is not None:
-            move[:, order, order], noise[:, order, order] = 1.0, self.drift * dt[:, None]
+            move[:, order, order] = 1.0
+            noise[:, order, order] = self.drift * dt[:, None]
         np.moveaxis(move, -1, 1)[~held] = np.nan
         return move, shift, noise
 
-    def with_moves(self, readings: "FilterReadings") -> "FilterReadings":
-        """The readings with every joint's move, where the kernel does not know the motion model.
+    def add_model_moves(self, readings: "FilterReadings") -> "FilterReadings":
+        """Add every joint's move to the readings, if the kernel does not know the motion model.
 
         Candidates, with process noise (M,C) of their own, get readings of their own.
         """
         if type(self.model) is WhiteNoise:
             return readings
-        process = np.reshape(self.process, (len(self.process), -1))
-        if (candidates := process.shape[1] // readings.dt.shape[1]) > 1:
-            readings = readings.repeated(candidates)
+        m = len(self.process)
+        order = self.order
+        states = self.size // m
+        process = self.process.reshape(m, -1)
+        candidates = process.shape[1] // readings.dt.shape[1]
+        if candidates > 1:
+            readings = readings.repeat_stretches(candidates)
         dt = readings.dt
-        order, states = self.order, self.size // len(process)
-        density = np.broadcast_to(process, (len(dt), len(process), dt.shape[1]))
-        if readings.more is not None:
-            density = density * readings.more
-        shape = (len(dt), states, states, len(process), dt.shape[1])
-        move, noise = np.zeros((2, *shape))
-        steps = (
+        length, stretches = dt.shape
+        density = np.broadcast_to(process, (length, m, stretches))
+        if readings.process_factor is not None:
+            density = density * readings.process_factor
+        transition, covariance = (
             np.moveaxis(part(dt.ravel()).reshape(*dt.shape, order, order), 1, -1)[..., None, :]
             for part in (self.model.transition, self.model.covariance)
         )
-        move[:, :order, :order] = next(steps)
-        noise[:, :order, :order] = next(steps) * density[:, None, None]
+        move, noise = np.zeros((2, length, states, states, m, stretches))
+        move[:, :order, :order] = transition
+        noise[:, :order, :order] = covariance * density[:, None, None]
         if self.drift is not None:
             move[:, order, order] = 1.0
             noise[:, order, order] = self.drift[:, None] * dt[:, None]
-        moves = move, np.zeros((len(dt), *shape[2:])), noise
+        shift = np.zeros((length, states, m, stretches))
         if readings.moves is not None:
             silent = np.isfinite(readings.moves[0][:, 0, 0])
-            moves = tuple(  # type: ignore[assignment]
+            move, shift, noise = (
                 np.where(np.expand_dims(silent, (*range(1, part.ndim - 2),)), part, usual)
-                for part, usual in zip(readings.moves, moves, strict=True)
+                for part, usual in zip(readings.moves, (move, shift, noise), strict=True)
             )
-        return replace(readings, moves=moves)
+        return replace(readings, moves=(move, shift, noise))
 
 
 @dataclass(frozen=True, eq=False)
 class FilterReadings:
-    """Measurements, folded (L,…,C): dt s · encoders,
-    var (L,M,C), NaN where silent · T tracks of D rows.
+    """Measurements, folded (L,…,C): dt (L,C) s · encoders (L,M,C) rad, NaN where silent, with
+    variances · T tracks of D rows.
 
-    A track's row r reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where
-    unseen. reset (L,M,C) bool: joints that restart from a wide prior at an instant, or None. more
-    (L,M,C): factor on the process variance before an instant, or None for 1. moves: move
-    (L,S,S,M,C), shift (L,S,M,C), noise (L,S,S,M,C) of the states before an instant; NaN: by dt.
-    gate: standard deviations beyond which innovations count as outliers.
+    A track's row reads y (L,T,D,C) = jac (L,T,D,M,C) · x with variance var (L,T,D,C); NaN where
+    unseen. reset (L,M,C) bool: joints that restart from a wide prior at an instant, or None ·
+    process_factor (L,M,C): on the process variance before an instant, or None for 1 · moves: move
+    (L,S,S,M,C), shift (L,S,M,C) and noise (L,S,S,M,C) of the S states of joints before an instant,
+    NaN where they move by dt · gate: standard deviations beyond which innovations count as
+    outliers.
     """
 
     dt: Array
@@ -174,13 +173,14 @@ class FilterReadings:
     y: Array
     jac: Array
     var: Array
-    reset: Array | None = field(default=None, kw_only=True)
-    more: Array | None = field(default=None, kw_only=True)
-    moves: tuple[Array, Array, Array] | None = field(default=None, kw_only=True)
-    gate: float = field(default=GATE_SIGMA, kw_only=True)
+    _: KW_ONLY
+    reset: Array | None = None
+    process_factor: Array | None = None
+    moves: tuple[Array, Array, Array] | None = None
+    gate: float = GATE_SIGMA
 
-    def between(self, first: int, last: int) -> "FilterReadings":
-        """Those of some instants."""
+    def select_instants(self, first: int, last: int) -> "FilterReadings":
+        """The readings from the instant `first` to before `last`."""
         parts: dict[str, Any] = {
             k: part[first:last] for k, part in vars(self).items() if isinstance(part, np.ndarray)
         }
@@ -188,7 +188,7 @@ class FilterReadings:
             parts["moves"] = tuple(part[first:last] for part in self.moves)
         return replace(self, **parts)
 
-    def repeated(self, count: int) -> "FilterReadings":
+    def repeat_stretches(self, count: int) -> "FilterReadings":
         """Each stretch `count` times side by side; what has as many columns already stays."""
         stretches = self.dt.shape[-1]
         parts: dict[str, Any] = {
@@ -217,13 +217,16 @@ class TraceDetail(Enum):
 
 @dataclass(frozen=True, eq=False)
 class FilterTrace:
-    """Per instant: prior mean and covariance of x, posterior
-    state z, nats, and covariances cov (L,O,O,C) of angles.
+    """The filtered beliefs of all instants.
 
-    With offsets also theirs: O = M or 2 M · end_p (K,K,C): covariance of the state at the end. For
-    the smoother: p (L,O,K,C) or (L,K,K,C), rows of the state's covariance · information (L,R,C):
-    inverse noise of each reading, 0 of missing ones · back: gains (L,R,K,C) and weights (L,R,C)
-    of readings · marks (B,K,K+1,C): the belief before every BLOCK_INSTANTS instants, the upper
+    prior (L,M,C) rad, prior_cov (L,M,M,C): of the angles before an instant's readings · z (L,K,C):
+    state after them · cov (L,O,O,C): of the angles and, if there are any, encoder offsets after
+    them, O = M or 2 M · end_p (K,K,C): covariance of the state at the end · nats (L,C) of the
+    readings · encoder_d (L,M,C): innovations of encoders, in standard deviations.
+
+    For the smoother: p (L,O,K,C) or (L,K,K,C), rows of the state's covariance · information (L,R,C):
+    inverse noise of each reading, 0 of missing ones · back: gains (L,R,K,C) and weights (L,R,C) of
+    readings · marks (B,K,K+1,C): the belief before every BLOCK_INSTANTS instants, the upper
     triangle of its covariance beside its mean.
     """
 
@@ -247,8 +250,8 @@ class FilterTrace:
             for at in range(0, len(self.z), BLOCK_INSTANTS)
         ]
 
-    def between(self, at: slice) -> "FilterTrace":
-        """Views of one block of what a smoother's means need."""
+    def select_block(self, at: slice) -> "FilterTrace":
+        """The trace of one block of instants: views of all but the covariance at its end."""
         parts = {
             name: part[at]
             for name, part in vars(self).items()
@@ -261,10 +264,6 @@ class FilterTrace:
             end_p=self.end_p.copy(),
             marks=self.marks[at.start // BLOCK_INSTANTS :][:1],
         )
-
-    def without_gains(self) -> "FilterTrace":
-        """The trace without what only the backward pass needs, most of its memory."""
-        return replace(self, p=None, back=None, marks=None)
 
 
 def filter_stretches(
@@ -283,7 +282,7 @@ def filter_stretches(
     same shape to overwrite, as fresh memory costs as much as the arithmetic.
     """
     trace = into or allocate_trace(readings, dynamics, z.shape[1], every, keep)
-    prepare_filter(dynamics.with_moves(readings), dynamics, z, p, trace, every)()
+    prepare_filter(dynamics.add_model_moves(readings), dynamics, z, p, trace, every)()
     return trace
 
 
@@ -315,7 +314,7 @@ def prepare_filter(
         var=readings.var,
         process=np.ascontiguousarray(dynamics.process.reshape(m, -1)),
         drift=dynamics.drift,
-        more=readings.more,
+        process_factor=readings.process_factor,
         move=move,
         shift=shift,
         noise=noise,
@@ -339,6 +338,28 @@ def prepare_filter(
     )
 
 
+def hand_over_starts(z: Array, p: Array, trace: FilterTrace) -> tuple[Array, Array]:
+    """Starts z (K,C), p (K,K,C) for the next sweep: each stretch starts from its predecessor's
+    end, and the first one as before.
+    """
+    z = z.copy()
+    p = p.copy()
+    z[:, 1:] = trace.z[-1, :, :-1]
+    p[:, :, 1:] = trace.end_p[:, :, :-1]
+    return z, p
+
+
+def advance_starts(z: Array, p: Array, trace: FilterTrace) -> tuple[Array, Array, float]:
+    """Starts for the next sweep, and how far the farthest moved; DidNotConverge if rounding left no
+    number.
+    """
+    next_z, next_p = hand_over_starts(z, p, trace)
+    move = measure_farthest_move(z, p, next_z, next_p)
+    if np.isnan(move):
+        raise DidNotConverge("rounding leaves no number")
+    return next_z, next_p, move
+
+
 def restart_filter(
     readings: FilterReadings, dynamics: FilterDynamics, z: Array, p: Array, trace: FilterTrace
 ) -> None:
@@ -348,12 +369,12 @@ def restart_filter(
     assert trace.marks is not None
     for at, after in zip(trace.blocks, [*trace.marks[1:], None], strict=True):
         part = filter_stretches(
-            readings.between(at.start, at.stop),
+            readings.select_instants(at.start, at.stop),
             dynamics,
             z,
             p,
             TraceDetail.MEANS,
-            trace.between(at),
+            trace.select_block(at),
         )
         z = part.z[-1]
         p = part.end_p
@@ -371,7 +392,9 @@ def allocate_trace(
     keep: TraceDetail = TraceDetail.BELIEFS,
 ) -> FilterTrace:
     """Room for the trace of so many stretches, of which every `every`-th is kept."""
-    (length, m, _), k, kept = readings.encoders.shape, dynamics.size, -(-stretches // every)
+    length, m, _ = readings.encoders.shape
+    k = dynamics.size
+    kept = -(-stretches // every)
     o = m if dynamics.drift is None else 2 * m
     rows = m + readings.y.shape[1] * readings.y.shape[2]
     trace = FilterTrace(
@@ -391,5 +414,5 @@ def allocate_trace(
         return replace(
             trace, p=np.empty((length, o, k, kept)), information=information, marks=marks
         )
-    back = np.empty((length, rows, k, kept)), np.empty((length, rows, kept))
+    back = (np.empty((length, rows, k, kept)), np.empty((length, rows, kept)))
     return replace(trace, p=np.empty((length, k, k, kept)), information=information, back=back)

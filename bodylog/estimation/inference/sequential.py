@@ -1,8 +1,5 @@
-"""The filter one instant after the other: one step, for a log and beside a robot.
-
-One instant of the filter, by the kernel that filters whole logs (kernels.py).
-
-Tracks of one instant, linearised until the belief converges.
+"""The filter one instant after the other, for a log and beside a robot, by the kernel that filters
+whole logs (kernels.py). The tracks of an instant are linearised until the belief converges.
 """
 
 import math
@@ -16,7 +13,7 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from ..noise.posture_prior import PosturePrior
-from .reacquisition import LONG_SILENCE_S, find_lost_joints, open_joints
+from .reacquisition import LONG_SILENCE_S, find_lost_joints, find_open_joints
 from .scan import (
     CONVERGED_MOVE,
     GATE_SIGMA,
@@ -26,7 +23,7 @@ from .scan import (
     allocate_trace,
     prepare_filter,
 )
-from .tangents import state_prior
+from .tangents import build_state_prior
 
 
 class Line(NamedTuple):
@@ -69,9 +66,12 @@ class FilterStep:
         m = len(dynamics.process)
         k = dynamics.size
         n = k // m
-        self._dynamics, self._z, self._p = dynamics, np.empty((k, 1)), np.empty((k, k, 1))
-        self._leaps = np.empty((1, n, n, m, 1)), np.empty((1, n, m, 1)), np.empty((1, n, n, m, 1))
-        self._lost, self._more = np.empty((1, m, 1), bool), np.empty((1, m, 1))
+        self._dynamics = dynamics
+        self._z = np.empty((k, 1))
+        self._p = np.empty((k, k, 1))
+        self._reset = np.empty((1, m, 1), bool)
+        self._process_factor = np.empty((1, m, 1))
+        self._moves = (np.empty((1, n, n, m, 1)), np.empty((1, n, m, 1)), np.empty((1, n, n, m, 1)))
         self._readings = FilterReadings(
             np.empty((1, 1)),
             np.empty((1, m, 1)),
@@ -79,17 +79,12 @@ class FilterStep:
             np.empty((1, tracks, rows, 1)),
             np.empty((1, tracks, rows, m, 1)),
             np.empty((1, tracks, rows, 1)),
-            reset=self._lost,
-            more=self._more,
-            moves=self._leaps,
+            reset=self._reset,
+            process_factor=self._process_factor,
+            moves=self._moves,
         )
-        to = self._readings
-        trace = self._trace = allocate_trace(to, dynamics, 1)
-        self._run = prepare_filter(to, dynamics, self._z, self._p, trace)
-        read = to.encoders[0], to.encoder_var[0], self._lost[0], self._more[0]
-        made = trace.z[0], trace.end_p, trace.prior[0], trace.prior_cov[0], trace.encoder_d[0]
-        self._before = [part[..., 0] for part in (self._z, self._p, to.dt, *read)]
-        self._after = [part[..., 0] for part in made]
+        self._trace = allocate_trace(self._readings, dynamics, 1)
+        self._run = prepare_filter(self._readings, dynamics, self._z, self._p, self._trace)
 
     def __call__(
         self,
@@ -102,47 +97,63 @@ class FilterStep:
         *,
         lost: Array | None = None,
         held: Array | None = None,
-        more: Array | None = None,
+        process_factor: Array | None = None,
     ) -> SteppedBelief:
         """The belief dt (s) after z (K,), p (K,K), given readings
         (M) rad, NaN where silent, with variances var (M).
 
-        lines: one for each track · lost (M,) bool: joints that restart ·
-        held (M,) bool: joints silent for long · more (M,): factor on the
-        process variance. LinAlgError where rounding leaves no number.
+        lines: one for each track · lost (M,) bool: joints that restart · held (M,) bool: joints
+        silent for long · process_factor (M,): on the process variance. LinAlgError where rounding
+        leaves no number.
         """
-        to = self._readings
-        once = False if lost is None else lost, 1.0 if more is None else more
-        for part, given in zip(self._before, (z, p, dt, encoders, var, *once), strict=True):
-            part[:] = given
-        self._leaps[0].fill(np.nan)
-        if held is not None and self._dynamics.stationary is not None:
-            for part, found in zip(
-                self._leaps, self._dynamics.silent_moves(np.array([dt]), held[None]), strict=True
-            ):
-                part[..., 0] = found
-        if (moved := self._dynamics.with_moves(to)) is not to:
-            for part, found in zip(self._leaps, moved.moves or (), strict=True):
-                part[:] = found
+        readings = self._readings
+        self._z[:, 0] = z
+        self._p[..., 0] = p
+        readings.dt[:] = dt
+        readings.encoders[0, :, 0] = encoders
+        readings.encoder_var[0, :, 0] = var
+        self._reset[0, :, 0] = False if lost is None else lost
+        self._process_factor[0, :, 0] = 1.0 if process_factor is None else process_factor
+        self._write_moves(dt, held)
         if lines:
-            to.y[:], to.jac[:], to.var[:] = np.nan, 0.0, 1.0
+            readings.y[:] = np.nan
+            readings.jac[:] = 0.0
+            readings.var[:] = 1.0
         for track, line in enumerate(lines):
             n = len(line.y)
-            to.y[0, track, :n, 0], to.jac[0, track, :n, :, 0], to.var[0, track, :n, 0] = (
-                line.y,
-                line.jac,
-                line.var,
-            )
+            readings.y[0, track, :n, 0] = line.y
+            readings.jac[0, track, :n, :, 0] = line.jac
+            readings.var[0, track, :n, 0] = line.var
         self._run()
-        if not math.isfinite(nats := self._trace.nats.item()):
+        trace = self._trace
+        nats = trace.nats.item()
+        if not math.isfinite(nats):
             raise np.linalg.LinAlgError("rounding leaves no number")
-        z, p, x, cov, d = (part.copy() for part in self._after)
-        return SteppedBelief(z, p, x, cov, d, nats)
+        return SteppedBelief(
+            trace.z[0, :, 0].copy(),
+            trace.end_p[..., 0].copy(),
+            trace.prior[0, :, 0].copy(),
+            trace.prior_cov[0, ..., 0].copy(),
+            trace.encoder_d[0, :, 0].copy(),
+            nats,
+        )
+
+    def _write_moves(self, dt: float, held: Array | None) -> None:
+        """Write the moves of joints held (M,) within dt, and of a model that the kernel lacks."""
+        self._moves[0].fill(np.nan)
+        if held is not None and self._dynamics.stationary is not None:
+            silent = self._dynamics.compute_silent_moves(np.array([dt]), held[None])
+            for part, own in zip(self._moves, silent, strict=True):
+                part[..., 0] = own
+        moved = self._dynamics.add_model_moves(self._readings)
+        if moved is not self._readings:
+            for part, own in zip(self._moves, moved.moves or (), strict=True):
+                part[:] = own
 
 
 NODES, WEIGHTS = np.polynomial.hermite_e.hermegauss(5)
-WEIGHTS /= WEIGHTS.sum()
 """Gauss and Hermite's rule, exact to the ninth power along each axis of a belief."""
+WEIGHTS /= WEIGHTS.sum()
 PERSISTENCE = 10.0
 """Factor on the time for which the residual of a line lasts, by the belief.
 
@@ -159,27 +170,26 @@ def standardise_innovations(x: Array, cov: Array, sights: Sequence[PendingFrame]
     found = []
     for sight in sights:
         mean, jac, model = sight.predicted(x)
-        found.append(
-            (sight.value - mean) / np.sqrt(((jac @ cov) * jac).sum(axis=1) + sight.var + model)
-        )
+        var = ((jac @ cov) * jac).sum(axis=1) + sight.var + model
+        found.append((sight.value - mean) / np.sqrt(var))
     return found
 
 
 def find_tangent_point(
-    x: Array, sights: Sequence[PendingFrame], given: Callable[..., SteppedBelief], resting: float
+    x: Array, sights: Sequence[PendingFrame], step: Callable[..., SteppedBelief], resting: float
 ) -> tuple[Array, list[Line], SteppedBelief]:
     """The point (M,) where the belief converges to `resting`
     rad, or moves least, the tracks' tangents there, and the belief by these.
 
     The search starts at the angles x (M,) before the instant;
-    `given` is the belief by all readings and lines.
+    `step` gives the belief by all encoder readings and lines.
     """
-    went = last = np.zeros(len(x))
+    taken = last = np.zeros(len(x))
     least = math.inf
     best = None
     for _ in range(MAX_SWEEPS):
         lines = [_linearise_frame(sight, x) for sight in sights]
-        belief = given(lines=lines)
+        belief = step(lines=lines)
         move = belief.z[: len(x)] - x
         size = max(map(abs, move.tolist()))
         if best is None or not size >= least:
@@ -187,28 +197,31 @@ def find_tangent_point(
             best = (x, lines, belief)
         if size < resting:
             break
-        went = _accelerate_step(move, last, went)
+        taken = _accelerate_step(move, last, taken)
         last = move
-        x = x + went
+        x = x + taken
     assert best is not None  # there is at least one round
     return best
 
 
 def _linearise_frame(sight: PendingFrame, x: Array) -> Line:
+    """The tangent of a frame at angles x (M,)."""
     mean, jac, _, var, memory = sight.at(x)
     return Line(jac, sight.value - mean + jac @ x, var, memory)
 
 
-def _accelerate_step(move: Array, last: Array, went: Array) -> Array:
+def _accelerate_step(move: Array, last: Array, taken: Array) -> Array:
     """Next step (M,) from Gauss–Newton's `move`, the
     `last` one and the step taken then: Anderson mixing.
     """
     turn = move - last
     size = turn @ turn
-    return move if size == 0.0 or not went.any() else move - (turn @ move / size) * (went + turn)
+    if size == 0.0 or not taken.any():
+        return move
+    return np.asarray(move - (turn @ move / size) * (taken + turn))
 
 
-def statistical_lines(m: int, z: Array, p: Array, sights: Sequence[PendingFrame]) -> list[Line]:
+def fit_statistical_lines(m: int, z: Array, p: Array, sights: Sequence[PendingFrame]) -> list[Line]:
     """Lines of least squared residual over the encoders'
     posterior of M angles: state z (K,), covariance p (K,K).
 
@@ -216,16 +229,17 @@ def statistical_lines(m: int, z: Array, p: Array, sights: Sequence[PendingFrame]
     √(variance of the angle / of the rate), it counts √π of that, over the time between frames, as
     often; PERSISTENCE times more, as a wrong belief takes itself for a short one.
     """
-    (var, axes), rates = _decompose_covariance(p[:m, :m]), p[m : 2 * m, m : 2 * m]
+    var, axes = _decompose_covariance(p[:m, :m])
+    rates = p[m : 2 * m, m : 2 * m]
     if not np.trace(rates) > 0.0:
         raise np.linalg.LinAlgError(f"rates have the variance {np.trace(rates):.3g} rad²/s²")
     # above rounding, which a rate known exactly may take below 0
     rate = max(axes[:, -1] @ rates @ axes[:, -1], np.finfo(float).eps * np.trace(rates))
     lasts = PERSISTENCE * math.sqrt(math.pi * var[-1] / rate)
-    often = [1.0 / math.tanh((sight.t - sight.memory.t) / lasts) for sight in sights]
+    counts = [1.0 / math.tanh((sight.t - sight.memory.t) / lasts) for sight in sights]
     return [
-        linearise_over_belief(sight, z[:m], p[:m, :m], one)
-        for sight, one in zip(sights, often, strict=True)
+        linearise_over_belief(sight, z[:m], p[:m, :m], count)
+        for sight, count in zip(sights, counts, strict=True)
     ]
 
 
@@ -235,12 +249,12 @@ def _decompose_covariance(cov: Array) -> tuple[Array, Array]:
     return np.maximum(var, np.finfo(float).tiny), axes
 
 
-def linearise_over_belief(sight: PendingFrame, x: Array, cov: Array, often: float = 1.0) -> Line:
+def linearise_over_belief(sight: PendingFrame, x: Array, cov: Array, count: float = 1.0) -> Line:
     """A track's line over a belief x (M,) of cov (M,M).
 
-    The residual is added as noise, as the tangent of a wide belief claims
-    too much: along each axis of cov, by Gauss–Hermite quadrature, counted
-    as `often`. Rows are rotated such that their noise is independent.
+    The residual is added as noise, as the tangent of a wide belief claims too much: along each axis
+    of cov, by Gauss–Hermite quadrature, `count` times. Rows are rotated such that their noise is
+    independent.
     """
     *_, own, memory = sight.at(x)
     var, axes = _decompose_covariance(cov)
@@ -252,7 +266,7 @@ def linearise_over_belief(sight: PendingFrame, x: Array, cov: Array, often: floa
     slope = np.linalg.solve(steps, slopes).T
     middle = g[len(NODES) // 2, 0]
     middle = middle + (means - middle).sum(axis=0)
-    spread, turn = np.linalg.eigh(often * np.einsum("kad,kae->de", missed, missed) + np.diag(own))
+    spread, turn = np.linalg.eigh(count * np.einsum("kad,kae->de", missed, missed) + np.diag(own))
     return Line(turn.T @ slope, turn.T @ (sight.value - middle + slope @ x), spread, memory)
 
 
@@ -260,17 +274,17 @@ def linearise_over_belief(sight: PendingFrame, x: Array, cov: Array, often: floa
 class State:
     """After an instant t (s; −∞ before the first): belief z (K,), p (K,K).
 
-    borne (M) s: time at which each encoder last confirmed the belief, −∞ for never ·
-    seen: last frame of each track. Of this instant: nats · encoder_d (M) and errors of
-    tracks, in standard deviations · lost (M,) bool: joints re-initialised · held (M,)
-    bool: joints silent for long before it · point (M,) rad of its tangents · lines: the
-    tracks' lines if held joints were hardly determined.
+    confirmed_t (M) s: time at which each encoder last confirmed the belief, −∞ for never · seen:
+    last frame of each track. Of this instant: nats · encoder_d (M) and errors of tracks, in
+    standard deviations · lost (M,) bool: joints re-initialised · held (M,) bool: joints silent for
+    long before it · point (M,) rad of its tangents · lines: the tracks' lines if held joints were
+    hardly determined.
     """
 
     t: float
     z: Array
     p: Array
-    borne: Sequence[float]
+    confirmed_t: Sequence[float]
     seen: Mapping[Any, PendingFrame] = field(default_factory=dict)
     nats: float = 0.0
     encoder_d: Sequence[float] = ()
@@ -282,7 +296,7 @@ class State:
 
 
 class SequentialFilter:
-    """Steps from an instant to the next, with frames
+    """The filter from an instant to the next, with frames
     linearised until their point moves less than `rest` (rad).
     """
 
@@ -295,38 +309,39 @@ class SequentialFilter:
         self._rest = rest
         self._steps = dict[tuple[int, int], FilterStep]()
 
-    def first(self, start: Array) -> State:
+    def build_first_state(self, start: Array) -> State:
         """The state before any measurement, at the angles `start` (M,) rad."""
-        return State(-math.inf, *state_prior(start, self._dynamics), [-math.inf] * len(start))
+        return State(-math.inf, *build_state_prior(start, self._dynamics), [-math.inf] * len(start))
 
-    def step(
+    def filter_instant(
         self,
         before: State,
         t: float,
         readings: Sequence[float] | Array,
         var: Sequence[float] | Array,
         frames: Mapping[Any, PendingFrame],
-        more: Array | None = None,
+        process_factor: Array | None = None,
     ) -> State:
         """The state after readings (M) rad, NaN where silent,
         with variances var, and frames of tracks at t (s).
 
-        more (M,): factor on the process variance.
+        process_factor (M,): on the process variance.
         """
         dt = t - before.t if before.t > -math.inf else 0.0
-        borne = before.borne
-        moved = partial(self._stepped, before.z, before.p, dt, more=more)
+        confirmed_t = before.confirmed_t
+        step = partial(self._step_belief, before.z, before.p, dt, process_factor=process_factor)
         held = None
         numbers = 0
         lost = None
-        confirmed: Iterable[bool] = [reading == reading for reading in readings]
-        if not t - min(borne) <= LONG_SILENCE_S:
-            ages = t - np.array(borne)
+        confirmed: Iterable[bool] = [not math.isnan(reading) for reading in readings]
+        if not t - min(confirmed_t) <= LONG_SILENCE_S:
+            ages = t - np.array(confirmed_t)
             numbers = sum(
                 len(frame.value) for frame in before.seen.values() if t - frame.t <= LONG_SILENCE_S
             )
-            held = found if (found := open_joints(ages, numbers)).any() else None
-            prior = moved([math.nan] * len(borne), var, held=held)
+            left_open = find_open_joints(ages, numbers)
+            held = left_open if left_open.any() else None
+            prior = step([math.nan] * len(confirmed_t), var, held=held)
             lost, confirmed = find_lost_joints(
                 t,
                 ages,
@@ -340,27 +355,25 @@ class SequentialFilter:
             )
         if self._posture is not None and dt > 0.0:
             readings, var = self._posture.read(np.array(readings), np.array(var), dt)
-        given = partial(moved, readings, var, lost=lost, held=held)
+        step = partial(step, readings, var, lost=lost, held=held)
         after = State(t, before.z, before.p, [], before.seen, lost=lost, held=held)
-        belief = given()
+        belief = step()
         if frames:
-            belief = self._see(after, belief, frames, given, numbers > 0 and held is not None)
-        after.z, after.p, after.nats, after.encoder_d = (
-            belief.z,
-            belief.p,
-            belief.nats,
-            belief.d.tolist(),
-        )
+            adrift = numbers > 0 and held is not None
+            belief = self._filter_frames(after, belief, frames, step, adrift)
+        after.z = belief.z
+        after.p = belief.p
+        after.nats = belief.nats
+        after.encoder_d = belief.d.tolist()
         # an outlier confirms nothing: a belief that rejects
         # an encoder for long is in doubt as after its silence
-        sound = (
-            sure and not abs(x) > GATE_SIGMA
-            for sure, x in zip(confirmed, after.encoder_d, strict=True)
-        )
-        after.borne = [t if sure else last for sure, last in zip(sound, borne, strict=True)]
+        after.confirmed_t = [
+            t if sure and not abs(d) > GATE_SIGMA else last
+            for sure, d, last in zip(confirmed, after.encoder_d, confirmed_t, strict=True)
+        ]
         return after
 
-    def _stepped(
+    def _step_belief(
         self,
         z: Array,
         p: Array,
@@ -370,23 +383,24 @@ class SequentialFilter:
         lines: Sequence[Line] = (),
         **joints: Array | None,
     ) -> SteppedBelief:
-        shape = len(lines), max((len(line.y) for line in lines), default=0)
+        """The belief dt (s) later, by a `FilterStep` with room for the lines."""
+        shape = (len(lines), max((len(line.y) for line in lines), default=0))
         if shape not in self._steps:
             self._steps[shape] = FilterStep(self._dynamics, *shape)
         return self._steps[shape](z, p, dt, readings, var, lines, **joints)
 
-    def _see(
+    def _filter_frames(
         self,
         after: State,
         encoded: SteppedBelief,
         frames: Mapping[Any, PendingFrame],
-        given: Callable[..., SteppedBelief],
+        step: Callable[..., SteppedBelief],
         adrift: bool,
     ) -> SteppedBelief:
         """The belief by frames too, noted in the state;
         adrift: along statistical lines, not tangents.
 
-        encoded: the belief by the encoders alone · given: the one by lines too.
+        encoded: the belief by the encoders alone · step: gives the one by lines too.
         """
         m = len(encoded.x)
         seen = after.seen
@@ -398,11 +412,12 @@ class SequentialFilter:
             zip(frames, standardise_innovations(encoded.x, encoded.cov, sights), strict=True)
         )
         if adrift:
-            after.point, lines = encoded.z[:m], statistical_lines(m, encoded.z, encoded.p, sights)
+            after.point = encoded.z[:m]
+            lines = fit_statistical_lines(m, encoded.z, encoded.p, sights)
             after.lines = dict(zip(frames, lines, strict=True))
-            belief = given(lines=lines)
+            belief = step(lines=lines)
         else:
-            after.point, lines, belief = find_tangent_point(encoded.x, sights, given, self._rest)
+            after.point, lines, belief = find_tangent_point(encoded.x, sights, step, self._rest)
         memories = (
             replace(sight, memory=line.memory) for sight, line in zip(sights, lines, strict=True)
         )

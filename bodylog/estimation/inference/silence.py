@@ -16,13 +16,13 @@ import numpy as np
 
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
-from .filter_log import filter_sequentially, frames_by_instant, write_lines
+from .filter_log import filter_sequentially, group_frames_by_instant, write_track_lines
 from .filter_problem import FilterProblem, Fold
 from .leave_one_out import remove_readings
 from .scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE, TraceDetail, filter_stretches
 from .sequential import linearise_over_belief
 from .solution import Smooth, Solution, assemble_smooth
-from .tangents import stretch_priors
+from .tangents import repeat_state_prior
 
 BRIEF_SILENCE_S = 5.0
 """s: a longer silence starts once, as evidence of 40 sines with 10 s does not tell postures apart.
@@ -37,29 +37,27 @@ def smooth_across_silence(problem: FilterProblem) -> Smooth:
     Residuals of lines last, so in the last pass they count as often as their silence has frames.
     Counted so before, images weigh too little to leave a wrong posture.
     """
-    alone = _instants_left_open(problem)
+    t = problem.timeline.t
+    alone = _find_open_instants(problem)
     hidden = (alone[events] for events in problem.timeline.sightings)
-    solution = _undo_resets(
-        problem,
-        filter_sequentially(remove_readings(problem, (np.array(False), *hidden)), whole=True),
-    )
-    for frames in _frames_by_silence(problem, alone):
-        x, cov = _mix_beliefs(
-            *_converge_beliefs(problem, *_start_from_cubature_points(problem, solution, frames))
-        )
-        lasted = problem.timeline.t[max(frames)] - problem.timeline.t[min(frames)]
-        _write_lines_over_beliefs(
-            solution, frames, x, cov, len(frames) * BRIEF_SILENCE_S / max(lasted, BRIEF_SILENCE_S)
-        )
+    without_frames = remove_readings(problem, (np.array(False), *hidden))
+    solution = _undo_resets(problem, filter_sequentially(without_frames, whole=True))
+    for frames in _split_frames_by_silence(problem, alone):
+        stretches, sights = _start_from_cubature_points(problem, solution, frames)
+        x, cov = _mix_beliefs(*_converge_beliefs(problem, stretches, sights))
+        seconds = t[max(frames)] - t[min(frames)]
+        count = len(frames) * BRIEF_SILENCE_S / max(seconds, BRIEF_SILENCE_S)
+        _write_lines_over_beliefs(solution, frames, x, cov, count)
     return _smooth_stretches(problem, solution)
 
 
-def _instants_left_open(problem: FilterProblem) -> Array:
+def _find_open_instants(problem: FilterProblem) -> Array:
     """Instants (E,) bool at which images leave joints
     open whose encoders are silent, or are never read.
     """
     never = np.full(len(problem.timeline.t), problem.is_undetermined)
-    return never if problem.left_open is None else never | problem.left_open.any(axis=1)
+    held = problem.left_open
+    return never if held is None else never | held.any(axis=1)
 
 
 def _undo_resets(problem: FilterProblem, solution: Solution) -> Solution:
@@ -73,9 +71,9 @@ def _undo_resets(problem: FilterProblem, solution: Solution) -> Solution:
     return replace(solution, readings=replace(solution.readings, reset=reset & ~held[..., None]))
 
 
-def _frames_by_silence(problem: FilterProblem, alone: Array) -> Iterator[Frames]:
+def _split_frames_by_silence(problem: FilterProblem, alone: Array) -> Iterator[Frames]:
     """The frames of each run of instants `alone` (E,) bool, by instant and by track."""
-    every = frames_by_instant(problem, True, len(alone)) if alone.any() else {}
+    every = group_frames_by_instant(problem, True, len(alone)) if alone.any() else {}
     shown = np.array([k for k in sorted(every) if alone[k]], int)
     for part in np.split(shown, np.flatnonzero(np.diff(np.cumsum(~alone)[shown])) + 1):
         if len(part):
@@ -86,32 +84,33 @@ def _start_from_cubature_points(
     problem: FilterProblem, solution: Solution, frames: Frames
 ) -> tuple[Solution, Frames]:
     """A silence started through each cubature point, side by side, and the frames of all."""
-    line = problem.timeline.t
+    t = problem.timeline.t
     at = list(frames)
     m = len(problem.start)
-    first, last = np.searchsorted(
-        line, [line[at[0]] - BRIEF_SILENCE_S, line[at[-1]] + BRIEF_SILENCE_S]
-    )
+    begin = t[at[0]]
+    end = t[at[-1]]
+    first, last = np.searchsorted(t, [begin - BRIEF_SILENCE_S, end + BRIEF_SILENCE_S])
     length = last - first
-    count = 1 + 2 * m if line[at[-1]] - line[at[0]] <= BRIEF_SILENCE_S else 1
-    fold = Fold(length * count, length, count)
+    count = 1 + 2 * m if end - begin <= BRIEF_SILENCE_S else 1
+    fold = Fold(length * count, length)
     silent_solution = replace(
-        solution, fold=fold, readings=solution.readings.between(first, last).repeated(count)
+        solution,
+        fold=fold,
+        readings=solution.readings.select_instants(first, last).repeat_stretches(count),
     )
     sights = {lane * length + k - first: frames[k] for lane in range(count) for k in at}
     if count > 1:
-        x, cov, _ = _beliefs_at_frames(problem, silent_solution, sights)
+        x, cov, _ = _smooth_frames(problem, silent_solution, sights)
         widest = int(np.linalg.det(cov[: len(at)]).argmax())
-        points = _cubature_points(x[widest], cov[widest])
+        points = _compute_cubature_points(x[widest], cov[widest])
         var = problem.precision.encoder
-        x, cov, _ = _beliefs_at_frames(
-            problem, _with_point_readings(silent_solution, at[widest] - first, points, var), sights
-        )
+        through_points = _with_point_readings(silent_solution, at[widest] - first, points, var)
+        x, cov, _ = _smooth_frames(problem, through_points, sights)
         _write_lines_over_beliefs(silent_solution, sights, x, cov)
     return silent_solution, sights
 
 
-def _cubature_points(x: Array, cov: Array) -> Array:
+def _compute_cubature_points(x: Array, cov: Array) -> Array:
     """The mean x (M,) and the cubature points of cov (M,M), in columns (M,1+2M)."""
     var, axes = np.linalg.eigh(cov)
     steps = axes * np.sqrt(len(x) * np.maximum(var, 0.0))
@@ -138,8 +137,9 @@ def _converge_beliefs(
     """
     before = np.array(np.inf)
     for _ in range(MAX_SWEEPS):
-        x, cov, nats = _beliefs_at_frames(problem, solution, frames)
-        if (np.abs(x - before) < ROUGHLY_CONVERGED_MOVE * np.sqrt(np.einsum("fii->fi", cov))).all():
+        x, cov, nats = _smooth_frames(problem, solution, frames)
+        std = np.sqrt(np.einsum("fii->fi", cov))
+        if (np.abs(x - before) < ROUGHLY_CONVERGED_MOVE * std).all():
             break
         _write_lines_over_beliefs(solution, frames, x, cov)
         before = x
@@ -147,7 +147,7 @@ def _converge_beliefs(
 
 
 def _mix_beliefs(x: Array, cov: Array, nats: Array) -> tuple[Array, Array]:
-    """Mean (F,M) and covariance (F,M,M) of C beliefs of these nats."""
+    """Mean (F,M) and covariance (F,M,M) of C beliefs, weighed by their nats (C,)."""
     share = np.exp(nats.min() - nats)
     share /= share.sum()
     mean = np.einsum("c,cfm->fm", share, x)
@@ -155,7 +155,7 @@ def _mix_beliefs(x: Array, cov: Array, nats: Array) -> tuple[Array, Array]:
     return mean, np.einsum("c,cfmn->fmn", share, cov + off[..., None] * off[..., None, :])
 
 
-def _beliefs_at_frames(
+def _smooth_frames(
     problem: FilterProblem, solution: Solution, frames: Frames
 ) -> tuple[Array, Array, Array]:
     """Smoothed beliefs x (F,M), cov (F,M,M) at the frames of
@@ -164,15 +164,15 @@ def _beliefs_at_frames(
     path = _smooth_stretches(problem, solution)
     at = np.array(list(frames))
     m = len(problem.start)
-    x, cov = (path.fold.pick(part, at) for part in (path.z, path.cov))
+    x, cov = (path.fold.select_events(part, at) for part in (path.z, path.cov))
     return x[:, :m], cov[:, :m, :m], path.trace.nats.sum(axis=0)
 
 
 def _write_lines_over_beliefs(
-    solution: Solution, frames: Frames, x: Array, cov: Array, often: float = 1.0
+    solution: Solution, frames: Frames, x: Array, cov: Array, count: float = 1.0
 ) -> None:
-    """Write lines of frames at F instants over beliefs
-    x (F,M) of cov (F,M,M) into a solution's readings.
+    """Write lines of frames at F instants over beliefs x (F,M) of cov (F,M,M) into a solution's
+    readings; residuals count as noise `count` times.
     """
     last = dict[tuple[int, int], LastFrame]()
     for (k, sights), mean, spread in zip(frames.items(), x, cov, strict=True):
@@ -182,11 +182,11 @@ def _write_lines_over_beliefs(
             for track, s in sights.items()
         }
         lines = {
-            track: linearise_over_belief(sight, mean, spread, often)
+            track: linearise_over_belief(sight, mean, spread, count)
             for track, sight in sights.items()
         }
         last |= {(lane, track): line.memory for track, line in lines.items()}
-        write_lines(np.array([k]), lines, solution.fold, solution.readings)
+        write_track_lines(k, lines, solution.fold, solution.readings)
 
 
 def _smooth_stretches(problem: FilterProblem, solution: Solution) -> Smooth:
@@ -194,7 +194,7 @@ def _smooth_stretches(problem: FilterProblem, solution: Solution) -> Smooth:
     trace = filter_stretches(
         solution.readings,
         problem.dynamics,
-        *stretch_priors(problem, solution.fold),
+        *repeat_state_prior(problem, solution.fold),
         TraceDetail.MEANS,
     )
     return assemble_smooth(

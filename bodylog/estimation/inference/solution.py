@@ -1,13 +1,11 @@
-"""A filtered log: the belief at every instant, and the linearisation.
-
-Backward pass of the smoother (kernels.py): smoothed
+"""A solved log, filtered or smoothed, and the backward pass of the smoother (kernels.py): smoothed
 means x = z − P λ, where λ is the adjoint, and covariances.
 
 Back over a reading y = H x + n of noise R the adjoint is λ − Hᵀ R⁻¹ (y − H x). The information of
 covariances is carried back in Bryson–Frazier form, which needs the filter's gains but no inverse.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,44 +24,39 @@ from .tangents import Tangents
 
 
 def smooth_states(
-    readings: FilterReadings, trace: FilterTrace, end: Array, dynamics: FilterDynamics
+    readings: FilterReadings,
+    trace: FilterTrace,
+    end: Array,
+    dynamics: FilterDynamics,
+    instants: int | None = None,
 ) -> tuple[Array, Array]:
-    """Smoothed means (L,O,C) or (L,K,C) of the states that
-    the trace keeps, and adjoints (K,C) before the first one.
-
-    From the adjoint at the `end` (K,C).
+    """Smoothed means (L,O,C) or (L,K,C) of the states that the trace keeps, and adjoints (K,C) at
+    the start, from the adjoints (K,C) at the `end`; of the first `instants` alone, if given.
     """
     assert trace.p is not None
-    x = np.empty((*trace.p.shape[:2], trace.p.shape[-1]))
-    return x, _propagate_adjoint_back(
-        readings, trace, np.ascontiguousarray(end)[:, None], dynamics, smooth=x
-    )[:, 0]
+    length, rows, _, stretches = trace.p.shape
+    x = np.empty((min(instants or length, length), rows, stretches))
+    end = np.ascontiguousarray(end)[:, None]
+    return x, _propagate_adjoint_back(readings, trace, end, dynamics, smooth=x)[:, 0]
 
 
-def adjoints_at_start(
+def compute_start_adjoints(
     readings: FilterReadings, trace: FilterTrace, dynamics: FilterDynamics
 ) -> Array:
-    """Adjoints (K,C) before the first instant, by the
-    first block: what comes after it matters little.
-    """
-    assert trace.p is not None
-    length, o, _, c = trace.p.shape
-    x = np.empty((min(BLOCK_INSTANTS, length), o, c))
-    return _propagate_adjoint_back(
-        readings, trace, np.zeros((trace.z.shape[1], 1, c)), dynamics, smooth=x
-    )[:, 0]
+    """Adjoints (K,C) at the start by the first block alone: what comes after it matters little."""
+    end = np.zeros_like(trace.z[-1])
+    return smooth_states(readings, trace, end, dynamics, BLOCK_INSTANTS)[1]
 
 
 def smooth_with_covariances(
     readings: FilterReadings, trace: FilterTrace, ends: Array | None, dynamics: FilterDynamics
 ) -> tuple[Array, Array]:
-    """All smoothed states (L,K,C) and the covariances
-    (L,O,O,C) of the angles and of what the encoders read.
+    """All smoothed states (L,K,C), and covariances (L,O,O,C) of the angles and, with offsets, of
+    what the encoders read: sums of angle and offset, so that O = M or 2 M.
 
-    The latter, sums of angle and offset, only with offsets: O = M or 2 M. ends (K,C): adjoint at
-    each stretch's end, or None if nothing follows any stretch. Covariances and gains of a block of
-    instants are computed again from the belief before it. Without offsets the smoothed covariances
-    overwrite the filtered ones, which nothing reads then.
+    ends (K,C): adjoint at each stretch's end, or None if nothing follows any stretch. Covariances
+    and gains of a block of instants are computed again from the belief before it. Without offsets
+    the smoothed covariances overwrite the filtered ones, which nothing reads then.
     """
     x = np.empty_like(trace.z)
     cov = trace.cov if dynamics.drift is None else np.empty_like(trace.cov)
@@ -72,7 +65,7 @@ def smooth_with_covariances(
     information = np.zeros_like(trace.end_p)
     if ends is not None:
         adjoint = ends
-        information = _information_after_stretches(_solve_stretch_starts(readings, trace, dynamics))
+        information = _compute_end_information(_solve_stretch_starts(readings, trace, dynamics))
     for at in trace.blocks[::-1]:
         part, into = _cut_block(readings, trace, at, dynamics, into)
         x[at], adjoint = smooth_states(part, into, adjoint, dynamics)
@@ -83,24 +76,26 @@ def smooth_with_covariances(
 def _solve_stretch_starts(
     readings: FilterReadings, trace: FilterTrace, dynamics: FilterDynamics
 ) -> Array:
-    """W and Ψ (K,2K,C) at each stretch's start: of the first
-    blocks alone, if what comes after them is rounding.
+    """W and Ψ (K,2K,C) at each stretch's start, of the first blocks alone if what comes after them
+    is rounding.
 
     The information Λ of everything after a stretch becomes W + Ψ Λ Ψᵀ at its start, where Ψ maps
     adjoints at the end back to it. The smoothed covariance is P − P Λ P.
     """
     k, c = trace.z.shape[1:]
     end = np.concatenate([np.zeros((k, k, c)), np.repeat(np.eye(k)[..., None], c, axis=-1)], axis=1)
-    own = end[:, :k]
-    across = end[:, k:]
+    information = end[:, :k]
+    adjoint_map = end[:, k:]
     for at in trace.blocks:
         part = _propagate_adjoint_back(*_cut_block(readings, trace, at, dynamics), end, dynamics)
-        own = own + np.einsum("aic,ijc,bjc->abc", across, part[:, :k], across, optimize=True)
-        across = np.einsum("aic,ijc->ajc", across, part[:, k:])
-        later = np.einsum("aic,ijc,ajc->ac", across, own, across, optimize=True)
-        if (later <= np.finfo(float).eps * np.einsum("aac->ac", own)).all():
+        information = information + np.einsum(
+            "aic,ijc,bjc->abc", adjoint_map, part[:, :k], adjoint_map, optimize=True
+        )
+        adjoint_map = np.einsum("aic,ijc->ajc", adjoint_map, part[:, k:])
+        later = np.einsum("aic,ijc,ajc->ac", adjoint_map, information, adjoint_map, optimize=True)
+        if (later <= np.finfo(float).eps * np.einsum("aac->ac", information)).all():
             break
-    return np.concatenate([own, across], axis=1)
+    return np.concatenate([information, adjoint_map], axis=1)
 
 
 def _cut_block(
@@ -112,7 +107,7 @@ def _cut_block(
 ) -> tuple[FilterReadings, FilterTrace]:
     """The readings and the trace, with gains, of a block of instants."""
     assert trace.marks is not None
-    part = readings.between(at.start, at.stop)
+    part = readings.select_instants(at.start, at.stop)
     mark = trace.marks[at.start // BLOCK_INSTANTS]
     into = into if into is not None and len(into.z) == at.stop - at.start else None
     return part, filter_stretches(
@@ -128,11 +123,15 @@ def _propagate_adjoint_back(
     smooth: Array | None = None,
     cov: Array | None = None,
 ) -> Array:
-    """What the adjoint, or W and Ψ, (K,W,C) at the `end` of each stretch are at its start."""
+    """Adjoints (K,1,C), W (K,K,C), or W and Ψ (K,2K,C) at each stretch's start, from its `end`.
+
+    Of adjoints, smoothed means are written into `smooth` (E,O,C), and the end is after its E
+    instants; of W, smoothed covariances into `cov`.
+    """
     assert trace.information is not None and trace.p is not None
     gains, weights = trace.back or (None, None)
     start = np.empty_like(end)
-    moves = dynamics.with_moves(readings).moves
+    moves = dynamics.add_model_moves(readings).moves
     bind_kernel_call(
         "carry_adjoints_back",
         order=dynamics.order,
@@ -157,26 +156,26 @@ def _propagate_adjoint_back(
     return start
 
 
-def _information_after_stretches(at_start: Array) -> Array:
-    """Information (K,K,C) of everything after each stretch,
-    from its W and Ψ (K,2K,C); zero after the last stretch.
+def _compute_end_information(starts: Array) -> Array:
+    """Information (K,K,C) of everything after each stretch, from all W and Ψ (K,2K,C) at starts;
+    zero after the last stretch.
     """
-    k, _, c = at_start.shape
-    before = np.moveaxis(at_start, -1, 0)
+    k, _, c = starts.shape
+    by_stretch = np.moveaxis(starts, -1, 0)
     ends = np.zeros((c, k, k))
     for j in range(c - 1, 0, -1):
-        own = before[j, :, :k]
-        across = before[j, :, k:]
-        ends[j - 1] = own + across @ ends[j] @ across.T
+        information = by_stretch[j, :, :k]
+        adjoint_map = by_stretch[j, :, k:]
+        ends[j - 1] = information + adjoint_map @ ends[j] @ adjoint_map.T
     return np.ascontiguousarray(np.moveaxis(ends, 0, -1))
 
 
-def adjoints_for_next_round(at_start: Array) -> Array:
-    """Ends (…,C) for the next round: each stretch ends
-    with its successor's start, the last one with zero.
+def hand_back_adjoints(starts: Array) -> Array:
+    """Adjoints (K,C) at the ends of stretches for the next round: each stretch ends with its
+    successor's start, the last one with zero.
     """
-    ends = np.zeros_like(at_start)
-    ends[..., :-1] = at_start[..., 1:]
+    ends = np.zeros_like(starts)
+    ends[..., :-1] = starts[..., 1:]
     return ends
 
 
@@ -213,4 +212,6 @@ def assemble_smooth(
     and the adjoints (K,C) at stretches' ends, or None.
     """
     x, cov = smooth_with_covariances(readings, trace, ends, dynamics)
-    return Smooth(fold, readings, tangents, trace.without_gains(), x, cov)
+    # without what only the backward pass needs, most of a trace's memory
+    trace = replace(trace, p=None, back=None, marks=None)
+    return Smooth(fold, readings, tangents, trace, x, cov)

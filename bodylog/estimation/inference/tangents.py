@@ -1,14 +1,15 @@
-"""Linearisation points of frames; only frames whose point moved are predicted again.
-
-Initial starts of a folded log's stretches and initial linearisation points of its frames.
+"""Tangents of frames at their linearisation points, which are computed again only where a point
+moved; priors of a log's stretches, and the points where linearisation begins.
 """
 
 from copy import copy
 
 import numpy as np
 
+from ...body_model import ForwardModel
 from ...motion import START_STD
 from ...types import Array
+from ..measurements.long_arrays import find_finite_rows, index_true_rows
 from ..measurements.records import Sighting, interpolate_values, mix_rows
 from ..noise.correlated_noise import (
     ErrorCorrelation,
@@ -26,32 +27,35 @@ class Tangents:
     """Linearisation points (F,M) rad of each sighting's frames, and the tangents there."""
 
     def __init__(self, sightings: tuple[Sighting, ...], points: tuple[Array, ...]) -> None:
-        """Start from points (F,M), all stale; moves below
-        `resting` rad are ignored · whole: for a smoother.
+        """Tangents at points (F,M) that are yet to be computed.
+
+        resting: moves below so many rad are ignored · whole: for the smoother of a whole log ·
+        model_var (F,D): the models' own variances.
         """
         self._sightings = sightings
         self.points = points
         self.resting = 0.0
         self.whole = False
         self._stale: tuple[Array, ...] = tuple(np.ones(len(x), bool) for x in points)
-        seen = [np.all(np.isfinite(sighting.values), axis=1) for sighting in sightings]
-        # without a copy if that is all
-        self._seen = tuple(slice(None) if some.all() else np.flatnonzero(some) for some in seen)
-        self._weighed: NoiseModel | None = None
+        seen = [find_finite_rows(sighting.values) for sighting in sightings]
+        self._seen = tuple(index_true_rows(rows) for rows in seen)
+        self._precision: NoiseModel | None = None
         self._intercept: tuple[Array, ...] = tuple(
-            np.full(one.values.shape, np.nan) for one in sightings
+            np.full(sighting.values.shape, np.nan) for sighting in sightings
         )
         self._jac = tuple(
             np.zeros((*y.shape, x.shape[1])) for x, y in zip(points, self._intercept, strict=True)
         )
-        self._model_var = tuple(np.zeros(y.shape) for y in self._intercept)
+        self.model_var = tuple(np.zeros(y.shape) for y in self._intercept)
         self._var = tuple(np.ones(y.shape) for y in self._intercept)
         # the misfit of the kernel is each model's own
-        common = [one.common / getattr(one.model, "misfit", 1.0) for one in sightings]
-        counted = [int(some.sum()) for some in seen]
+        common = [
+            sighting.common / getattr(sighting.model, "misfit", 1.0) for sighting in sightings
+        ]
+        counted = [int(rows.sum()) for rows in seen]
         models = [
-            one.model
-            for one, share, count in zip(sightings, common, counted, strict=True)
+            sighting.model
+            for sighting, share, count in zip(sightings, common, counted, strict=True)
             if share * count > 0
         ]
         distinct = (
@@ -59,130 +63,115 @@ class Tangents:
         )
         self._repeated = shared_model_factors(counted, common, distinct)
 
-    def draw(self, problem: FilterProblem, fold: Fold, readings: FilterReadings) -> bool:
-        """Write stale tangents into the readings: y = s −
-        g + J x°, with the variances of correlated frames.
+    def write_stale_tangents(
+        self, problem: FilterProblem, fold: Fold, readings: FilterReadings
+    ) -> bool:
+        """Write tangents whose point or noise changed into the readings; return whether any did.
 
-        Returns whether any changed.
+        At the point x° a frame s, predicted as g with the Jacobian J, reads y = s − g + J x°.
         """
         changed = False
-        for index, (sighting, events) in enumerate(
-            zip(self._sightings, problem.timeline.sightings, strict=True)
-        ):
+        for index, events in enumerate(problem.timeline.sightings):
             stale = self._stale[index]
             if stale.any():
-                self._predict(index, sighting, stale)
-                _write_frames(fold, readings.y, index, events, self._y(index), stale)
+                self._linearise_frames(index, stale)
+                _write_frames(fold, readings.y, index, events, self._compute_y(index), stale)
                 _write_frames(fold, readings.jac, index, events, self._jac[index], stale)
                 changed = True
-            elif self._weighed is problem.precision:
+            elif self._precision is problem.precision:
                 continue
-            var = self._variances(index, sighting, problem.precision, self.whole)
-            # rounding
-            other = np.logical_or.reduce((np.abs(var / self._var[index] - 1.0) > 1e-9).T)
-            self._var[index][other] = var[other]
-            _write_frames(fold, readings.var, index, events, var, other)
-            changed = changed or bool(other.any())
-        self._weighed = problem.precision
+            var = self._compute_variances(index, problem.precision, self.whole)
+            differs = np.any(np.abs(var / self._var[index] - 1.0) > 1e-9, axis=1)  # beyond rounding
+            self._var[index][differs] = var[differs]
+            _write_frames(fold, readings.var, index, events, var, differs)
+            changed = changed or bool(differs.any())
+        self._precision = problem.precision
         return changed
 
-    def weighed(
-        self, problem: FilterProblem, fold: Fold, readings: FilterReadings, whole: bool
+    def write_all_tangents(
+        self, problem: FilterProblem, fold: Fold, readings: FilterReadings
+    ) -> None:
+        """Write tangents computed before into other readings of the same log."""
+        for index, events in enumerate(problem.timeline.sightings):
+            _write_frames(fold, readings.y, index, events, self._compute_y(index))
+            _write_frames(fold, readings.jac, index, events, self._jac[index])
+            _write_frames(fold, readings.var, index, events, self._var[index])
+
+    def fold_smoother_variances(
+        self, problem: FilterProblem, fold: Fold, readings: FilterReadings
     ) -> Array:
-        """Variances (L,T,D,C) of readings, frames as in the
-        noise model, for a smoother (`whole`) or a filter.
-        """
+        """Variances (L,T,D,C) of the readings' frames by the problem's noise, for a smoother."""
         var = readings.var.copy()
-        for index, (sighting, events) in enumerate(
-            zip(self._sightings, problem.timeline.sightings, strict=True)
-        ):
-            _write_frames(
-                fold, var, index, events, self._variances(index, sighting, problem.precision, whole)
-            )
+        for index, events in enumerate(problem.timeline.sightings):
+            own = self._compute_variances(index, problem.precision, whole=True)
+            _write_frames(fold, var, index, events, own)
         return var
 
-    def model_var(self, index: int) -> Array:
-        """The model's own variance (F,D) where one sighting's frames are linearised."""
-        return self._model_var[index]
-
-    def predicted(self, index: int, x: Array) -> tuple[Array, Array, Array]:
+    def predict_from_tangents(self, index: int, x: Array) -> tuple[Array, Array, Array]:
         """Independent rows of one sighting's frames at angles
         x (F,M): mean, Jacobian and the model's variance.
         """
         jac = self._jac[index]
-        var = self._model_var[index]
-        far = np.abs(x - self.points[index]) > self.resting
+        var = self.model_var[index]
         mean = self._intercept[index] + np.einsum("fdm,fm->fd", jac, x)
-        relinearised = far.any(axis=1)
-        if relinearised.any():
+        far = (np.abs(x - self.points[index]) > self.resting).any(axis=1)
+        if far.any():
             jac = jac.copy()
             var = var.copy()
-            mean[relinearised], jac[relinearised], var[relinearised] = _independent_rows(
-                self._sightings[index], x[relinearised], relinearised
+            mean[far], jac[far], var[far] = _predict_independent_rows(
+                self._sightings[index], x[far], far
             )
         return mean, jac, var
 
-    def _predict(self, index: int, sighting: Sighting, stale: Array) -> None:
+    def _linearise_frames(self, index: int, stale: Array) -> None:
+        """Compute the stale (F,) bool tangents of one sighting."""
         x = self.points[index][stale]
-        mean, self._jac[index][stale], self._model_var[index][stale] = predicted = (
-            _independent_rows(sighting, x, stale)
-        )
-        self._intercept[index][stale] = mean - np.einsum("fdm,fm->fd", predicted[1], x)
+        mean, jac, var = _predict_independent_rows(self._sightings[index], x, stale)
+        self._intercept[index][stale] = mean - np.einsum("fdm,fm->fd", jac, x)
+        self._jac[index][stale] = jac
+        self.model_var[index][stale] = var
 
-    def _y(self, index: int) -> Array:
+    def _compute_y(self, index: int) -> Array:
         """Readings (F,D) of the angles by one sighting's frames: s − g + J x°."""
         return self._sightings[index].independent.values - self._intercept[index]
 
-    def _variances(
-        self, index: int, sighting: Sighting, precision: NoiseModel, whole: bool
-    ) -> Array:
-        """Variances (F,D), inflated such that correlated
-        frames together do not count more than they inform.
+    def _compute_variances(self, index: int, precision: NoiseModel, whole: bool) -> Array:
+        """Variances (F,D) of one sighting's frames, inflated such that correlated frames together
+        do not count more than they inform.
         """
+        sighting = self._sightings[index]
         var = precision.scale.get(sighting.name, 1.0) * sighting.independent.var
         seen = self._seen[index]
-        often = self._repeated[index] if whole else 1.0
-        near = precision.near.get(sighting.name, 0.0)
-        like = ErrorCorrelation(
-            precision.process, correlation_length(sighting.model), near, whole, precision.order
-        )
         var[seen] = inflate_variances(
-            like,
+            correlate_errors(precision, sighting.name, sighting.model, whole),
             sighting.t[seen],
             sighting.values[seen],
             self.points[index][seen],
             self._jac[index][seen],
             var[seen],
-            self._model_var[index][seen],
-            often,
+            self.model_var[index][seen],
+            self._repeated[index] if whole else 1.0,
         )
         return var
 
-    def write(self, problem: FilterProblem, fold: Fold, readings: FilterReadings) -> None:
-        """Write all tangents into other readings of the same log."""
-        for index, events in enumerate(problem.timeline.sightings):
-            own = self._y(index), self._jac[index], self._var[index]
-            for folded, rows in zip((readings.y, readings.jac, readings.var), own, strict=True):
-                _write_frames(fold, folded, index, events, rows)
-
-    def again(self, sightings: tuple[Sighting, ...]) -> "Tangents":
+    def copy_tangents(self, sightings: tuple[Sighting, ...]) -> "Tangents":
         """An independent copy; for other sightings of
         the same frames, new tangents at the same points.
         """
         if sightings is not self._sightings:
             return Tangents(sightings, self.points)
         other = copy(self)
-        other._weighed = None
-        other._intercept, other._jac, other._model_var, other._var = (
+        other._precision = None
+        other._intercept, other._jac, other.model_var, other._var = (
             tuple(part.copy() for part in parts)
-            for parts in (self._intercept, self._jac, self._model_var, self._var)
+            for parts in (self._intercept, self._jac, self.model_var, self._var)
         )
         return other
 
-    def follow(self, problem: FilterProblem, fold: Fold, means: Array) -> None:
+    def move_points(self, problem: FilterProblem, fold: Fold, means: Array) -> None:
         """Move to the angles of folded states (L,K,C) that are farther away than `resting`."""
         wanted = [
-            fold.pick(means[:, : len(problem.start)], events)
+            fold.select_events(means[:, : len(problem.start)], events)
             for events in problem.timeline.sightings
         ]
         # a row of frames for each joint: numpy is slow along short axes
@@ -195,7 +184,19 @@ class Tangents:
         self.points = tuple(np.where(stale[:, None], new, old) for stale, new, old in choices)
 
 
-def _independent_rows(sighting: Sighting, x: Array, some: Array) -> tuple[Array, Array, Array]:
+def correlate_errors(
+    precision: NoiseModel, name: str, model: ForwardModel, whole: bool = False
+) -> ErrorCorrelation:
+    """When errors of a track's frames correlate, for a filter or the smoother of a `whole` log."""
+    near = precision.near.get(name, 0.0)
+    return ErrorCorrelation(
+        precision.process, correlation_length(model), near, whole, precision.order
+    )
+
+
+def _predict_independent_rows(
+    sighting: Sighting, x: Array, some: Array
+) -> tuple[Array, Array, Array]:
     """Mean, Jacobian and the model's variance of the
     independent rows of some (F,) bool of a sighting's frames.
     """
@@ -207,7 +208,7 @@ def _write_frames(
     fold: Fold, a: Array, index: int, events: Array, rows: Array, some: Array | slice = slice(None)
 ) -> None:
     """Write some of a sighting's frames (F,D,…) into its part of the folded a (L,T,…,C)."""
-    fold.put(a[:, index, : rows.shape[1]], events[some], rows[some])
+    fold.write_events(a[:, index, : rows.shape[1]], events[some], rows[some])
 
 
 OFFSET_STD = 0.01
@@ -216,7 +217,7 @@ with 0.003 and 0.03 errors of drawn logs stay within .4 %.
 """
 
 
-def state_prior(start: Array, dynamics: FilterDynamics) -> tuple[Array, Array]:
+def build_state_prior(start: Array, dynamics: FilterDynamics) -> tuple[Array, Array]:
     """State z (K,) and covariance p (K,K) at the
     angles `start` (M,) rad, before any measurement.
     """
@@ -226,44 +227,30 @@ def state_prior(start: Array, dynamics: FilterDynamics) -> tuple[Array, Array]:
     return np.concatenate([start, np.zeros(dynamics.size - len(start))]), np.diag(var)
 
 
-def stretch_priors(problem: FilterProblem, fold: Fold) -> tuple[Array, Array]:
-    """The prior (K,C), (K,K,C) for every stretch."""
-    z, p = state_prior(problem.start, problem.dynamics)
+def repeat_state_prior(problem: FilterProblem, fold: Fold) -> tuple[Array, Array]:
+    """The prior state z (K,C) and covariance p (K,K,C) of every stretch."""
+    z, p = build_state_prior(problem.start, problem.dynamics)
     return np.repeat(z[:, None], fold.count, axis=1), np.repeat(p[:, :, None], fold.count, axis=2)
 
 
-def hand_over_starts(z: Array, p: Array, z_end: Array, p_end: Array) -> tuple[Array, Array]:
-    """Starts for the next sweep: each stretch starts from its predecessor's end."""
-    z = z.copy()
-    p = p.copy()
-    z[:, 1:] = z_end[:, :-1]
-    p[:, :, 1:] = p_end[:, :, :-1]
-    return z, p
-
-
-def initial_tangents(problem: FilterProblem, fold: Fold) -> tuple[Tangents, Array, Array]:
+def begin_along_path(problem: FilterProblem, fold: Fold) -> tuple[Tangents, Array, Array]:
     """Tangents at the initial path, or at the encoders'
     readings; each stretch's start z (K,C), p (K,K,C).
     """
-    z, p = stretch_priors(problem, fold)
-    t = problem.timeline.t
+    start = problem.start
     encoders = problem.evidence.encoders
     sightings = problem.evidence.sightings
     path = problem.path or (None if encoders is None else (encoders.t, encoders.values))
-    z[: len(problem.start), 1:] = _interpolate_path(path, problem.start, t[fold.lasts()]).T
-    return (
-        Tangents(
-            sightings,
-            tuple(_interpolate_path(path, problem.start, sighting.t) for sighting in sightings),
-        ),
-        z,
-        p,
-    )
+    points = tuple(_interpolate_path(path, start, sighting.t) for sighting in sightings)
+    z, p = repeat_state_prior(problem, fold)
+    t = problem.timeline.t[fold.handover_events]
+    z[: len(start), 1:] = _interpolate_path(path, start, t).T
+    return Tangents(sightings, points), z, p
 
 
 def _interpolate_path(path: tuple[Array, Array] | None, start: Array, at: Array) -> Array:
-    """Angles (N,M) at the times `at`, interpolated on the
-    path (t, angles); the start angles where it is unknown.
+    """Angles (N,M) rad at times `at` (N,) s, interpolated on the path (t, angles); the start
+    angles (M,) where it is unknown.
     """
     x = np.repeat(start[None], len(at), axis=0)
     known = x if path is None else interpolate_values(*path, at)

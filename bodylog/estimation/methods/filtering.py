@@ -65,7 +65,7 @@ def estimate_by_filter(
 
     problem, solution = solve_with_reacquisition(start_problem, solved)
     trace = solution.trace
-    unfold = solution.fold.unfold
+    unfold = solution.fold.unfold_events
     m = len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(
@@ -266,14 +266,16 @@ def warn_of_lost_belief(
     return (
         iter(())
         if resets is None
-        else warn_of_resets(names, problem.timeline.t, solved.fold.unfold(resets))
+        else warn_of_resets(names, problem.timeline.t, solved.fold.unfold_events(resets))
     )
 
 
 def offset_variance(problem: FilterProblem, solved: Solution) -> Array:
     """Variances (E,M) rad² of the encoder offsets in the filter's state."""
     m = len(problem.start)
-    return np.asarray(solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, m:, m:])))
+    return np.asarray(
+        solved.fold.unfold_events(np.einsum("liic->lic", solved.trace.cov[:, m:, m:]))
+    )
 
 
 def with_repairs(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
@@ -287,7 +289,7 @@ def find_offset_faults(problem: FilterProblem, solved: Solution) -> tuple[Fault,
     """Encoder offsets as faults, from the filtered offsets, without encoders known to be faulty."""
     if problem.precision.drift is None:
         return ()
-    unfold = solved.fold.unfold
+    unfold = solved.fold.unfold_events
     var = offset_variance(problem, solved)
     offsets = unfold(solved.trace.z[:, problem.dynamics.offset :])
     return encoder_offset.list_drifting_encoders(problem, offsets, var)

@@ -12,35 +12,33 @@ import numpy as np
 from ...body_model import BodyModel
 from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Features
-from ..inference.filter_log import initial_sweep
-from ..inference.filter_problem import FilterProblem, choose_fold, fold_readings
+from ..inference.filter_log import begin_sweeps
+from ..inference.filter_problem import FilterProblem, choose_fold
 from ..inference.leave_one_out import (
     SmoothedWithResiduals,
+    compute_smoothed_free_energy,
     find_contradicted_readings,
     predict_left_out,
     remove_readings,
-    smoothed_free_energy,
 )
 from ..inference.scan import (
     CONVERGED_MOVE,
     MAX_SWEEPS,
     DidNotConverge,
     TraceDetail,
+    advance_starts,
     filter_stretches,
-    measure_farthest_move,
-    require_finite,
     restart_filter,
 )
 from ..inference.silence import smooth_across_silence
 from ..inference.solution import (
     Smooth,
     Solution,
-    adjoints_at_start,
-    adjoints_for_next_round,
     assemble_smooth,
+    compute_start_adjoints,
+    hand_back_adjoints,
     smooth_states,
 )
-from ..inference.tangents import hand_over_starts
 from .contract import Method
 from .explained import explained_estimate
 from .filtering import (
@@ -80,7 +78,7 @@ def _smooth_log(
 
     problem, smooth = solve_with_reacquisition(start_problem, solved)
     found = smooth.left_out
-    unfold = smooth.fold.unfold
+    unfold = smooth.fold.unfold_events
     m = len(problem.start)
     precision = problem.precision
     z = unfold(smooth.z)
@@ -91,7 +89,7 @@ def _smooth_log(
     beliefs = Beliefs(
         select_reported_states(z, problem),
         cov,
-        smoothed_free_energy(problem, smooth, found),
+        compute_smoothed_free_energy(problem, smooth, found),
         z[:, :m],
         cov,
         errors,
@@ -112,7 +110,7 @@ def remove_outliers(problem: FilterProblem, smooth: Smooth) -> SmoothedWithResid
     readings that all others contradict; they are found again until they stay the same. Otherwise
     the gated solution is kept.
     """
-    gated = SmoothedWithResiduals.of(smooth, predict_left_out(problem, smooth))
+    gated = SmoothedWithResiduals(**vars(smooth), left_out=predict_left_out(problem, smooth))
     found = gated.left_out
     removed = find_contradicted_readings(gated.left_out)
     if problem.stepwise or not (found.gated or any(far.any() for far in removed)):
@@ -127,7 +125,7 @@ def remove_outliers(problem: FilterProblem, smooth: Smooth) -> SmoothedWithResid
         before = removed
         removed = find_contradicted_readings(found)
         if all(map(np.array_equal, removed, before)):
-            return SmoothedWithResiduals.of(path, found)
+            return SmoothedWithResiduals(**vars(path), left_out=found)
         warm = replace(gated, tangents=path.tangents)
         del path, found  # most of a log's memory, before as much is needed again
     return gated
@@ -144,36 +142,29 @@ def solve_map_path(problem: FilterProblem, warm: Solution | None = None) -> Smoo
     lasting = CONVERGED_MOVE**0.5
     fold = choose_fold(len(problem.timeline.t))
     dynamics = problem.dynamics
-    tangents, z, p = initial_sweep(problem, fold, warm)
-    tangents.resting = lasting
-    tangents.whole = True
-    readings = fold_readings(problem, fold)
+    readings, tangents, z, p = begin_sweeps(problem, fold, warm, lasting, whole=True)
     trace = None
     rest = np.inf
     # adjoints by all later readings, and by those far from a stretch's start
     ends, beyond = np.zeros((2, *z.shape))
-    tangents.write(problem, fold, readings)
     for sweep in range(MAX_SWEEPS):
-        moved = tangents.draw(problem, fold, readings)
+        moved = tangents.write_stale_tangents(problem, fold, readings)
         if trace is None or moved:
             trace = filter_stretches(readings, dynamics, z, p, TraceDetail.MEANS, into=trace)
         else:
             restart_filter(readings, dynamics, z, p, trace)
-        next_z, next_p = hand_over_starts(z, p, trace.z[-1], trace.end_p)
-        move = require_finite(measure_farthest_move(z, p, next_z, next_p))
-        z = next_z
-        p = next_p
+        z, p, move = advance_starts(z, p, trace)
         path = trace.z
         if sweep or isinstance(warm, Smooth):
-            near = adjoints_at_start(readings, trace, dynamics)
-            expected = adjoints_for_next_round(near + beyond)
+            near = compute_start_adjoints(readings, trace, dynamics)
+            expected = hand_back_adjoints(near + beyond)
             if not moved and max(rest, move, _measure_end_moves(expected - ends, p)) < lasting:
                 return assemble_smooth(fold, readings, tangents, trace, expected, dynamics)
             path, at_start = smooth_states(readings, trace, expected, dynamics)
-            ends = adjoints_for_next_round(at_start)
+            ends = hand_back_adjoints(at_start)
             beyond = at_start - near
             rest = _measure_end_moves(ends - expected, p)
-        tangents.follow(problem, fold, path)
+        tangents.move_points(problem, fold, path)
     raise DidNotConverge(f"smoother: no rest after {MAX_SWEEPS} sweeps, last move {move:.2g}")
 
 

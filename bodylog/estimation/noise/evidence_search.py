@@ -25,7 +25,7 @@ from ...types import Array, Hypothesis
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
-from ..inference.reacquisition import find_silent_joints, joints_left_open
+from ..inference.reacquisition import find_joints_left_open, find_silent_joints
 from ..inference.scan import (
     MAX_SWEEPS,
     FilterDynamics,
@@ -33,9 +33,10 @@ from ..inference.scan import (
     FilterTrace,
     TraceDetail,
     filter_stretches,
+    hand_over_starts,
 )
-from ..inference.solution import Solution, adjoints_for_next_round, smooth_states
-from ..inference.tangents import hand_over_starts, stretch_priors
+from ..inference.solution import Solution, hand_back_adjoints, smooth_states
+from ..inference.tangents import repeat_state_prior
 from ..measurements.long_arrays import find_finite_rows, median_step
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import (
@@ -126,7 +127,7 @@ def _smooth_candidates(part: FilterProblem, solved: Solution, factors: Array) ->
 
     One factor after the other, as a smoother keeps covariances of all instants.
     """
-    solved.tangents.draw(part, solved.fold, solved.readings)
+    solved.tangents.write_stale_tangents(part, solved.fold, solved.readings)
     trace = None
     paths = []
     for process in factors[:, None] * part.precision.process:
@@ -145,27 +146,18 @@ def _smooth_path(
     fold = solved.fold
     dynamics = posed.dynamics
     m = len(posed.start)
-    var = solved.tangents.weighed(posed, fold, solved.readings, whole=True)
+    var = solved.tangents.fold_smoother_variances(posed, fold, solved.readings)
     readings = replace(solved.readings, var=var)
-    prior = stretch_priors(posed, fold)
-    before = solved.trace
+    prior = repeat_state_prior(posed, fold)
     trace = filter_stretches(
-        readings,
-        dynamics,
-        *hand_over_starts(*prior, before.z[-1], before.end_p),
-        TraceDetail.MEANS,
-        into,
+        readings, dynamics, *hand_over_starts(*prior, solved.trace), TraceDetail.MEANS, into
     )
     trace = filter_stretches(
-        readings,
-        dynamics,
-        *hand_over_starts(*prior, trace.z[-1], trace.end_p),
-        TraceDetail.MEANS,
-        trace,
+        readings, dynamics, *hand_over_starts(*prior, trace), TraceDetail.MEANS, trace
     )
     _, start = smooth_states(readings, trace, np.zeros_like(trace.z[-1]), dynamics)
-    smooth, _ = smooth_states(readings, trace, adjoints_for_next_round(start), dynamics)
-    return fold.unfold(smooth[:, :m]), trace
+    smooth, _ = smooth_states(readings, trace, hand_back_adjoints(start), dynamics)
+    return fold.unfold_events(smooth[:, :m]), trace
 
 
 def stack_candidates(
@@ -179,7 +171,7 @@ def stack_candidates(
     g = processes.shape[1]
     fold = solved.fold
     dynamics = replace(part.dynamics, process=np.tile(processes, fold.count))
-    starts = hand_over_starts(*stretch_priors(part, fold), solved.trace.z[-1], solved.trace.end_p)
+    starts = hand_over_starts(*repeat_state_prior(part, fold), solved.trace)
     z, p = (np.repeat(part, g, axis=-1) for part in starts)
     return (
         replace(solved.readings, var=var.reshape(*var.shape[:-2], var.shape[-2] * g)),
@@ -207,7 +199,7 @@ def with_preferred_order(problem: FilterProblem) -> FilterProblem:
         or (np.isfinite(encoders.values).sum(axis=0) <= SKIPPED_READINGS).any()
     ):
         return problem
-    lasting = bool(joints_left_open(problem.timeline.t, problem.evidence).any())
+    lasting = bool(find_joints_left_open(problem.timeline.t, problem.evidence).any())
     if not lasting and find_silent_joints(problem.timeline.t, encoders).any():
         return problem
     white, jerk = learned
@@ -329,7 +321,7 @@ def _tune_filter_noise(problem: FilterProblem, part: FilterProblem, solved: Solu
     if encoders is None or len(encoders.t) < 2:
         return replace(part.precision, process=0.5 * (alone + part.precision.process))
     density = precision.encoder * median_step(encoders.t)
-    var = solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))
+    var = solved.fold.unfold_events(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))
     together = np.sqrt(var).mean(axis=0)
     unknown, white = (
         np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)
@@ -388,14 +380,14 @@ def compute_candidate_costs(
     fold = solved.fold
     g = len(candidates)
     m = len(part.start)
-    solved.tangents.draw(part, fold, readings)
+    solved.tangents.write_stale_tangents(part, fold, readings)
     var = np.repeat(readings.var[..., None], g, axis=-1)
     for index, (sighting, events) in enumerate(
         zip(part.evidence.sightings, part.timeline.sightings, strict=True)
     ):
         if sighting.name in names:
             pixels = np.zeros_like(readings.var[:, index])
-            fold.put(pixels[:, : sighting.var.shape[1]], events, sighting.independent.var)
+            fold.write_events(pixels[:, : sighting.var.shape[1]], events, sighting.independent.var)
             scale = part.precision.scale[sighting.name]
             more = candidates[:, m + names.index(sighting.name)] - scale
             # a lasting error counts less than its variance in a filter's
