@@ -28,7 +28,12 @@ from .measurements.gather import choose_senses, given_start
 from .measurements.track import pixel_variance
 from .methods.table import METHODS
 from .noise import noise_model
-from .noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, correlation_length
+from .noise.correlated_noise import (
+    ErrorCorrelation,
+    LastFrame,
+    PendingFrame,
+    read_correlation_length,
+)
 from .noise.noise_model import carry_noise_model
 from .noise.posture_prior import build_posture_prior, build_stationary_motion
 
@@ -70,7 +75,7 @@ class Inputs:
         self._newest_angles = [-inf] * len(body.joints)
         self._newest: dict[str, float] = {}
         self._variance = {
-            name: noise_model.typed_track_variance(settings, name) for name in self.models
+            name: noise_model.find_typed_variance(settings, name) for name in self.models
         }
         self._counts: dict[str, dict[str, int]] = {}
 
@@ -309,13 +314,13 @@ class LiveEstimator:
         self._noise = noise = noise_model.with_typed_noise(
             carry_noise_model(body, learned), settings, body.joints
         )
-        self._stated = noise.of(np.ones((len(body.joints),) * 2))
+        self._stated = noise.stated_covariance(np.ones((len(body.joints),) * 2))
         self._inputs = Inputs(body, settings, to_angles)
         self._like = {
             name: ErrorCorrelation(
                 noise.process,
-                correlation_length(model),
-                noise.near.get(name, 0.0),
+                read_correlation_length(model),
+                noise.correlation_px.get(name, 0.0),
                 order=noise.order,
             )
             for name, model in self._inputs.models.items()
@@ -394,7 +399,7 @@ class LiveEstimator:
         cov = (
             self._stated * now.p[:m, :m]
             if now.held is None
-            else self._noise.of(now.p[:m, :m], now.held)
+            else self._noise.stated_covariance(now.p[:m, :m], now.held)
         )
         bias = z[first:] if len(z) > first else None
         names = self._body.joints

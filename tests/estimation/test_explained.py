@@ -9,7 +9,7 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.factor_problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
-from bodylog.estimation.factors.load import load_columns
+from bodylog.estimation.factors.load import build_load_columns
 from bodylog.estimation.factors.whole_log import explain_by_white_noise, explain_log, solve_log
 from bodylog.estimation.faults.moved_camera import restore_displacements
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
@@ -251,7 +251,7 @@ def test_a_load_that_is_found_follows_the_posture_to_the_second_order():
     features = mechanisms.replayed(8, mechanisms.SOUND, Fault(payload=1.75e-2))
     problem = filtering.build_filter_problem(features, body, EstimationSettings())
     problem = filtering.tune_noise(problem, EstimationSettings())[0]
-    loads = load_columns(body, features.joints.values)
+    loads = build_load_columns(body, features.joints.values)
     found = explain_log(problem, np.zeros(3), ANY_ERRORS, loads)
     assert "load" in found.explanation.gains
     orders = [len(one.factors) for one in found.explanation.columns]

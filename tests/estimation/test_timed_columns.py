@@ -9,9 +9,9 @@ from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors import timed_columns
 from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path
 from bodylog.estimation.factors.factor_problem import build_system, linearise_problem
-from bodylog.estimation.factors.gauss_newton import initial_path, solve
-from bodylog.estimation.factors.load import PostureLoad, load_sentence
-from bodylog.estimation.factors.solve import eliminate
+from bodylog.estimation.factors.gauss_newton import guess_path, solve_problem
+from bodylog.estimation.factors.load import PostureLoad, describe_load
+from bodylog.estimation.factors.solve import eliminate_states
 from bodylog.estimation.factors.timed_columns import (
     LinkShift,
     _change_between,
@@ -42,17 +42,17 @@ def test_columns_added_later_have_the_schur_complement_of_columns_that_are_there
     problem = factor_problems.drawn(rng, known)
     more = (bent(0, (0.1, 0.25)), bent(1, (0.2,)), LinkShift("shift", 1.0, joint=0, since=0.15, until=0.45))
     noise = replace(factor_problems.noise(3, rng), groups=(1.0, 1.0))
-    path = initial_path(problem)
+    path = guess_path(problem)
     linear = linearise_problem(problem, path, noise)
-    found = _extend_schur(linear, eliminate(build_system(linear)), more)
+    found = _extend_schur(linear, eliminate_states(build_system(linear)), more)
     whole = linearise_problem(replace(problem, columns=(*known, *more)), path, noise)
-    np.testing.assert_allclose(found, eliminate(build_system(whole)).schur, rtol=1e-6, atol=1e-6 * found[0, 0])
+    np.testing.assert_allclose(found, eliminate_states(build_system(whole)).schur, rtol=1e-6, atol=1e-6 * found[0, 0])
 
 
 def moved_images(problem, shifts, sizes):
     """The problem with images displaced by shifts of these sizes, px."""
     (sighting,), (images,) = problem.sightings, problem.images
-    rows = sum(size * one.displaces_images(images, initial_path(problem)) for one, size in zip(shifts, sizes, strict=True))
+    rows = sum(size * one.displaces_images(images, guess_path(problem)) for one, size in zip(shifts, sizes, strict=True))
     return replace(problem, sightings=(replace(sighting, values=sighting.values + rows),))
 
 
@@ -64,7 +64,7 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
     assumed = factor_problems.noise(3, rng, lasting=False)
     for sizes, moved in (((0.0, 0.0), False), ((5.0, -3.0), True)):
         spoilt = moved_images(problem, shifts, sizes)
-        path = initial_path(spoilt)
+        path = guess_path(spoilt)
         found = [
             (one, cost) for one, cost in list_displaced_images(spoilt, assumed, path)
             if weigh_displacements(spoilt, assumed, path, [one])[0] - cost > EVIDENCE_THRESHOLD_NATS
@@ -74,7 +74,7 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
             assert [one.axis for one in own] == [0, 1]
             np.testing.assert_allclose([own[0].since, own[0].until], [1.0, 2.0], atol=0.06)
             whole = replace(spoilt, columns=own)
-            each = (eliminate(build_system(linearise_problem(one, path, assumed))).nats for one in (spoilt, whole))
+            each = (eliminate_states(build_system(linearise_problem(one, path, assumed))).nats for one in (spoilt, whole))
             without, beside = each
             assert weigh_displacements(spoilt, assumed, path, [own])[0] == pytest.approx(without - beside, rel=1e-6)
 
@@ -84,7 +84,7 @@ def test_a_window_holds_some_images_and_not_all(window, monkeypatch):
     rng = np.random.default_rng(0)
     problem = factor_problems.drawn(rng, images=64)
     assumed = factor_problems.noise(3, rng, lasting=False)
-    path = initial_path(problem)
+    path = guess_path(problem)
     monkeypatch.setattr(timed_columns, "_narrow_window", lambda *_: (-1e9, window))
     assert list(list_displaced_images(problem, assumed, path)) == []
 
@@ -126,14 +126,14 @@ def test_a_change_takes_a_load_where_there_is_none_and_puts_it_down_where_there_
 def test_moments_are_found_between_two_images(moments):
     rng = np.random.default_rng(4)
     problem = factor_problems.drawn(rng, images=128)
-    path = initial_path(problem)
+    path = guess_path(problem)
     loads = tuple(bent(j) for j in range(2))
     rows = 0.02 * sum(replace(one, moments=moments).moves_links(path.at_images(problem.images[0])) for one in loads)
     (sighting,) = problem.sightings
     seen = sighting.values + np.einsum("dm,fm->fd", sighting.model.a, rows)
     problem = replace(problem, sightings=(replace(sighting, values=seen),))
     noise = factor_problems.noise(3, rng, lasting=False)
-    path = solve(problem, noise, rounds=1).linear.path
+    path = solve_problem(problem, noise, rounds=1).linear.path
     *_, (timed, cost) = list_timed_loads(problem, noise, path, loads)
     np.testing.assert_allclose(timed[0].moments, moments, atol=0.06)
     assert cost > 0.0 and {one.moments for one in timed} == {timed[0].moments}
@@ -143,12 +143,12 @@ def test_moments_are_found_among_fewer_images_than_the_log_has_parts():
     rng = np.random.default_rng(4)
     problem = factor_problems.drawn(rng, images=28)  # 1.4 s
     loads = tuple(bent(j, (0.7,)) for j in range(2))
-    rows = 0.02 * sum(one.moves_links(initial_path(problem).at_images(problem.images[0])) for one in loads)
+    rows = 0.02 * sum(one.moves_links(guess_path(problem).at_images(problem.images[0])) for one in loads)
     (sighting,) = problem.sightings
     seen = sighting.values + np.einsum("dm,fm->fd", sighting.model.a, rows)
     problem = replace(problem, sightings=(replace(sighting, values=seen),))
     noise = factor_problems.noise(3, rng, lasting=False)
-    path = solve(problem, noise, rounds=1).linear.path
+    path = solve_problem(problem, noise, rounds=1).linear.path
     *_, (timed, _) = list_timed_loads(problem, noise, path, tuple(bent(j) for j in range(2)))
     np.testing.assert_allclose(timed[0].moments, (0.7,), atol=0.11)
 
@@ -159,9 +159,9 @@ def test_an_encoder_that_is_off_since_a_moment_is_no_load():
     noise = factor_problems.noise(3, rng, lasting=False)
     for grows in (False, True):
         off = EncoderShift("shift", 1.0, joint=1, since=1.2, grows=grows)
-        read = problem.values + 0.03 * off.reads(problem.t, initial_path(problem))
+        read = problem.values + 0.03 * off.reads(problem.t, guess_path(problem))
         one = replace(problem, values=read)
-        path = solve(one, noise, rounds=2).linear.path
+        path = solve_problem(one, noise, rounds=2).linear.path
         found = list(list_timed_loads(one, noise, path, (bent(0), bent(1))))
         assert [timed[0].moments for timed, _ in found] == [ALWAYS]
 
@@ -201,4 +201,4 @@ def test_what_an_arm_picks_up_is_named_as_a_load_and_no_encoder_is_accused(mecha
 )
 def test_a_sentence_says_when_a_load_is_carried(moments, words):
     load = {"weight": True, "nats": 20.0, "rad": {"lift": 0.01}, "moments": moments}
-    assert load_sentence(load).startswith(words)
+    assert describe_load(load).startswith(words)

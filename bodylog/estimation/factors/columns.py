@@ -128,7 +128,7 @@ class ImageShift(Column):
         return own
 
 
-def displacement_sentence(displaced: Mapping[str, Any]) -> str:
+def describe_displacement(displaced: Mapping[str, Any]) -> str:
     """Displaced images in words: `camera`, `since` and `until` (s), None at an end of the log, and
     `size` along each axis, in their unit.
     """

@@ -107,10 +107,10 @@ def _pass_reading(
     pulled = ((reach - 2.0 * inverse * with_slope) * step.gain).sum(axis=0)
     excess = inverse * (inverse * mean_square - 1.0) + pulled
     shared = inverse * with_slope - reach
-    noise.add_to_read(shared, 0.5 * excess)
-    noise.add_to_read(by_starts, own)
-    noise.add_to_read(square, shared)
-    noise.add_to_read(square.swapaxes(0, 1), shared)
+    noise.add_to_readings(shared, 0.5 * excess)
+    noise.add_to_readings(by_starts, own)
+    noise.add_to_readings(square, shared)
+    noise.add_to_readings(square.swapaxes(0, 1), shared)
     return np.asarray(-0.5 * step.var * excess)
 
 

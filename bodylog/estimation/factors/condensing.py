@@ -137,7 +137,7 @@ def place_readings(
     )
 
 
-def condense(
+def condense_readings(
     readings: Readings, noise: JointNoise, passed: PassedSteps | None = None
 ) -> PairFactors:
     """The factor of each interval and joint on the states at both its ends; `passed`, if given,
@@ -146,11 +146,11 @@ def condense(
     steps, count, m, r = readings.between.shape
     p = noise.states
     decays = np.exp(-readings.gaps[..., None] / noise.seconds)
-    gains = noise.covariance(readings.gaps, readings.unit_motion)
+    gains = noise.compute_gained_covariance(readings.gaps, readings.unit_motion)
     values = np.ascontiguousarray(np.moveaxis(readings.between, -1, 1))
     known = readings.between_weight > 0.0
     var = noise.white / np.where(known, readings.between_weight, 1.0)
-    logs = normalisation(var, readings.between_believed).sum(axis=0)
+    logs = compute_normalisation(var, readings.between_believed).sum(axis=0)
     carry = np.zeros((p, p, count, m))
     carry[np.arange(p), np.arange(p)] = 1.0
     shift = np.zeros((p, r, count, m))
@@ -162,7 +162,7 @@ def condense(
         if passed is not None:
             passed.lasts.append((np.concatenate([carry[-1], shift[-1]]), cov[:, -1].copy()))
         for states in (carry, shift, cov, cov.swapaxes(0, 1)):
-            noise.advance(states, readings.gaps[k][:, None], decays[k])
+            noise.advance_states(states, readings.gaps[k][:, None], decays[k])
         cov += gains[:, :, k]
         if k == steps:
             break
@@ -183,7 +183,7 @@ def condense(
         carry -= gain[:, None] * seen
         shift += gain[:, None] * innovation
         cov -= gain[:, None] * spread
-    return _pair_factors(carry, shift, cov, PairFactors(info, right, square, logs))
+    return _join_second_states(carry, shift, cov, PairFactors(info, right, square, logs))
 
 
 def _add_square(square: Array, left: Array, right: Array) -> None:
@@ -194,14 +194,14 @@ def _add_square(square: Array, left: Array, right: Array) -> None:
         square[i, i:] += row * right[i:]
 
 
-def normalisation(var: Array, believed: Array) -> Array:
+def compute_normalisation(var: Array, believed: Array) -> Array:
     """½ ln 2πR of each reading as far as it is
     believed, where its variance is var = R / believed.
     """
     return np.asarray(0.5 * believed * np.log(tau * var * np.where(believed > 0.0, believed, 1.0)))
 
 
-def _pair_factors(carry: Array, shift: Array, cov: Array, start: PairFactors) -> PairFactors:
+def _join_second_states(carry: Array, shift: Array, cov: Array, start: PairFactors) -> PairFactors:
     """Join what is known of the first state with the second one's normal distribution given it.
     Of the square at the start, the upper triangle.
     """

@@ -75,7 +75,7 @@ class JointNoise:
             return np.asarray(states[0])
         return np.asarray(states[0] + np.where(self.at_link, 0.0, states[self.order]))
 
-    def add_to_read(self, states: Array, amount: Array) -> None:
+    def add_to_readings(self, states: Array, amount: Array) -> None:
         """Add to means or columns of states (p,…,I,M) in place what encoders read of: the
         transpose of `read_encoders`.
         """
@@ -83,7 +83,7 @@ class JointNoise:
         if self.error is not None:
             states[self.order] += np.where(self.at_link, 0.0, amount)
 
-    def advance(self, states: Array, gap: Array, decay: Array) -> None:
+    def advance_states(self, states: Array, gap: Array, decay: Array) -> None:
         """Move means or columns of states (p,…,I,M) in place by gaps
         (I,1) s, over which errors keep `decay` (I,M).
         """
@@ -96,7 +96,7 @@ class JointNoise:
 
     def carry_slopes_back(self, states: Array, gap: Array, decay: Array) -> None:
         """Move slopes by states (p,…,I,M) in place to those before
-        gaps (I,1) s: the transpose of `advance`.
+        gaps (I,1) s: the transpose of `advance_states`.
         """
         if self.order == 3:
             states[2] += gap * states[1] + 0.5 * gap * gap * states[0]
@@ -104,7 +104,7 @@ class JointNoise:
         if self.error is not None:
             states[self.order] *= decay
 
-    def covariance(self, gap: Array, unit_motion: Array) -> Array:
+    def compute_gained_covariance(self, gap: Array, unit_motion: Array) -> Array:
         """Covariances (p,p,…,M) that the state gains over gaps (…) s, over which
         motion gains unit_motion (o,o,…) for a process of variance 1.
         """

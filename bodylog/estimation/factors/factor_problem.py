@@ -11,9 +11,15 @@ import numpy as np
 from ...types import Array
 from ..measurements.records import Sighting
 from .columns import Column, Path
-from .condensing import PassedSteps, Readings, condense, normalisation, place_readings
+from .condensing import (
+    PassedSteps,
+    Readings,
+    compute_normalisation,
+    condense_readings,
+    place_readings,
+)
 from .encoder_error import JointNoise
-from .images import ImageRows, Images, correlate_model_errors, image_rows, place_images
+from .images import ImageRows, Images, build_image_rows, correlate_model_errors, place_images
 from .solve import System
 
 CHANGE = 0.5
@@ -56,7 +62,7 @@ class Noise:
     usual: JointNoise | None = None
     resting: Array | None = None
 
-    def column_stds(self, columns: Sequence[Column]) -> Array:
+    def list_column_stds(self, columns: Sequence[Column]) -> Array:
         """Standard deviation (C,) of each column's size before the log."""
         return np.array(
             [one.std * (1.0 if one.group is None else self.groups[one.group]) for one in columns]
@@ -135,8 +141,8 @@ def linearise_problem(problem: FactorProblem, path: Path, noise: Noise) -> Linea
     first = size - problem.model_rows
     for images in problem.images:
         here = path.at_images(images)
-        columns = columns_of_images(problem, images, path)
-        rows.append(image_rows(images, here.links, noise.joints, *columns, first, size))
+        columns = build_image_columns(problem, images, path)
+        rows.append(build_image_rows(images, here.links, noise.joints, *columns, first, size))
         first += images.values.shape[1]
     kappa = correlate_model_errors(problem.sightings, path.links)
     return Linearised(
@@ -144,7 +150,7 @@ def linearise_problem(problem: FactorProblem, path: Path, noise: Noise) -> Linea
     )
 
 
-def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> tuple[Array, Array]:
+def build_image_columns(problem: FactorProblem, images: Images, path: Path) -> tuple[Array, Array]:
     """What the columns move links by (F,M,C), as images show
     them, and what they displace images by beside (F,D,C).
     """
@@ -157,11 +163,11 @@ def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> tup
 
 
 def build_system(linear: Linearised, passed: PassedSteps | None = None) -> System:
-    """All factors of the linearised problem; passed: as of `condense`."""
+    """All factors of the linearised problem; passed: as of `condense_readings`."""
     problem = linear.problem
     noise = linear.noise
     joints = noise.joints
-    pairs = condense(linear.readings, joints, passed)
+    pairs = condense_readings(linear.readings, joints, passed)
     size = problem.count_states(noise)
     p = joints.states
     m = len(problem.start)
@@ -184,7 +190,7 @@ def build_system(linear: Linearised, passed: PassedSteps | None = None) -> Syste
         add_at_knots(right, at, weighted @ read)
         add_at_knots(square, at, read.swapaxes(1, 2) @ (precision * read))
         var = var / np.where(weight > 0.0, weight, 1.0)
-        add_at_knots(logs, at, normalisation(var, believed).sum(axis=1))
+        add_at_knots(logs, at, compute_normalisation(var, believed).sum(axis=1))
 
     own = linear.readings
     read_rows = joints.reads(size)[None]
@@ -211,7 +217,7 @@ def build_system(linear: Linearised, passed: PassedSteps | None = None) -> Syste
     )
     logs_of_pairs = logs_of_pairs - 0.5 * np.log(fresh).sum(axis=1)
     means = np.array([column.mean for column in problem.columns])
-    precision = noise.column_stds(problem.columns) ** -2.0
+    precision = noise.list_column_stds(problem.columns) ** -2.0
     system = System(
         info,
         right,
@@ -226,7 +232,7 @@ def build_system(linear: Linearised, passed: PassedSteps | None = None) -> Syste
         pairs,
         problem.settled,
     )
-    return system.about_means()
+    return system.subtract_means()
 
 
 def add_at_knots(total: Array, at: Array, parts: Array) -> None:

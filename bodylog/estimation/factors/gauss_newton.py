@@ -13,7 +13,7 @@ from ..measurements.arm_errors import LEAST_PLAY, NOISE_SIGMAS, follow_slack
 from ..measurements.records import interpolate_values
 from .columns import Path, Play
 from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise_problem
-from .solve import Eliminated, Marginals, System, eliminate, filtered, smoothed
+from .solve import Eliminated, Marginals, System, eliminate_states, filter_knots, smooth_knots
 
 ROUNDS = 12
 """Rounds at most. Smoothers settle after 2 to 4; with 25, a filter moves angles of a drawn log with
@@ -36,7 +36,7 @@ class Solution:
         return self.eliminated.nats
 
 
-def initial_path(problem: FactorProblem) -> Path:
+def guess_path(problem: FactorProblem) -> Path:
     """The readings at the knots, the start where there are none."""
     read = interpolate_values(problem.t, problem.values, problem.knots)
     angles = np.where(np.isfinite(read), read, problem.start)
@@ -44,11 +44,11 @@ def initial_path(problem: FactorProblem) -> Path:
         np.gradient(angles, problem.knots, axis=0) if len(angles) > 1 else np.zeros(angles.shape)
     )
     noise = 2.0 * np.full(len(problem.start), 1e-3)
-    halves = _halves(problem, [column.mean for column in problem.columns])
+    halves = _list_half_plays(problem, [column.mean for column in problem.columns])
     return Path(problem.knots, angles, rates, angles, follow_slack(angles, halves, noise))
 
 
-def _halves(problem: FactorProblem, sizes: Iterable[float]) -> Array:
+def _list_half_plays(problem: FactorProblem, sizes: Iterable[float]) -> Array:
     """Half of each joint's play (M,) rad, by the columns' sizes."""
     half = np.full(len(problem.start), LEAST_PLAY)
     for column, size in zip(problem.columns, sizes, strict=True):
@@ -57,7 +57,7 @@ def _halves(problem: FactorProblem, sizes: Iterable[float]) -> Array:
     return half
 
 
-def path_of(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
+def path_from_beliefs(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
     """The path that beliefs give."""
     p = noise.joints.states
     m = len(problem.start)
@@ -68,7 +68,7 @@ def path_of(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
     )
     var = np.einsum("kss->ks", beliefs.cov)[:, : m * p : p]
     unsure = NOISE_SIGMAS * np.sqrt(np.median(var, axis=0))
-    slack = follow_slack(angles, _halves(problem, beliefs.sizes[-1].tolist()), unsure)
+    slack = follow_slack(angles, _list_half_plays(problem, beliefs.sizes[-1].tolist()), unsure)
     path = Path(problem.knots, angles, joints[..., 1], links, slack)
     for c, column in enumerate(problem.columns):
         if column.bends:
@@ -76,7 +76,7 @@ def path_of(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
     return replace(path, links=links)
 
 
-def solve(
+def solve_problem(
     problem: FactorProblem,
     noise: Noise,
     path: Path | None = None,
@@ -84,13 +84,13 @@ def solve(
     rounds: int = ROUNDS,
 ) -> Solution:
     """Linearise and solve until the links rest; `causal`: by what was known at each knot."""
-    path = initial_path(problem) if path is None else path
+    path = guess_path(problem) if path is None else path
     for _ in range(rounds):
         linear = linearise_problem(problem, path, noise)
         system = build_system(linear)
-        eliminated = eliminate(system)
-        beliefs = filtered(system, eliminated) if causal else smoothed(system, eliminated)
-        after = path_of(problem, noise, beliefs)
+        eliminated = eliminate_states(system)
+        beliefs = filter_knots(system, eliminated) if causal else smooth_knots(system, eliminated)
+        after = path_from_beliefs(problem, noise, beliefs)
         var = np.einsum("kss->ks", beliefs.cov)[
             :, : noise.joints.states * len(problem.start) : noise.joints.states
         ]

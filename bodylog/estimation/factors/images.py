@@ -17,7 +17,7 @@ import numpy as np
 
 from ...types import Array
 from ..measurements.records import Sighting, mix_rows
-from ..noise.correlated_noise import correlation_length
+from ..noise.correlated_noise import read_correlation_length
 from .encoder_error import JointNoise
 from .robust import LEAST_SHARE
 
@@ -69,7 +69,7 @@ def place_images(sighting: Sighting, knots: Array, nearest: bool) -> Images:
     )
 
 
-def image_rows(
+def build_image_rows(
     images: Images,
     links: Array,
     noise: JointNoise,
@@ -104,7 +104,9 @@ def correlate_model_errors(sightings: Sequence[Sighting], links: Array) -> Array
     step = np.diff(links, axis=0)
     found = [
         np.repeat(
-            np.exp(-0.5 * np.linalg.norm(step / correlation_length(one.model), axis=-1))[:, None],
+            np.exp(-0.5 * np.linalg.norm(step / read_correlation_length(one.model), axis=-1))[
+                :, None
+            ],
             one.values.shape[1],
             axis=1,
         )

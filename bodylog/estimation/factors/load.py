@@ -132,7 +132,7 @@ def bend_under_load(columns: Sequence[Column], sizes: Array, t: Array, angles: A
     return sum((size * column.moves_links(path) for column, size in loads), rest)
 
 
-def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
+def build_load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
     """A load's columns for readings (N,M) rad: by the levers of the
     hand where a URDF tells them, else any linear function of the posture, as they are searched.
     """
@@ -142,7 +142,7 @@ def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
     levers = find_hand_levers(body, known)
     if levers is None:
         return tuple(_bend_linearly(known))
-    return tuple(_bend_by_levers(levers, _still_levers(body, known), known))
+    return tuple(_bend_by_levers(levers, _measure_still_levers(body, known), known))
 
 
 def count_groups(loads: Sequence[Column]) -> int:
@@ -180,7 +180,7 @@ def _bend_by_levers(
         yield replace(alike, std=COMPLIANCE_SPREAD, still=(name,))
 
 
-def _still_levers(body: BodyModel, known: Array) -> dict[str, float]:
+def _measure_still_levers(body: BodyModel, known: Array) -> dict[str, float]:
     """The longest lever, m, of each joint that stood still and may carry the hand."""
     longest = dict[str, float]()
     for sense in body.senses.values():
@@ -220,7 +220,7 @@ def curve_loads(columns: Sequence[Column], turning: Array) -> tuple[Column, ...]
     return every if len(every) <= MOST_COLUMNS else tuple(columns)
 
 
-def load_sentence(load: Mapping[str, Any]) -> str:
+def describe_load(load: Mapping[str, Any]) -> str:
     """A load in words: `weight`, whether it is as under a weight at the hand, `moments` (s) when it
     is taken and put down in turn, `nats`, and `rad` {joint: how far it bends at most}.
     """

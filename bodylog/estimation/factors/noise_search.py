@@ -20,8 +20,8 @@ from .condensed_slopes import Expected, measure_condensed_slopes
 from .condensing import PairFactors, PassedSteps
 from .encoder_error import JointNoise
 from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise_problem
-from .gauss_newton import path_of
-from .solve import Smoothed, eliminate, smoothed
+from .gauss_newton import path_from_beliefs
+from .solve import Smoothed, eliminate_states, smooth_knots
 
 LOG_SCALE = (0.0, 1.0)
 """Mean and standard deviation of the logarithm of the factor on the variance of images."""
@@ -95,11 +95,11 @@ def learn_noise(
         )
         begin = found.at
         guess = found.curvature
-        noise = _from_vector(found.at, noise)
+        noise = _build_noise(found.at, noise)
         system = build_system(replace(linear, noise=noise))
-        eliminated = eliminate(system)
-        beliefs = smoothed(system, eliminated)
-        path = path_of(problem, noise, beliefs)
+        eliminated = eliminate_states(system)
+        beliefs = smooth_knots(system, eliminated)
+        path = path_from_beliefs(problem, noise, beliefs)
     return Learned(
         noise,
         path,
@@ -161,7 +161,7 @@ def _tabulate_parameters(
     return names, np.concatenate(list(rows.values()))
 
 
-def _from_vector(p: Array, like: Noise) -> Noise:
+def _build_noise(p: Array, like: Noise) -> Noise:
     """The noise of logarithms (P,), as `_tabulate_parameters` lists them."""
     joints = like.joints
     m = len(joints.white)
@@ -185,11 +185,11 @@ def _from_vector(p: Array, like: Noise) -> Noise:
 
 def _weigh_log(linear: Linearised, p: Array) -> tuple[float, Array]:
     """−ln p of the log for noise of these logarithms, and its gradient (P,)."""
-    posed = replace(linear, noise=_from_vector(p, linear.noise))
+    posed = replace(linear, noise=_build_noise(p, linear.noise))
     passed = PassedSteps()
     system = build_system(posed, passed)
-    eliminated = eliminate(system)
-    beliefs = smoothed(system, eliminated)
+    eliminated = eliminate_states(system)
+    beliefs = smooth_knots(system, eliminated)
     return eliminated.nats, _measure_slopes(posed, beliefs, system.joints, passed)
 
 
@@ -200,7 +200,7 @@ def _measure_slopes(
     joints = linear.noise.joints
     expected = _expect_moments(linear, beliefs)
     by = measure_condensed_slopes(linear.readings, joints, pairs, passed, expected)
-    parts = [by["white"] + _knot_slopes(linear, beliefs), by["process"]]
+    parts = [by["white"] + _measure_knot_slopes(linear, beliefs), by["process"]]
     if len(_list_lasting_stds(joints)):
         assert joints.error is not None
         p = joints.states
@@ -210,7 +210,9 @@ def _measure_slopes(
             (by["error"] + first)[joints.learned],
             by["seconds"][joints.learned].sum(keepdims=True),
         ]
-    return np.concatenate([*parts, _scale_slopes(linear, beliefs), _group_slopes(linear, beliefs)])
+    return np.concatenate(
+        [*parts, _measure_scale_slopes(linear, beliefs), _measure_group_slopes(linear, beliefs)]
+    )
 
 
 def _expect_moments(linear: Linearised, beliefs: Smoothed) -> Expected:
@@ -239,36 +241,38 @@ def _expect_moments(linear: Linearised, beliefs: Smoothed) -> Expected:
     return Expected(pairs, with_columns, columns)
 
 
-def _knot_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+def _measure_knot_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
     """Slopes (M,) by the logarithms of the variance of readings, of those at knots."""
     readings = linear.readings
     joints = linear.noise.joints
     rows = np.tile(joints.reads(beliefs.mean.shape[1]), (len(readings.t), 1, 1))
-    mean, cov = beliefs.of_rows(rows, np.arange(len(readings.t)), readings.at_knot[..., 1:])
+    mean, cov = beliefs.project_rows(rows, np.arange(len(readings.t)), readings.at_knot[..., 1:])
     square = np.square(readings.at_knot[..., 0] - mean) + np.einsum("kmm->km", cov)
     slopes = readings.knot_believed - readings.knot_weight / joints.white * square
     return np.asarray(0.5 * slopes.sum(axis=0))
 
 
-def _group_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+def _measure_group_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
     """Slopes by the logarithms of the groups' standard deviations."""
     columns = linear.problem.columns
     means = np.array([column.mean for column in columns])
     square = np.square(beliefs.sizes[0] - means) + np.diag(beliefs.sizes_cov[0])
     slopes = np.zeros(len(linear.noise.groups))
-    for column, one in zip(columns, square / linear.noise.column_stds(columns) ** 2, strict=True):
+    for column, one in zip(
+        columns, square / linear.noise.list_column_stds(columns) ** 2, strict=True
+    ):
         if column.group is not None:
             slopes[column.group] += 1.0 - one
     return slopes
 
 
-def _scale_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+def _measure_scale_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
     """Slopes by the logarithms of the factors on images' variances."""
     found = []
     for images, rows, scale in zip(
         linear.problem.images, linear.rows, linear.noise.scales, strict=True
     ):
-        mean, cov = beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
+        mean, cov = beliefs.project_rows(rows.slopes, images.knots, rows.right[..., 1:])
         square = np.square(rows.right[..., 0] - mean) + np.einsum("fdd->fd", cov)
         share = images.believed[:, None]
         found.append(0.5 * float((share * (1.0 - square / (scale * rows.var))).sum()))

@@ -25,7 +25,7 @@ from .factor_problem import (
     linearise_problem,
 )
 from .load import TAKEN_S, WIDE_BEND, Load
-from .solve import Eliminated, column_nats, eliminate
+from .solve import Eliminated, compute_column_nats, eliminate_states
 
 SEARCHED = 6
 """Windows that are narrowed: a moment that is off by a tenth of a second costs tens of nats, so the
@@ -77,7 +77,7 @@ def list_timed_loads(
     """
     yield loads, 0.0
     linear = linearise_problem(problem, path, noise)
-    eliminated = eliminate(build_system(linear))
+    eliminated = eliminate_states(build_system(linear))
     rival = _weigh_shifts(linear, eliminated)
     leads = tuple({one.group: one for one in reversed(loads)}.values())
 
@@ -105,7 +105,7 @@ def list_displaced_images(
     is more probable with that, and −ln p of that window before the log.
     """
     linear = linearise_problem(problem, path, noise)
-    eliminated = eliminate(build_system(linear))
+    eliminated = eliminate_states(build_system(linear))
     sightings = [one.sighting for one in problem.images]
     for camera, tracks in group_tracks_by_camera(sightings).items():
         own = [sightings[number].values for number in tracks]
@@ -132,7 +132,7 @@ def weigh_displacements(
     """Nats by which a log is more probable with each displacement, of unknown size, by this
     noise."""
     linear = linearise_problem(problem, path, noise)
-    eliminated = eliminate(build_system(linear))
+    eliminated = eliminate_states(build_system(linear))
     without = eliminated.nats - eliminated.logs
     gains = []
     for shifts in tried:
@@ -300,7 +300,7 @@ def _weigh_columns(
     turns[:, np.arange(known), np.arange(known)] = 1.0
     turns[:, known:, known:] = mixes
     precision = np.r_[eliminated.precision, np.full(count, std**-2)]
-    return column_nats(turns @ schur @ turns.swapaxes(1, 2), precision)
+    return compute_column_nats(turns @ schur @ turns.swapaxes(1, 2), precision)
 
 
 def _extend_schur(linear: Linearised, eliminated: Eliminated, more: tuple[Column, ...]) -> Array:

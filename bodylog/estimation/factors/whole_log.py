@@ -18,13 +18,18 @@ from ..noise.lasting_error import MOST_COUNTS
 from .columns import EncoderShift
 from .encoder_error import LEAST_STD, JointNoise
 from .factor_problem import FactorProblem, LastingPrior, Noise
-from .gauss_newton import Solution, path_of, solve
-from .hypotheses import FIRST_S, Explanation, explain, fit_white_noise, with_lasting
+from .gauss_newton import Solution, path_from_beliefs, solve_problem
+from .hypotheses import FIRST_S, Explanation, add_lasting_errors, find_explanation, fit_white_noise
 from .images import ImageRows, Images
 from .load import WIDE_BEND, Load, count_groups
 from .noise_search import Learned
-from .robust import believed, image_span, left_out, outlier_nats
-from .solve import Marginals, filtered, predicted
+from .robust import (
+    compute_believed_shares,
+    compute_outlier_nats,
+    leave_out_measurement,
+    measure_image_span,
+)
+from .solve import Marginals, filter_knots, predict_knots
 from .timed_columns import list_timed_loads
 
 CLOSEST_S = 4e-3
@@ -123,16 +128,16 @@ def explain_log(
     if posed is None:
         return None
     fine, coarse, noise = posed
-    encoders = _posed_encoders(problem)
-    found = explain(
+    encoders = _require_encoders(problem)
+    found = find_explanation(
         coarse,
         replace(noise, prior=lasting),
-        _usual_step(encoders),
+        _measure_usual_step(encoders),
         partial(_is_of_counts, encoders=encoders),
         halves,
         loads,
     )
-    return ExplainedLog(fine, found, found.learned.nats + _outliers(coarse))
+    return ExplainedLog(fine, found, found.learned.nats + _weigh_outliers(coarse))
 
 
 def explain_by_white_noise(problem: FilterProblem) -> ExplainedLog | None:
@@ -141,8 +146,8 @@ def explain_by_white_noise(problem: FilterProblem) -> ExplainedLog | None:
     if posed is None:
         return None
     fine, coarse, noise = posed
-    white = fit_white_noise(coarse, noise, _usual_step(_posed_encoders(problem)))
-    return ExplainedLog(fine, _explain_by_noise(fine, white), white.nats + _outliers(coarse))
+    white = fit_white_noise(coarse, noise, _measure_usual_step(_require_encoders(problem)))
+    return ExplainedLog(fine, _explain_by_noise(fine, white), white.nats + _weigh_outliers(coarse))
 
 
 def _explain_by_noise(problem: FactorProblem, white: Learned) -> Explanation:
@@ -150,13 +155,13 @@ def _explain_by_noise(problem: FactorProblem, white: Learned) -> Explanation:
     return Explanation(problem.columns, white, white, 0.0, 0.0, {})
 
 
-def _posed_encoders(problem: FilterProblem) -> Encoders:
+def _require_encoders(problem: FilterProblem) -> Encoders:
     """The encoders of a log that is posed: it has some."""
     assert problem.evidence.encoders is not None
     return problem.evidence.encoders
 
 
-def _usual_step(encoders: Encoders) -> float:
+def _measure_usual_step(encoders: Encoders) -> float:
     """The usual time (s) from one reading to the next."""
     return float(np.median(np.diff(encoders.t)))
 
@@ -173,13 +178,15 @@ def resembles_load(problem: FilterProblem, without: FilterProblem, loads: tuple[
     if posed is None or alone is None:
         return False
     _, shifted, its_noise = posed
-    offset = solve(shifted, its_noise, rounds=WEIGHING).nats + _outliers(shifted)
+    offset = solve_problem(shifted, its_noise, rounds=WEIGHING).nats + _weigh_outliers(shifted)
     _, coarse, noise = alone
-    path = path_of(coarse, noise, solve(coarse, noise, rounds=WEIGHING).beliefs)
+    path = path_from_beliefs(coarse, noise, solve_problem(coarse, noise, rounds=WEIGHING).beliefs)
     wide = replace(noise, groups=(WIDE_BEND,) * count_groups(loads))
     for timed, cost in list_timed_loads(coarse, noise, path, loads):
         bent = replace(coarse, columns=(*coarse.columns, *timed))
-        nats = solve(bent, wide, path, rounds=WEIGHING).nats + _outliers(coarse) + cost
+        nats = (
+            solve_problem(bent, wide, path, rounds=WEIGHING).nats + _weigh_outliers(coarse) + cost
+        )
         if nats - offset < EVIDENCE_THRESHOLD_NATS:
             return True
     return False
@@ -195,34 +202,41 @@ def _pose_log(problem: FilterProblem) -> tuple[FactorProblem, FactorProblem, Noi
     )
     if encoders is None or not sightings or not np.isfinite(encoders.values).any():
         return None
-    fine = _posed(problem, encoders, sightings, _thinned(problem.timeline.t, CLOSEST_S))
-    noise = _first_noise(problem, len(sightings))
+    fine = _build_problem(problem, encoders, sightings, _thin_times(problem.timeline.t, CLOSEST_S))
+    noise = _guess_noise(problem, len(sightings))
     # a joint that rests may bend, too
-    fine = _weighed(fine, with_lasting(replace(noise, resting=None), USUAL_STD), rough=True)
-    return fine, _middle(fine), noise
+    fine = _weigh_measurements(
+        fine, add_lasting_errors(replace(noise, resting=None), USUAL_STD), rough=True
+    )
+    return fine, _coarsen_middle(fine), noise
 
 
 def solve_log(problem: FilterProblem, found: ExplainedLog, causal: bool) -> SolvedLog:
     """The beliefs at each instant by what came before (causal) or by the whole log."""
     fine = replace(found.explanation.settle_columns(found.fine), nearest=not causal)
-    fine = _weighed(fine, found.noise, rough=False)
-    solution = solve(fine, found.noise, causal=causal)
-    instants = _at_instants(problem, fine, solution, causal)
+    fine = _weigh_measurements(fine, found.noise, rough=False)
+    solution = solve_problem(fine, found.noise, causal=causal)
+    instants = _evaluate_instants(problem, fine, solution, causal)
     every = enumerate(found.senses)
     return SolvedLog(
         instants,
-        {name: _places(problem, instants, solution, number, causal) for number, name in every},
+        {
+            name: _expect_places(problem, instants, solution, number, causal)
+            for number, name in every
+        },
     )
 
 
-def _outliers(problem: FactorProblem) -> float:
+def _weigh_outliers(problem: FactorProblem) -> float:
     """−ln p of readings and images as far as they are outliers."""
     assert problem.believed is not None and problem.images_believed is not None
     known = np.isfinite(problem.values)
-    total = outlier_nats(problem.believed[known], TURN)
+    total = compute_outlier_nats(problem.believed[known], TURN)
     for one, share in zip(problem.sightings, problem.images_believed, strict=True):
         seen = np.isfinite(one.values).all(axis=1)
-        total += outlier_nats(share[seen], image_span(one.values[seen], one.var[seen]))
+        total += compute_outlier_nats(
+            share[seen], measure_image_span(one.values[seen], one.var[seen])
+        )
     return total
 
 
@@ -234,7 +248,7 @@ def _is_of_counts(noise: Noise, encoders: Encoders) -> bool:
     )
 
 
-def _posed(
+def _build_problem(
     problem: FilterProblem, encoders: Encoders, sightings: tuple[Sighting, ...], knots: Array
 ) -> FactorProblem:
     """The log on these knots (K,) s, about no path yet."""
@@ -245,11 +259,11 @@ def _posed(
         encoders.relative,
         problem.start,
         sightings,
-        tuple(_repaired_steps(problem)),
+        tuple(_list_repaired_steps(problem)),
     )
 
 
-def _repaired_steps(problem: FilterProblem) -> Iterator[EncoderShift]:
+def _list_repaired_steps(problem: FilterProblem) -> Iterator[EncoderShift]:
     """Steps that were taken out of readings: what is
     left of each is known to its standard deviation.
     """
@@ -262,7 +276,7 @@ def _repaired_steps(problem: FilterProblem) -> Iterator[EncoderShift]:
             )
 
 
-def _thinned(t: Array, least: float) -> Array:
+def _thin_times(t: Array, least: float) -> Array:
     """Times (K,) of t (E,) s that are at least so far apart."""
     kept = []
     last = -np.inf
@@ -273,7 +287,7 @@ def _thinned(t: Array, least: float) -> Array:
     return np.array(kept)
 
 
-def _middle(fine: FactorProblem) -> FactorProblem:
+def _coarsen_middle(fine: FactorProblem) -> FactorProblem:
     """The log, or its middle, on knots at its images."""
     centre = 0.5 * (fine.knots[0] + fine.knots[-1])
     begin = centre - LEARNED_S / 2
@@ -288,7 +302,7 @@ def _middle(fine: FactorProblem) -> FactorProblem:
     )
     ends = [fine.knots[0], fine.knots[-1]]
     t = np.unique(np.concatenate([images, spread[alone], ends]))
-    knots = _thinned(t[(t >= begin) & (t <= end)], COARSE_S)
+    knots = _thin_times(t[(t >= begin) & (t <= end)], COARSE_S)
     rows = (fine.t >= knots[0] - 1e-9) & (fine.t <= knots[-1] + 1e-9)
     sightings = []
     shares = []
@@ -309,7 +323,7 @@ def _middle(fine: FactorProblem) -> FactorProblem:
     )
 
 
-def _first_noise(problem: FilterProblem, sights: int) -> Noise:
+def _guess_noise(problem: FilterProblem, sights: int) -> Noise:
     """White noise with which the search begins; a joint whose offset was found has it as a walk of
     its encoder: what is left of it where it was taken out of the readings, or all of it.
     """
@@ -321,7 +335,7 @@ def _first_noise(problem: FilterProblem, sights: int) -> Noise:
     drift = np.zeros(m) if precision.drift is None else precision.drift
     walks = drift > 0.0
     far = np.full(m, PRIOR_STD_RAD)
-    far[[step.joint for step in _repaired_steps(problem)]] = OFFSET_STD
+    far[[step.joint for step in _list_repaired_steps(problem)]] = OFFSET_STD
     seconds = np.where(walks, 2.0 * far**2 / np.where(walks, drift, 1.0), FIRST_S)
     error = np.where(walks, far, LEAST_STD) if walks.any() else None
     joints = JointNoise(
@@ -340,25 +354,27 @@ def find_resting_joints(problem: FilterProblem) -> Array:
     """Joints (M,) bool that turn by no more than their encoders' noise, of which nine
     tenths are within 3.3 standard deviations, while others turn; none of an arm at rest.
     """
-    encoders = _posed_encoders(problem)
+    encoders = _require_encoders(problem)
     rest = measure_turns(encoders) < REST_SIGMAS * np.sqrt(problem.precision.encoder)
     return np.asarray(rest & ~rest.all())
 
 
-def _weighed(fine: FactorProblem, noise: Noise, rough: bool) -> FactorProblem:
+def _weigh_measurements(fine: FactorProblem, noise: Noise, rough: bool) -> FactorProblem:
     """The problem with the share that is believed of each reading and image.
 
     rough: before the noise is known, images are judged by what most of them are off.
     """
     open_problem = replace(fine, believed=None, images_believed=None)
-    solution = solve(open_problem, noise, rounds=WEIGHING)
-    fine = _with_shares(fine, solution, noise, rough)
+    solution = solve_problem(open_problem, noise, rounds=WEIGHING)
+    fine = _update_shares(fine, solution, noise, rough)
     # an outlier no longer hides another, nor a sound reading
-    solution = solve(fine, noise, path_of(fine, noise, solution.beliefs), rounds=WEIGHING)
-    return _with_shares(fine, solution, noise, rough)
+    solution = solve_problem(
+        fine, noise, path_from_beliefs(fine, noise, solution.beliefs), rounds=WEIGHING
+    )
+    return _update_shares(fine, solution, noise, rough)
 
 
-def _with_shares(
+def _update_shares(
     fine: FactorProblem, solution: Solution, noise: Noise, rough: bool
 ) -> FactorProblem:
     """Shares by what the rest of the log predicts."""
@@ -376,15 +392,15 @@ def _with_shares(
         weighed = var if used is None else var / used[known, j][:, None, None]
         residual = (fine.values[known, j] - mean[known, j])[:, None]
         parts = (one[known, j][:, None, None] for one in (own, settled))
-        rest, spread = left_out(residual, weighed, *parts)
+        rest, spread = leave_out_measurement(residual, weighed, *parts)
         # what the others predict, and this one's own noise if it is sound
         spread = spread - weighed + var
-        share[known, j] = believed(rest, np.maximum(spread, var), TURN)
+        share[known, j] = compute_believed_shares(rest, np.maximum(spread, var), TURN)
     shares: list[Array] = []
     for images, linear in zip(solution.linear.problem.images, solution.linear.rows, strict=True):
         scale = noise.scales[len(shares)]
         expected = _expect_images(fine, images, linear, beliefs)
-        shares.append(_image_shares(images, linear, expected, scale, rough))
+        shares.append(_compute_image_shares(images, linear, expected, scale, rough))
     return replace(fine, believed=share, images_believed=tuple(shares))
 
 
@@ -400,7 +416,7 @@ def _expect_images(
     return mean, own, by_sizes
 
 
-def _image_shares(
+def _compute_image_shares(
     images: Images, rows: ImageRows, expected: tuple[Array, Array, Array], scale: float, rough: bool
 ) -> Array:
     """Shares (N,) of a sense's images, which are expected as of `_expect_images`."""
@@ -408,15 +424,15 @@ def _image_shares(
     one = np.eye(mean.shape[1])
     plain = (scale * rows.var)[..., None] * one
     used = plain / images.believed[:, None, None]
-    rest, spread = left_out(rows.right[..., 0] - mean, used, cov, settled)
+    rest, spread = leave_out_measurement(rows.right[..., 0] - mean, used, cov, settled)
     spread = spread - used + plain
     if rough:
         square = np.einsum("fd,fd->f", rest, np.linalg.solve(spread, rest[..., None])[..., 0])
         usual = CHI_SQUARE_MEDIANS[min(mean.shape[1], max(CHI_SQUARE_MEDIANS))]
         spread = spread * max(1.0, float(np.median(square)) / usual)
-    span = image_span(images.values, rows.var)
+    span = measure_image_span(images.values, rows.var)
     share = np.ones(len(images.sighting.t))
-    share[images.frames] = believed(rest, spread, span)
+    share[images.frames] = compute_believed_shares(rest, spread, span)
     return share
 
 
@@ -450,7 +466,7 @@ def _expect_readings(
     return mean, own, by_sizes
 
 
-def _at_instants(
+def _evaluate_instants(
     problem: FilterProblem, fine: FactorProblem, solution: Solution, causal: bool
 ) -> Instants:
     """The beliefs at the instants of the log's timeline."""
@@ -466,30 +482,30 @@ def _at_instants(
     rows = joints.stands(ahead)
     for j in range(m):
         stands[:, j, j * p : (j + 1) * p] = rows[:, j]
-    path = path_of(fine, noise, solution.beliefs)
+    path = path_from_beliefs(fine, noise, solution.beliefs)
     bends = np.zeros((len(t), m, len(fine.columns)))
     for c, column in enumerate(fine.columns):
         if column.bends:
             bends[..., c] = column.moves_links(path)[knot]
-    angles, cov = solution.beliefs.of_rows(stands, knot, bends)
+    angles, cov = solution.beliefs.project_rows(stands, knot, bends)
     state = solution.beliefs.mean[:, : m * p].reshape(-1, m, p)
     rates = state[knot, :, 1] + ahead[:, None] * state[knot, :, 2]
     offsets = np.zeros((len(t), m))
     if joints.error is not None:
         offsets = np.where(joints.learned, 0.0, state[knot, :, -1])
-    forward = filtered(solution.system, solution.eliminated)
+    forward = filter_knots(solution.system, solution.eliminated)
     at_knot = np.abs(ahead) <= 1e-9
     nats = np.zeros(len(t))
     rows = np.flatnonzero(at_knot)
     knots_there, first = np.unique(knot[rows], return_index=True)  # instants may share a knot
     nats[rows[first]] = np.diff(np.asarray(forward.nats), prepend=0.0)[knots_there]
-    early = predicted(solution.system, solution.eliminated) if causal else solution.beliefs
-    before, before_cov = early.of_rows(stands, knot, bends)
-    errors = _encoder_errors(problem, fine, solution, early, causal)
+    early = predict_knots(solution.system, solution.eliminated) if causal else solution.beliefs
+    before, before_cov = early.project_rows(stands, knot, bends)
+    errors = _standardise_readings(problem, fine, solution, early, causal)
     return Instants(angles, rates, offsets, cov, nats, before, before_cov, errors)
 
 
-def _places(
+def _expect_places(
     problem: FilterProblem, instants: Instants, solution: Solution, number: int, causal: bool
 ) -> tuple[Array, Array, Array]:
     """Where a sense's images were expected: mean (F,D),
@@ -503,14 +519,14 @@ def _places(
     at = problem.timeline.sightings[names.index(sighting.name)]
     mean, jac, var = sighting.model.predict(instants.before[at])
     cov = jac @ instants.before_cov[at] @ jac.swapaxes(1, 2)
-    beliefs = predicted(solution.system, solution.eliminated) if causal else solution.beliefs
+    beliefs = predict_knots(solution.system, solution.eliminated) if causal else solution.beliefs
     expected, own, settled = _expect_images(linear.problem, images, rows, beliefs)
     residual = rows.right[..., 0] - expected
     spread = own + settled
     if not causal:
         var_used = linear.noise.scales[number] * rows.var / images.believed[:, None]
         noise = var_used[..., None] * np.eye(residual.shape[1])
-        residual, left = left_out(residual, noise, own, settled)
+        residual, left = leave_out_measurement(residual, noise, own, settled)
         spread = left - noise
     # the model's error is among the states
     seen = unmix_rows(images.mix, (images.values - residual, spread, np.zeros(residual.shape)))
@@ -521,7 +537,7 @@ def _places(
     return mean, cov, var
 
 
-def _encoder_errors(
+def _standardise_readings(
     problem: FilterProblem, fine: FactorProblem, solution: Solution, early: Marginals, causal: bool
 ) -> Array:
     """Errors (E,M) of readings in standard deviations, by

@@ -14,7 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
-from ..noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, correlation_length
+from ..noise.correlated_noise import (
+    ErrorCorrelation,
+    LastFrame,
+    PendingFrame,
+    read_correlation_length,
+)
 from ..noise.posture_prior import build_stationary_motion
 from .filter_problem import FilterProblem, Fold, choose_fold, encoder_rows, fold_readings
 from .reacquisition import LONG_SILENCE_S
@@ -326,10 +331,10 @@ def frames_by_instant(
         zip(problem.evidence.sightings, line.sightings, strict=True)
     ):
         scale = precision.scale.get(sighting.name, 1.0)
-        near = precision.near.get(sighting.name, 0.0)
+        near = precision.correlation_px.get(sighting.name, 0.0)
         like = ErrorCorrelation(
             precision.process,
-            correlation_length(sighting.model),
+            read_correlation_length(sighting.model),
             near,
             whole,
             order=precision.order,

@@ -12,10 +12,10 @@ from ...types import Array
 from ..measurements.records import Sighting, interpolate_values, mix_rows
 from ..noise.correlated_noise import (
     ErrorCorrelation,
-    correlation_length,
+    compute_shared_model_factors,
     count_directions,
     inflate_variances,
-    shared_model_factors,
+    read_correlation_length,
 )
 from ..noise.noise_model import NoiseModel
 from .filter_problem import FilterProblem, Fold
@@ -57,7 +57,7 @@ class Tangents:
         distinct = (
             count_directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
         )
-        self._repeated = shared_model_factors(counted, common, distinct)
+        self._repeated = compute_shared_model_factors(counted, common, distinct)
 
     def draw(self, problem: FilterProblem, fold: Fold, readings: FilterReadings) -> bool:
         """Write stale tangents into the readings: y = s −
@@ -142,9 +142,9 @@ class Tangents:
         var = precision.scale.get(sighting.name, 1.0) * sighting.independent.var
         seen = self._seen[index]
         often = self._repeated[index] if whole else 1.0
-        near = precision.near.get(sighting.name, 0.0)
+        near = precision.correlation_px.get(sighting.name, 0.0)
         like = ErrorCorrelation(
-            precision.process, correlation_length(sighting.model), near, whole, precision.order
+            precision.process, read_correlation_length(sighting.model), near, whole, precision.order
         )
         var[seen] = inflate_variances(
             like,

@@ -18,7 +18,7 @@ from ...body_model import BodyModel
 from ...motion import START_STD
 from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, Array, Estimate, Finding
-from ..factors.robust import OUTLIERS, image_span
+from ..factors.robust import OUTLIERS, measure_image_span
 from ..factors.whole_log import LEARNED_S
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.filter_problem import FilterProblem
@@ -234,7 +234,7 @@ def follow_slips(
         for row in rows.tolist():
             frames[at[row]].append((number, row))
         if len(rows):
-            spans[number] = image_span(sighting.values[rows], sighting.var[rows])
+            spans[number] = measure_image_span(sighting.values[rows], sighting.var[rows])
     found = StuckBelief(
         np.empty((count, m)),
         np.empty((count, m, m)),

@@ -17,7 +17,7 @@ from ..inference.scan import GATE_SIGMA
 from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_step
 from ..measurements.records import Encoders
 from ..measurements.timeline import GAP_STEPS, MAX_OUTPUT_RATE_HZ
-from .quantisation import dither_readings, shared_variance
+from .quantisation import compute_repeat_factor, dither_readings
 
 SKIPPED_READINGS = 10
 """Readings that do not count at the start, as a vague start costs white jerk more, nor
@@ -92,7 +92,7 @@ middle of the log: these tell a variance to √(2/N), 2 %.
 TRIED_MEMORIES = 2.0 ** np.linspace(7.7, -4.7, 48)
 """Averages: memories tried; a parabola through the best three is exact to .05 in the logarithm of
 the density. With 64 as the longest, of 180 joints at rest for 12 to 60 s 39 % got a process density
-above the `least_process_density`; with 128, 4 %; logs of motion have the same errors with both."""
+above the `compute_least_process`; with 128, 4 %; logs of motion have the same errors with both."""
 MAX_MEMORY_S = 1.0
 """s: longest memory of a filter for a joint at rest."""
 
@@ -139,12 +139,12 @@ def average_joint_readings(encoders: Encoders) -> list[AveragedReadings]:
 
 
 def _average_one_joint(t: Array, y: Array) -> AveragedReadings:
-    most = MAX_INSTANTS * readings_per_average(t)
+    most = MAX_INSTANTS * count_readings_per_average(t)
     begin = max(0, (len(t) - most) // 2)
     t = t[begin : begin + most]
     y = y[begin : begin + most]
-    if len(t) // readings_per_average(t) <= SKIPPED_READINGS or np.ptp(y) == 0.0:
-        return AveragedReadings(None, repeated=shared_variance(t, y) if len(t) else 1.0)
+    if len(t) // count_readings_per_average(t) <= SKIPPED_READINGS or np.ptp(y) == 0.0:
+        return AveragedReadings(None, repeated=compute_repeat_factor(t, y) if len(t) else 1.0)
     spread, added, least = dither_readings(t, y)
     return AveragedReadings(*_average_between_breaks(t, spread), added, least)
 
@@ -188,7 +188,7 @@ def find_followable_process(
     process = process.copy()
     for joint, column in enumerate(encoders.values.T):
         known = np.isfinite(column)
-        if known.sum() // readings_per_average(encoders.t[known]) > SKIPPED_READINGS:
+        if known.sum() // count_readings_per_average(encoders.t[known]) > SKIPPED_READINGS:
             (averages, each), noise = (
                 _average_between_breaks(encoders.t[known], column[known]),
                 encoder[joint],
@@ -199,7 +199,7 @@ def find_followable_process(
     return process
 
 
-def least_process_density(t: Array, encoder: Array, order: int) -> Array:
+def compute_least_process(t: Array, encoder: Array, order: int) -> Array:
     """Least density (M,), which bounds a filter's memory, (R
     Δt / q)^(1/2p), by MAX_MEMORY_S; p is the motion's order.
     """
@@ -241,7 +241,7 @@ def _fit_evidence_peak(ratios: Array, score: Array, noise: Array) -> tuple[float
     return float(np.exp(ratio)), float(np.exp(variance)), float(peak)
 
 
-def readings_per_average(t: Array) -> int:
+def count_readings_per_average(t: Array) -> int:
     """Readings per average."""
     return max(1, round(1.0 / MAX_OUTPUT_RATE_HZ / max(median_step(t), 1e-9))) if len(t) > 1 else 1
 
@@ -253,12 +253,12 @@ def average_close_readings(found: Encoders) -> Encoders:
     for column in known.T[~known.all(axis=0)]:
         which = np.unique(2 * which + column, return_inverse=True)[1]
     parts = np.split(np.argsort(which, kind="stable"), np.cumsum(np.bincount(which))[:-1])
-    return _merge_encoders([_row_means(found, part) for part in parts])
+    return _merge_encoders([_average_rows(found, part) for part in parts])
 
 
-def _row_means(found: Encoders, part: Array) -> Encoders:
+def _average_rows(found: Encoders, part: Array) -> Encoders:
     """Means of close rows among `part` (P,), which are of the same encoders."""
-    each = readings_per_average(found.t[part])
+    each = count_readings_per_average(found.t[part])
     joints = found.values.shape[1]
     part = part[: len(part) // each * each]
     weights = 1.0 / found.relative[part]
@@ -296,7 +296,7 @@ def _average_between_breaks(t: Array, y: Array) -> tuple[Averages, int]:
 
     Readings are averaged as far as a short stretch shows no acceleration.
     """
-    each = readings_per_average(t)
+    each = count_readings_per_average(t)
     whole = len(t) // each * each
     broken = _find_breaks(t, y)
     t, y = (a[:whole].reshape(-1, each).mean(axis=1) for a in (t, y))

@@ -24,16 +24,18 @@ class PosturePrior:
     mean: Array
     density: Array
 
-    def fill(self, t: Array, encoders: Array, var: Array) -> tuple[Array, Array]:
+    def fill_encoder_rows(self, t: Array, encoders: Array, var: Array) -> tuple[Array, Array]:
         """Encoder rows (E,M) and variances with a pseudo-reading
         at each instant, weighted by the time step.
         """
         encoders = encoders.copy()
         var = var.copy()
-        encoders[1:], var[1:] = self.read(encoders[1:], var[1:], np.diff(t)[:, None])
+        encoders[1:], var[1:] = self.add_pseudo_readings(encoders[1:], var[1:], np.diff(t)[:, None])
         return encoders, var
 
-    def read(self, encoders: Array, var: Array, dt: Array | float) -> tuple[Array, Array]:
+    def add_pseudo_readings(
+        self, encoders: Array, var: Array, dt: Array | float
+    ) -> tuple[Array, Array]:
         """Encoder rows (…,M) and variances with a pseudo-reading after dt (…,1) s."""
         return np.where(self.joints, self.mean, encoders), np.where(
             self.joints, self.density / dt, var
@@ -61,11 +63,11 @@ def build_posture_prior(
 ) -> PosturePrior | None:
     """The prior of the `silent` joints (M,) bool; None if there are none or no model has samples.
 
-    The density of pseudo-readings is such that a filter's `steady_variance`
+    The density of pseudo-readings is such that a filter's `compute_steady_variance`
     equals the variance of the explored angles. The mean is that of the
     explored angles, or the start if only touch was measured.
     """
-    known = _sample_statistics(models)
+    known = _measure_sample_statistics(models)
     if not silent.any() or known is None:
         return None
     (mean, std), seen, power = known, any(name != "touch" for name in models), 1.0 / (2 * order)
@@ -82,7 +84,7 @@ def build_stationary_motion(
     Derivatives have the log's own mean squares, if known, or a belief's prior ones. Angles have
     those of the explored angles, or more: the log's own, or those that the derivatives need.
     """
-    known = _sample_statistics(models)
+    known = _measure_sample_statistics(models)
     order = precision.order
     mean, std = (start, np.full(len(start), START_STD[0])) if known is None else known
     var = np.stack(
@@ -97,7 +99,7 @@ def build_stationary_motion(
     return Stationary(mean, var, precision.process)
 
 
-def _sample_statistics(models: Mapping[str, ForwardModel]) -> tuple[Array, Array] | None:
+def _measure_sample_statistics(models: Mapping[str, ForwardModel]) -> tuple[Array, Array] | None:
     """Mean and standard deviation (M,) rad of the models' samples, or None without any."""
     distinct = {id(model): model for model in models.values()}
     known = [

@@ -18,7 +18,7 @@ JOINT_UNIT_KEY = "joint_unit"
 """The key of an estimate's settings that names the joints' unit, where that is not rad."""
 
 
-def unit_of(joints: Series | None) -> tuple[str, float]:
+def find_joint_unit(joints: Series | None) -> tuple[str, float]:
     """The unit of joint readings, and its size in rad, 1 where they are angles.
 
     The size of undeclared units is a guess: of a turn of the least power
@@ -29,10 +29,10 @@ def unit_of(joints: Series | None) -> tuple[str, float]:
         return "rad", 1.0
     span = _measure_reading_span(joints.values)
     if joints.unit != "rad":
-        return joints.unit, _rad_per_unit(span)
+        return joints.unit, _guess_rad_per_unit(span)
     known = joints.values[np.isfinite(joints.values)]
     return (
-        ("counts", _rad_per_unit(span))
+        ("counts", _guess_rad_per_unit(span))
         if span > tau and (known == np.round(known)).all()
         else ("rad", 1.0)
     )
@@ -45,11 +45,11 @@ def _measure_reading_span(values: Array) -> float:
     return max(float(np.nanmax(values)), 0.0) - min(float(np.nanmin(values)), 0.0)
 
 
-def _rad_per_unit(span: float) -> float:
+def _guess_rad_per_unit(span: float) -> float:
     return tau / 2.0 ** np.ceil(np.log2(span)) if span > tau else 1.0
 
 
-def as_angles(features: Features, rad_per_unit: float) -> Features:
+def scale_to_angles(features: Features, rad_per_unit: float) -> Features:
     """The features with joint readings as angles, rad."""
     joints = features.joints
     assert joints is not None
@@ -58,7 +58,7 @@ def as_angles(features: Features, rad_per_unit: float) -> Features:
     )
 
 
-def in_units(found: Estimate, unit: str, rad_per_unit: float) -> Estimate:
+def convert_estimate_to_units(found: Estimate, unit: str, rad_per_unit: float) -> Estimate:
     """An estimate of angles, by encoders alone, in the unit that their readings have."""
     scale = 1.0 / rad_per_unit
     bias = None if found.bias is None else replace(found.bias, values=scale * found.bias.values)
@@ -68,18 +68,18 @@ def in_units(found: Estimate, unit: str, rad_per_unit: float) -> Estimate:
         rate=replace(found.rate, values=scale * found.rate.values),
         cov=scale**2 * found.cov,
         bias=bias,
-        faults=tuple(fault_in_units(fault, unit, scale) for fault in found.faults),
-        settings=_settings_in_units(found.settings, scale),
+        faults=tuple(convert_fault_to_units(fault, unit, scale) for fault in found.faults),
+        settings=_convert_settings_to_units(found.settings, scale),
     )
 
 
-def fault_in_units(fault: Fault, unit: str, scale: float) -> Fault:
+def convert_fault_to_units(fault: Fault, unit: str, scale: float) -> Fault:
     """A fault of angles in a unit, of which a rad has `scale`."""
     std = None if fault.std is None else scale * fault.std
     return replace(fault, size=scale * fault.size, std=std, unit=unit)
 
 
-def _settings_in_units(settings: Mapping[str, Any], scale: float) -> dict[str, Any]:
+def _convert_settings_to_units(settings: Mapping[str, Any], scale: float) -> dict[str, Any]:
     """The settings with variances of encoders and of motion in the readings' unit."""
     variances = ("encoder", "process", "drift")
     return {
@@ -109,7 +109,7 @@ def _mark_changes(y: Array) -> Array:
     return np.asarray(np.abs(np.diff(y)) > SAME_READING)
 
 
-def step_size(y: Array) -> float:
+def find_reading_step(y: Array) -> float:
     """The step (rad) of which all differences of readings (N,) are multiples; 0 without one."""
     steps = np.abs(np.diff(y))
     steps = steps[steps > SAME_READING]
@@ -121,7 +121,7 @@ def step_size(y: Array) -> float:
     )
 
 
-def shared_variance(t: Array, y: Array) -> float:
+def compute_repeat_factor(t: Array, y: Array) -> float:
     """Factor on the variance of readings (N,) for
     the errors that repeats share; 1 without repeats.
     """
@@ -133,31 +133,31 @@ def dither_readings(t: Array, y: Array) -> tuple[Array, float, float]:
     """Readings (N,) dithered over their step, the
     variance (rad²) of the dither, and the least variance.
     """
-    step = step_size(y)
-    least = quantisation_variance(y) * shared_variance(t, y)
+    step = find_reading_step(y)
+    least = compute_quantisation_variance(y) * compute_repeat_factor(t, y)
     if step == 0.0:
         return y, 0.0, least
     return y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y)), step * step / 12.0, least
 
 
-def relative_variances(t: Array, y: Array, variance: float) -> Array:
+def compute_relative_variances(t: Array, y: Array, variance: float) -> Array:
     """Variance of each reading (N,) over the encoder's
     `variance` (rad²); repeats at rest count as one reading.
     """
-    own = quantisation_variance(y) or variance / shared_variance(t, y)
+    own = compute_quantisation_variance(y) or variance / compute_repeat_factor(t, y)
     runs = np.flatnonzero(np.append(True, _mark_changes(y)))
     counts = np.diff(runs, append=len(y))
     lasting = t[np.minimum(runs + counts, len(y) - 1)] - t[runs]
     shared = np.clip(lasting / SHARED_ERROR_S, 1.0, counts)
-    beside = max(variance - own * (shared_variance(t, y) - 1.0), own)
+    beside = max(variance - own * (compute_repeat_factor(t, y) - 1.0), own)
     return np.asarray(np.repeat(beside + own * (shared - 1.0), counts) / variance)
 
 
-def quantisation_variance(y: Array) -> float:
+def compute_quantisation_variance(y: Array) -> float:
     """Variance (rad²) of quantisation by the step, or by
     the least change if readings repeat; 0 if neither.
     """
     steps = np.abs(np.diff(y))
     moved = steps[steps > SAME_READING]
-    step = step_size(y) or (float(moved.min()) if 0 < len(moved) < len(steps) else 0.0)
+    step = find_reading_step(y) or (float(moved.min()) if 0 < len(moved) < len(steps) else 0.0)
     return step * step / 12.0
