@@ -50,7 +50,7 @@ def dense(problem, noise, linear, until):
     joints = noise.joints
     times = np.unique(np.concatenate([problem.knots, problem.t[problem.t >= problem.knots[0]]]))
     p, m = joints.states, len(problem.start)
-    start = block_diag(*np.linalg.inv(joints.start_precision()))
+    start = block_diag(*np.linalg.inv(joints.start_precision))
     mean = np.zeros(m * p)
     mean[::p] = problem.start
     covs, moves = [start], []
@@ -76,14 +76,14 @@ def dense(problem, noise, linear, until):
     cov = block_diag(cov, np.diag(sizes)) if len(sizes) else cov
     mean = np.concatenate([*means, [column.mean for column in problem.columns]])
     rows, read, var = [], [], []
-    moved = [column.reads(problem.t, linear.path) for column in problem.columns]
+    moved = [column.changes_readings(problem.t, linear.path) for column in problem.columns]
     for k, at in enumerate(problem.t):
         for j in range(m):
             if not np.isfinite(problem.values[k, j]) or at < problem.knots[0] or at > until + 1e-12:
                 continue
             row = np.zeros(len(mean))
             first = np.searchsorted(times, at) * size + j * p
-            row[first : first + p] = joints.reads(JOINTS * p)[j, j * p : (j + 1) * p]
+            row[first : first + p] = joints.build_reading_rows(np.zeros(1))[0, j]
             row[len(times) * size :] = [one[k, j] for one in moved]
             rows.append(row)
             read.append(problem.values[k, j])

@@ -100,10 +100,17 @@ def test_windows_that_are_narrowed_lie_apart_in_order_of_probability():
 def test_a_shift_of_a_link_is_minus_that_of_its_encoder():
     t = np.linspace(0.0, 4.0, 9)
     path = Path(t, *[np.zeros((9, 2))] * 4)
-    for grows in (False, True):
-        shown = LinkShift("shift", 1.0, joint=1, since=1.0, until=4.0 if grows else 1.0).moves_links(path)
-        read = EncoderShift("shift", 1.0, joint=1, since=1.0, grows=grows).reads(t, path)
-        np.testing.assert_allclose(shown, read / (3.0 if grows else 1.0))
+    shown = LinkShift("shift", 1.0, joint=1, since=1.0, until=1.0).moves_links(path)
+    read = EncoderShift("shift", 1.0, joint=1, since=1.0).changes_readings(t, path)
+    np.testing.assert_allclose(shown, read)
+
+
+def test_a_shift_of_a_link_that_grows_is_a_ramp():
+    t = np.linspace(0.0, 4.0, 9)
+    path = Path(t, *[np.zeros((9, 2))] * 4)
+    shown = LinkShift("shift", 1.0, joint=1, since=1.0, until=4.0).moves_links(path)
+    np.testing.assert_allclose(shown[:, 0], 0.0)
+    np.testing.assert_allclose(shown[:, 1], np.maximum(t - 1.0, 0.0) / 3.0)
 
 
 def test_a_change_takes_a_load_where_there_is_none_and_puts_it_down_where_there_is_one():
@@ -157,9 +164,10 @@ def test_an_encoder_that_is_off_since_a_moment_is_no_load():
     rng = np.random.default_rng(5)
     problem = factor_problems.drawn(rng, images=64)
     noise = factor_problems.noise(3, rng, lasting=False)
-    for grows in (False, True):
-        off = EncoderShift("shift", 1.0, joint=1, since=1.2, grows=grows)
-        read = problem.values + 0.03 * off.reads(problem.t, guess_path(problem))
+    after = np.maximum(problem.t - 1.2, 0.0)
+    for off in (after > 0.0, after):
+        read = problem.values.copy()
+        read[:, 1] += 0.03 * off
         one = replace(problem, values=read)
         path = solve_problem(one, noise, rounds=2).linear.path
         found = list(list_timed_loads(one, noise, path, (bent(0), bent(1))))

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...types import Array
 from .condensing import PairFactors, PassedReading, PassedSteps, Readings
-from .encoder_error import LEAST_STD, JointNoise
+from .encoder_error import JointNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +64,10 @@ def measure_condensed_slopes(
     with_pair -= _multiply_blocks(shift, expected.with_columns.swapaxes(0, 1))
     square = _multiply_blocks(with_pair, ahead.swapaxes(0, 1))
     square -= _multiply_blocks(by_starts[:, p:], shift.swapaxes(0, 1)) + ahead[:, p:]
-    var = np.square(np.maximum(0.0 if noise.error is None else noise.error, LEAST_STD))
     white = np.zeros(by_starts.shape[2:])
-    process, error, seconds = white.copy(), white.copy(), white.copy()
+    process = white.copy()
+    error = white.copy()
+    seconds = white.copy()
     for k in reversed(range(len(passed.lasts))):
         if k < len(passed.readings):
             white += _pass_reading(noise, passed.readings[k], starts, by_starts, square)
@@ -81,6 +82,7 @@ def measure_condensed_slopes(
         noise.carry_slopes_back(square, gap, decay)
         if noise.error is not None:
             kept += (square[:, -1] * last_cov).sum(axis=0)
+            var = noise.error_variance
             faster = gap / noise.seconds * decay
             error += var * np.expm1(-2.0 * gap / noise.seconds) * last
             seconds += faster * (var * decay * last - kept)

@@ -17,6 +17,9 @@ from ...motion import motion_covariance
 from ...types import Array
 from .encoder_error import JointNoise
 
+SAME_TIME_S = 1e-9
+"""s: times that differ by less are one, up to the rounding of their stamps."""
+
 
 @dataclass(frozen=True, eq=False)
 class Readings:
@@ -79,16 +82,10 @@ class PassedSteps:
 
 
 def place_readings(
-    t: Array,
-    values: Array,
-    relative: Array,
-    believed: Array,
-    knots: Array,
-    order: int,
-    near: float = 1e-9,
+    t: Array, values: Array, relative: Array, believed: Array, knots: Array, order: int
 ) -> Readings:
-    """Distribute readings at t (N,) s over the knots
-    (K,) s; those within `near` s of one are at it.
+    """Distribute readings at t (N,) s over the knots (K,) s; those within SAME_TIME_S of one are
+    at it.
 
     values (N,M,R) rad, NaN in the first right-hand side where missing · relative (N,M): variance
     over the encoder's · believed (N,M) · order: that of the motion.
@@ -98,8 +95,8 @@ def place_readings(
     believed = np.where(known, believed, 0.0)
     values = np.where(known[..., None], values, 0.0)
     count = len(knots)
-    after = np.searchsorted(knots, t - near)
-    is_at = (after < count) & (np.abs(knots[np.minimum(after, count - 1)] - t) <= near)
+    after = np.searchsorted(knots, t - SAME_TIME_S)
+    is_at = (after < count) & (np.abs(knots[np.minimum(after, count - 1)] - t) <= SAME_TIME_S)
     rows = np.flatnonzero(~is_at & (after > 0) & (after < count))
     interval = after[rows] - 1
     first = np.searchsorted(interval, interval)

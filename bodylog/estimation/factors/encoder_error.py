@@ -9,7 +9,7 @@ Ornstein–Uhlenbeck process
 reads q + e, or at the link, which then stands at q + e while the encoder reads q.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -43,31 +43,39 @@ class JointNoise:
         """Number p of a joint's states."""
         return self.order + (self.error is not None)
 
-    def reads(self, size: int) -> Array:
-        """What encoders read, as rows (M,S) on a knot's state, of this size S."""
-        joints = np.arange(len(self.white))
-        rows = np.zeros((len(joints), size))
-        rows[joints, joints * self.states] = 1.0
-        if self.error is not None:
-            rows[joints, joints * self.states + self.order] = ~self.at_link
-        return rows
+    @property
+    def error_variance(self) -> Array:
+        """Variance (M,) rad² of what lasts, at least LEAST_STD²."""
+        assert self.error is not None
+        return np.square(np.maximum(self.error, LEAST_STD))
 
-    def stands(self, ahead: Array) -> Array:
-        """Where the link stands, as a row (F,M,p) on the joint's state `ahead` (F,) s before."""
-        row = np.zeros((len(ahead), len(self.white), self.states))
-        row[..., : self.order] = motion.motion_transition(self.order, ahead)[:, None, 0, :]
-        if self.error is not None:
-            row[..., self.order] = self.at_link
-        return row
-
+    @property
     def start_precision(self) -> Array:
-        """Precision (M,p,p) of the state at the first
-        knot, about the angles that are read first.
-        """
+        """Precision (M,p,p) of the state at the first knot, about the angles that are read first."""
         var = np.tile(np.square(np.array(motion.START_STD[: self.order])), (len(self.white), 1))
         if self.error is not None:
-            var = np.column_stack([var, np.square(np.maximum(self.error, LEAST_STD))])
+            var = np.column_stack([var, self.error_variance])
         return np.asarray(np.eye(self.states) / var[:, None, :])
+
+    def build_link_rows(self, ahead: Array) -> Array:
+        """Where links stand, as rows (F,M,p) on each joint's state `ahead` (F,) s before."""
+        rows = np.zeros((len(ahead), len(self.white), self.states))
+        rows[..., : self.order] = motion.motion_transition(self.order, ahead)[:, None, 0, :]
+        if self.error is not None:
+            rows[..., self.order] = self.at_link
+        return rows
+
+    def build_reading_rows(self, ahead: Array) -> Array:
+        """What encoders read, as rows (F,M,p) on each joint's state `ahead` (F,) s before."""
+        return replace(self, at_link=~self.at_link).build_link_rows(ahead)
+
+    def place_rows_on_knots(self, rows: Array, size: int) -> Array:
+        """Rows (F,M,p) on each joint's state as rows (F,M,S) on a knot's state, of this size S."""
+        p = self.states
+        placed = np.zeros((*rows.shape[:2], size))
+        for j in range(len(self.white)):
+            placed[:, j, j * p : (j + 1) * p] = rows[:, j]
+        return placed
 
     def read_encoders(self, states: Array) -> Array:
         """What an encoder reads (…,I,M) of means or columns of states (p,…,I,M)."""
@@ -111,6 +119,6 @@ class JointNoise:
         found = np.zeros((self.states, self.states, *gap.shape, len(self.white)))
         found[: self.order, : self.order] = unit_motion[..., None] * self.process
         if self.error is not None:
-            var = np.square(np.maximum(self.error, LEAST_STD))
-            found[self.order, self.order] = -var * np.expm1(-2.0 * gap[..., None] / self.seconds)
+            lost = np.expm1(-2.0 * gap[..., None] / self.seconds)
+            found[self.order, self.order] = -self.error_variance * lost
         return found

@@ -114,7 +114,7 @@ class FactorProblem:
         """The readings at and between the knots, with the change
         of each by the columns as further right-hand sides. order: that of the motion.
         """
-        moved = (column.reads(self.t, path) for column in self.columns)
+        moved = (column.changes_readings(self.t, path) for column in self.columns)
         values = np.stack([self.values, *moved], axis=-1)
         believed = np.ones(self.values.shape) if self.believed is None else self.believed
         return place_readings(self.t, values, self.relative, believed, self.knots, order)
@@ -193,7 +193,7 @@ def build_system(linear: Linearised, passed: PassedSteps | None = None) -> Syste
         add_at_knots(logs, at, compute_normalisation(var, believed).sum(axis=1))
 
     own = linear.readings
-    read_rows = joints.reads(size)[None]
+    read_rows = joints.place_rows_on_knots(joints.build_reading_rows(np.zeros(1)), size)
     add_rows(
         np.arange(count), read_rows, own.at_knot, joints.white, own.knot_weight, own.knot_believed
     )
@@ -256,9 +256,7 @@ def _add_start(
 ) -> None:
     """What is known at the first knot before the log."""
     p = joints.states
-    for j, (start, precision) in enumerate(
-        zip(problem.start, joints.start_precision(), strict=True)
-    ):
+    for j, (start, precision) in enumerate(zip(problem.start, joints.start_precision, strict=True)):
         own = slice(j * p, (j + 1) * p)
         info[0, own, own] += precision
         right[0, j * p, 0] += precision[0, 0] * start

@@ -19,6 +19,8 @@ ROUNDS = 12
 """Rounds at most. Smoothers settle after 2 to 4; with 25, a filter moves angles of a drawn log with
 play by 1.4e-4 standard deviations at most.
 """
+GUESSED_STD = 1e-3
+"""rad: how well the readings tell the motors' angles, before a solution tells it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,9 +45,9 @@ def guess_path(problem: FactorProblem) -> Path:
     rates = (
         np.gradient(angles, problem.knots, axis=0) if len(angles) > 1 else np.zeros(angles.shape)
     )
-    noise = 2.0 * np.full(len(problem.start), 1e-3)
+    unsure = np.full(len(problem.start), NOISE_SIGMAS * GUESSED_STD)
     halves = _list_half_plays(problem, [column.mean for column in problem.columns])
-    return Path(problem.knots, angles, rates, angles, follow_slack(angles, halves, noise))
+    return Path(problem.knots, angles, rates, angles, follow_slack(angles, halves, unsure))
 
 
 def _list_half_plays(problem: FactorProblem, sizes: Iterable[float]) -> Array:
@@ -59,17 +61,14 @@ def _list_half_plays(problem: FactorProblem, sizes: Iterable[float]) -> Array:
 
 def path_from_beliefs(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
     """The path that beliefs give."""
-    p = noise.joints.states
-    m = len(problem.start)
-    joints = beliefs.mean[:, : m * p].reshape(-1, m, p)
-    angles = joints[..., 0]
-    links = angles + (
-        joints[..., -1] * noise.joints.at_link if noise.joints.error is not None else 0.0
-    )
-    var = np.einsum("kss->ks", beliefs.cov)[:, : m * p : p]
-    unsure = NOISE_SIGMAS * np.sqrt(np.median(var, axis=0))
-    slack = follow_slack(angles, _list_half_plays(problem, beliefs.sizes[-1].tolist()), unsure)
-    path = Path(problem.knots, angles, joints[..., 1], links, slack)
+    joints = noise.joints
+    states = beliefs.split_joints(joints)
+    angles = states[..., 0]
+    links = angles + (0.0 if joints.error is None else states[..., -1] * joints.at_link)
+    unsure = NOISE_SIGMAS * np.sqrt(np.median(beliefs.list_angle_variances(joints), axis=0))
+    halves = _list_half_plays(problem, beliefs.sizes[-1].tolist())
+    slack = follow_slack(angles, halves, unsure)
+    path = Path(problem.knots, angles, states[..., 1], links, slack)
     for c, column in enumerate(problem.columns):
         if column.bends:
             links = links + column.moves_links(path) * beliefs.sizes[:, c, None]
@@ -91,9 +90,7 @@ def solve_problem(
         eliminated = eliminate_states(system)
         beliefs = filter_knots(system, eliminated) if causal else smooth_knots(system, eliminated)
         after = path_from_beliefs(problem, noise, beliefs)
-        var = np.einsum("kss->ks", beliefs.cov)[
-            :, : noise.joints.states * len(problem.start) : noise.joints.states
-        ]
+        var = beliefs.list_angle_variances(noise.joints)
         moved = np.square(after.links - path.links) / var
         if np.sqrt(moved.max()) < ROUGHLY_CONVERGED_MOVE:
             break

@@ -2,7 +2,7 @@
 last, play, and columns beside them, each by its evidence.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, islice
 
@@ -12,6 +12,7 @@ from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..measurements.arm_errors import PLAY_STD
 from ..measurements.track import camera_of_track
+from ..noise.lasting_error import MOST_COUNTS
 from .columns import Column, Delay, Play
 from .encoder_error import LEAST_STD
 from .factor_problem import CHANGE, FactorProblem, Noise
@@ -23,8 +24,6 @@ from .timed_columns import list_displaced_images, list_timed_loads, weigh_displa
 
 FIRST_STD = 1e-3
 """rad: σ of a lasting error with which the search begins."""
-FIRST_S = 1.0
-"""s: how long a lasting error lasts with which the search begins."""
 DRIFTS_S = 5.0
 """s: errors that last longer can imitate an encoder that drifts, and a load."""
 SILENT_STD = 1e-5
@@ -100,25 +99,25 @@ def find_explanation(
     problem: FactorProblem,
     noise: Noise,
     step_s: float,
-    is_of_counts: Callable[[Noise], bool],
+    count_variance: Array,
     halves: Array,
     loads: tuple[Load, ...],
 ) -> Explanation:
     """The most probable explanation of a log: white noise alone, or errors of its hardware.
 
     noise: white noise alone, with the offsets that are known · step_s: the encoders' usual step ·
-    is_of_counts: whether errors that last are those of whole counts · halves (M,) rad: half of
-    each joint's play in the exploration · loads: columns of a load.
+    count_variance (M,) rad²: of readings in whole counts · halves (M,) rad: half of each joint's
+    play in the exploration · loads: columns of a load.
     """
     white = fit_white_noise(problem, noise, step_s)
     sides = [_fit_noise(problem, one, step_s, white) for one in _list_lasting_noises(white.noise)]
     lasting = _choose_most_probable(sides)
     if (
         white.nats - lasting.nats <= _compute_required_gain(noise)
-        or is_of_counts(lasting.noise)
+        or _is_of_counts(lasting.noise, count_variance)
         or _is_short(lasting.noise, step_s)
     ):
-        return Explanation(problem.columns, white, white, 0.0, 0.0, {})
+        return conclude_white_noise(problem, white)
     basis = _Basis(noise, step_s, white)
     problem, lasting, played = _allow_play(problem, basis, halves, sides)
     problem, lasting, displaced = _displace_images(problem, basis, lasting)
@@ -137,6 +136,11 @@ def find_explanation(
         problem = replace(problem, columns=curve_loads(problem.columns, _find_turning(noise)))
         found = mix_silent_groups(_fit_noise(problem, found.noise, step_s, found), problem.columns)
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
+
+
+def conclude_white_noise(problem: FactorProblem, white: Learned) -> Explanation:
+    """White noise alone as what explains a log."""
+    return Explanation(problem.columns, white, white, 0.0, 0.0, {})
 
 
 def _allow_play(
@@ -294,6 +298,13 @@ def _list_cameras(problem: FactorProblem) -> tuple[str, ...]:
     return tuple(
         dict.fromkeys(camera_of_track(one.name) for one in problem.sightings if one.name != "touch")
     )
+
+
+def _is_of_counts(noise: Noise, count_variance: Array) -> bool:
+    """Whether what lasts is no more than whole counts make, which white noise has already."""
+    joints = noise.joints
+    small = joints.error_variance < MOST_COUNTS * count_variance
+    return bool(small[joints.learned].all())
 
 
 def _is_short(noise: Noise, step_s: float) -> bool:

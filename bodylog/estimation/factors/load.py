@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class Load(Column):
     start.
     """
 
-    bends: bool = True
+    bends: ClassVar[bool] = True
     moments: tuple[float, ...] = (-np.inf,)
 
     def moves_links(self, path: Path) -> Array:
@@ -139,7 +139,7 @@ def build_load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
     known = readings[np.isfinite(readings).all(axis=1)]
     if not len(known):
         return ()
-    levers = find_hand_levers(body, known)
+    levers = _find_hand_levers(body, known)
     if levers is None:
         return tuple(_bend_linearly(known))
     return tuple(_bend_by_levers(levers, _measure_still_levers(body, known), known))
@@ -150,7 +150,7 @@ def count_groups(loads: Sequence[Column]) -> int:
     return 1 + max((one.group for one in loads if one.group is not None), default=-1)
 
 
-def find_hand_levers(body: BodyModel, known: Array) -> Callable[[Array], Array] | None:
+def _find_hand_levers(body: BodyModel, known: Array) -> Callable[[Array], Array] | None:
     """How far the hand rises with each joint (N,M), m per rad, at
     angles (N,M); None where no sense has a URDF that tells it at known (N,M).
     """

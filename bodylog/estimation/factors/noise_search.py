@@ -205,7 +205,7 @@ def _measure_slopes(
         assert joints.error is not None
         p = joints.states
         square = expected.pairs[p - 1, p - 1, 0]
-        first = 1.0 - square * joints.start_precision()[:, -1, -1]
+        first = 1.0 - square * joints.start_precision[:, -1, -1]
         parts += [
             (by["error"] + first)[joints.learned],
             by["seconds"][joints.learned].sum(keepdims=True),
@@ -225,7 +225,7 @@ def _expect_moments(linear: Linearised, beliefs: Smoothed) -> Expected:
     columns = np.outer(c, c)
     columns[1:, 1:] += sizes_cov
     shared = beliefs.shared[:, : m * p].reshape(len(beliefs.mean), m, p, len(sizes))
-    mean = beliefs.mean[:, : m * p].reshape(-1, m, p)
+    mean = beliefs.split_joints(linear.noise.joints)
     own, next_to = (
         np.einsum("kapaq->kapq", cov[:, : m * p, : m * p].reshape(-1, m, p, m, p))
         for cov in (beliefs.cov, beliefs.between)
@@ -245,8 +245,10 @@ def _measure_knot_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
     """Slopes (M,) by the logarithms of the variance of readings, of those at knots."""
     readings = linear.readings
     joints = linear.noise.joints
-    rows = np.tile(joints.reads(beliefs.mean.shape[1]), (len(readings.t), 1, 1))
-    mean, cov = beliefs.project_rows(rows, np.arange(len(readings.t)), readings.at_knot[..., 1:])
+    knots = np.arange(len(readings.t))
+    rows = joints.build_reading_rows(np.zeros(len(knots)))
+    rows = joints.place_rows_on_knots(rows, beliefs.mean.shape[1])
+    mean, cov = beliefs.project_rows(rows, knots, readings.at_knot[..., 1:])
     square = np.square(readings.at_knot[..., 0] - mean) + np.einsum("kmm->km", cov)
     slopes = readings.knot_believed - readings.knot_weight / joints.white * square
     return np.asarray(0.5 * slopes.sum(axis=0))

@@ -18,6 +18,7 @@ from ...linear_algebra import selected_inverse
 from ...motion import band_storage
 from ...types import Array
 from .condensing import PairFactors
+from .encoder_error import JointNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +146,16 @@ class Marginals:
     sizes_cov: Array
     shared: Array
     nats: Array | float
+
+    def split_joints(self, joints: JointNoise) -> Array:
+        """Each joint's state (K,M,p) at the knots."""
+        width = len(joints.white) * joints.states
+        return self.mean[:, :width].reshape(len(self.mean), -1, joints.states)
+
+    def list_angle_variances(self, joints: JointNoise) -> Array:
+        """Variances (K,M) rad² of the joints' angles at the knots, the columns' sizes known."""
+        width = len(joints.white) * joints.states
+        return np.asarray(np.einsum("kss->ks", self.cov)[:, : width : joints.states])
 
     def project_rows(self, rows: Array, knots: Array, columns: Array) -> tuple[Array, Array]:
         """Mean (F,D) and covariance (F,D,D) of rows (F,D,S)

@@ -4,7 +4,6 @@ as factors, explained, and solved at every instant.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -14,15 +13,20 @@ from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 from ..inference.filter_problem import FilterProblem
 from ..inference.tangents import OFFSET_STD
 from ..measurements.records import Encoders, Sighting, unmix_rows
-from ..noise.lasting_error import MOST_COUNTS
 from .columns import EncoderShift
+from .condensing import SAME_TIME_S
 from .encoder_error import LEAST_STD, JointNoise
 from .factor_problem import FactorProblem, LastingPrior, Noise
 from .gauss_newton import Solution, path_from_beliefs, solve_problem
-from .hypotheses import FIRST_S, Explanation, add_lasting_errors, find_explanation, fit_white_noise
-from .images import ImageRows, Images
+from .hypotheses import (
+    Explanation,
+    add_lasting_errors,
+    conclude_white_noise,
+    find_explanation,
+    fit_white_noise,
+)
+from .images import ImageRows, Images, find_nearest_knots
 from .load import WIDE_BEND, Load, count_groups
-from .noise_search import Learned
 from .robust import (
     compute_believed_shares,
     compute_outlier_nats,
@@ -99,7 +103,7 @@ class ExplainedLog:
 
     def with_white_noise(self) -> "ExplainedLog":
         """The same log by white noise alone."""
-        return replace(self, explanation=_explain_by_noise(self.fine, self.explanation.white))
+        return replace(self, explanation=conclude_white_noise(self.fine, self.explanation.white))
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +137,7 @@ def explain_log(
         coarse,
         replace(noise, prior=lasting),
         _measure_usual_step(encoders),
-        partial(_is_of_counts, encoders=encoders),
+        encoders.count_variance,
         halves,
         loads,
     )
@@ -147,12 +151,9 @@ def explain_by_white_noise(problem: FilterProblem) -> ExplainedLog | None:
         return None
     fine, coarse, noise = posed
     white = fit_white_noise(coarse, noise, _measure_usual_step(_require_encoders(problem)))
-    return ExplainedLog(fine, _explain_by_noise(fine, white), white.nats + _weigh_outliers(coarse))
-
-
-def _explain_by_noise(problem: FactorProblem, white: Learned) -> Explanation:
-    """White noise as what explains a log."""
-    return Explanation(problem.columns, white, white, 0.0, 0.0, {})
+    return ExplainedLog(
+        fine, conclude_white_noise(fine, white), white.nats + _weigh_outliers(coarse)
+    )
 
 
 def _require_encoders(problem: FilterProblem) -> Encoders:
@@ -216,15 +217,15 @@ def solve_log(problem: FilterProblem, found: ExplainedLog, causal: bool) -> Solv
     fine = replace(found.explanation.settle_columns(found.fine), nearest=not causal)
     fine = _weigh_measurements(fine, found.noise, rough=False)
     solution = solve_problem(fine, found.noise, causal=causal)
-    instants = _evaluate_instants(problem, fine, solution, causal)
-    every = enumerate(found.senses)
-    return SolvedLog(
-        instants,
-        {
-            name: _expect_places(problem, instants, solution, number, causal)
-            for number, name in every
-        },
-    )
+    early = solution.beliefs
+    if causal:
+        early = predict_knots(solution.system, solution.eliminated)
+    instants = _evaluate_instants(problem, fine, solution, early, causal)
+    places = {
+        name: _expect_places(problem, instants, solution, early, number, causal)
+        for number, name in enumerate(found.senses)
+    }
+    return SolvedLog(instants, places)
 
 
 def _weigh_outliers(problem: FactorProblem) -> float:
@@ -238,14 +239,6 @@ def _weigh_outliers(problem: FactorProblem) -> float:
             share[seen], measure_image_span(one.values[seen], one.var[seen])
         )
     return total
-
-
-def _is_of_counts(noise: Noise, encoders: Encoders) -> bool:
-    """Whether what lasts is no more than whole counts make, which white noise has already."""
-    joints = noise.joints
-    return joints.error is not None and bool(
-        (np.square(joints.error) < MOST_COUNTS * encoders.count_variance)[joints.learned].all()
-    )
 
 
 def _build_problem(
@@ -293,17 +286,13 @@ def _coarsen_middle(fine: FactorProblem) -> FactorProblem:
     begin = centre - LEARNED_S / 2
     end = centre + LEARNED_S / 2
     seen = [one.t[np.isfinite(one.values).all(axis=1)] for one in fine.sightings]
-    spread = np.arange(fine.knots[0], fine.knots[-1], SPARSE_S)
     images = np.sort(np.concatenate(seen))
-    alone = (
-        np.abs(spread[:, None] - images[None]).min(axis=1) > SPARSE_S
-        if len(images)
-        else spread >= 0
-    )
+    spread = np.arange(fine.knots[0], fine.knots[-1], SPARSE_S)
+    alone = np.abs(spread[:, None] - images[None]).min(axis=1) > SPARSE_S
     ends = [fine.knots[0], fine.knots[-1]]
     t = np.unique(np.concatenate([images, spread[alone], ends]))
     knots = _thin_times(t[(t >= begin) & (t <= end)], COARSE_S)
-    rows = (fine.t >= knots[0] - 1e-9) & (fine.t <= knots[-1] + 1e-9)
+    rows = (fine.t >= knots[0] - SAME_TIME_S) & (fine.t <= knots[-1] + SAME_TIME_S)
     sightings = []
     shares = []
     assert fine.images_believed is not None and fine.believed is not None
@@ -336,7 +325,8 @@ def _guess_noise(problem: FilterProblem, sights: int) -> Noise:
     walks = drift > 0.0
     far = np.full(m, PRIOR_STD_RAD)
     far[[step.joint for step in _list_repaired_steps(problem)]] = OFFSET_STD
-    seconds = np.where(walks, 2.0 * far**2 / np.where(walks, drift, 1.0), FIRST_S)
+    # where no error lasts, any τ leaves the problem what it is
+    seconds = np.where(walks, 2.0 * far**2 / np.where(walks, drift, 1.0), 1.0)
     error = np.where(walks, far, LEAST_STD) if walks.any() else None
     joints = JointNoise(
         ORDER, precision.encoder, process, error, seconds, np.zeros(m, bool), np.zeros(m, bool)
@@ -377,18 +367,15 @@ def _weigh_measurements(fine: FactorProblem, noise: Noise, rough: bool) -> Facto
 def _update_shares(
     fine: FactorProblem, solution: Solution, noise: Noise, rough: bool
 ) -> FactorProblem:
-    """Shares by what the rest of the log predicts."""
+    """The problem with shares by what the rest of the log predicts."""
     beliefs = solution.beliefs
-    joints = noise.joints
-    after = np.clip(np.searchsorted(fine.knots, fine.t), 0, len(fine.knots) - 1)
-    before = np.maximum(after - 1, 0)
-    knot = np.where(fine.t - fine.knots[before] < fine.knots[after] - fine.t, before, after)
-    mean, own, settled = _expect_readings(fine, solution, beliefs, knot)
+    knots = find_nearest_knots(fine.t, fine.knots)
+    mean, own, settled = _expect_readings(fine, solution, beliefs, knots)
     share = np.ones(fine.values.shape)
     used = solution.linear.problem.believed
     for j in range(len(fine.start)):
         known = np.isfinite(fine.values[:, j])
-        var = (joints.white[j] * fine.relative[known, j])[:, None, None]
+        var = (noise.joints.white[j] * fine.relative[known, j])[:, None, None]
         weighed = var if used is None else var / used[known, j][:, None, None]
         residual = (fine.values[known, j] - mean[known, j])[:, None]
         parts = (one[known, j][:, None, None] for one in (own, settled))
@@ -399,18 +386,18 @@ def _update_shares(
     shares: list[Array] = []
     for images, linear in zip(solution.linear.problem.images, solution.linear.rows, strict=True):
         scale = noise.scales[len(shares)]
-        expected = _expect_images(fine, images, linear, beliefs)
+        expected = _expect_rows(fine, beliefs, linear.slopes, images.knots, linear.right[..., 1:])
         shares.append(_compute_image_shares(images, linear, expected, scale, rough))
     return replace(fine, believed=share, images_believed=tuple(shares))
 
 
-def _expect_images(
-    problem: FactorProblem, images: Images, rows: ImageRows, beliefs: Marginals
+def _expect_rows(
+    problem: FactorProblem, beliefs: Marginals, rows: Array, knots: Array, columns: Array
 ) -> tuple[Array, Array, Array]:
-    """Where a sense's images are believed: mean (F,D), covariance (F,D,D) by what images change,
-    and by sizes of columns that are settled.
+    """What is believed of rows (F,D,S) on the states at knots (F,), and of columns (F,D,C): mean
+    (F,D), covariance (F,D,D) by what measurements change, and by sizes of columns that are settled.
     """
-    mean, own, by_sizes = beliefs.split_rows(rows.slopes, images.knots, rows.right[..., 1:])
+    mean, own, by_sizes = beliefs.split_rows(rows, knots, columns)
     if problem.settled is None:
         return mean, own + by_sizes, np.zeros_like(own)
     return mean, own, by_sizes
@@ -419,7 +406,7 @@ def _expect_images(
 def _compute_image_shares(
     images: Images, rows: ImageRows, expected: tuple[Array, Array, Array], scale: float, rough: bool
 ) -> Array:
-    """Shares (N,) of a sense's images, which are expected as of `_expect_images`."""
+    """Shares (N,) of a sense's images, which are expected as of `_expect_rows`."""
     mean, cov, settled = expected
     one = np.eye(mean.shape[1])
     plain = (scale * rows.var)[..., None] * one
@@ -436,77 +423,68 @@ def _compute_image_shares(
     return share
 
 
-def _reading_rows(joints: JointNoise, ahead: Array, size: int) -> Array:
-    """What encoders read, as rows (N,M,S) on the state of a knot `ahead` (N,) s before."""
-    m = len(joints.white)
-    p = joints.states
-    rows = np.zeros((len(ahead), m, size))
-    stands = replace(joints, at_link=~joints.at_link).stands(ahead)
-    for j in range(m):
-        rows[:, j, j * p : (j + 1) * p] = stands[:, j]
-    return rows
-
-
 def _expect_readings(
-    fine: FactorProblem, solution: Solution, beliefs: Marginals, knot: Array
+    fine: FactorProblem, solution: Solution, beliefs: Marginals, knots: Array
 ) -> tuple[Array, Array, Array]:
     """What encoders read, from the beliefs at a knot (N,) close to each reading, with what columns
     change in readings: mean (N,M), variance (N,M) by what readings change, and by sizes of columns
     that are settled.
     """
     joints = solution.linear.noise.joints
-    rows = _reading_rows(joints, fine.t - fine.knots[knot], solution.system.states)
+    rows = joints.build_reading_rows(fine.t - fine.knots[knots])
+    rows = joints.place_rows_on_knots(rows, solution.system.states)
     moved = np.zeros((*fine.values.shape, len(fine.columns)))
     for c, column in enumerate(fine.columns):
-        moved[..., c] = column.reads(fine.t, solution.linear.path)
-    mean, *parts = beliefs.split_rows(rows, knot, moved)
-    own, by_sizes = (np.einsum("nmm->nm", one) for one in parts)
-    if fine.settled is None:
-        return mean, own + by_sizes, np.zeros_like(own)
-    return mean, own, by_sizes
+        moved[..., c] = column.changes_readings(fine.t, solution.linear.path)
+    mean, own, settled = _expect_rows(fine, beliefs, rows, knots, moved)
+    return mean, np.einsum("nmm->nm", own), np.einsum("nmm->nm", settled)
+
+
+def _find_knots_before(t: Array, knots: Array) -> tuple[Array, Array]:
+    """Numbers (N,) of the last knots (K,) s that are not after times t (N,) s, and the seconds (N,)
+    from these knots on.
+    """
+    before = np.clip(np.searchsorted(knots, t + SAME_TIME_S) - 1, 0, len(knots) - 1)
+    return before, t - knots[before]
 
 
 def _evaluate_instants(
-    problem: FilterProblem, fine: FactorProblem, solution: Solution, causal: bool
+    problem: FilterProblem, fine: FactorProblem, solution: Solution, early: Marginals, causal: bool
 ) -> Instants:
-    """The beliefs at the instants of the log's timeline."""
+    """The beliefs at the instants of the log's timeline; early: by what came earlier, or by all."""
     t = problem.timeline.t
     noise = solution.linear.noise
     joints = noise.joints
-    m = len(problem.start)
-    p = joints.states
-    knot = np.clip(np.searchsorted(fine.knots, t + 1e-9) - 1, 0, len(fine.knots) - 1)
-    ahead = t - fine.knots[knot]
-    size = solution.system.states
-    stands = np.zeros((len(t), m, size))
-    rows = joints.stands(ahead)
-    for j in range(m):
-        stands[:, j, j * p : (j + 1) * p] = rows[:, j]
+    knot, ahead = _find_knots_before(t, fine.knots)
+    rows = joints.place_rows_on_knots(joints.build_link_rows(ahead), solution.system.states)
     path = path_from_beliefs(fine, noise, solution.beliefs)
-    bends = np.zeros((len(t), m, len(fine.columns)))
+    bends = np.zeros((*rows.shape[:2], len(fine.columns)))
     for c, column in enumerate(fine.columns):
         if column.bends:
             bends[..., c] = column.moves_links(path)[knot]
-    angles, cov = solution.beliefs.project_rows(stands, knot, bends)
-    state = solution.beliefs.mean[:, : m * p].reshape(-1, m, p)
+    angles, cov = solution.beliefs.project_rows(rows, knot, bends)
+    state = solution.beliefs.split_joints(joints)
     rates = state[knot, :, 1] + ahead[:, None] * state[knot, :, 2]
-    offsets = np.zeros((len(t), m))
+    offsets = np.zeros(angles.shape)
     if joints.error is not None:
         offsets = np.where(joints.learned, 0.0, state[knot, :, -1])
     forward = filter_knots(solution.system, solution.eliminated)
-    at_knot = np.abs(ahead) <= 1e-9
+    at_knot = np.flatnonzero(np.abs(ahead) <= SAME_TIME_S)
     nats = np.zeros(len(t))
-    rows = np.flatnonzero(at_knot)
-    knots_there, first = np.unique(knot[rows], return_index=True)  # instants may share a knot
-    nats[rows[first]] = np.diff(np.asarray(forward.nats), prepend=0.0)[knots_there]
-    early = predict_knots(solution.system, solution.eliminated) if causal else solution.beliefs
-    before, before_cov = early.project_rows(stands, knot, bends)
+    knots_there, first = np.unique(knot[at_knot], return_index=True)  # instants may share a knot
+    nats[at_knot[first]] = np.diff(np.asarray(forward.nats), prepend=0.0)[knots_there]
+    before, before_cov = early.project_rows(rows, knot, bends)
     errors = _standardise_readings(problem, fine, solution, early, causal)
     return Instants(angles, rates, offsets, cov, nats, before, before_cov, errors)
 
 
 def _expect_places(
-    problem: FilterProblem, instants: Instants, solution: Solution, number: int, causal: bool
+    problem: FilterProblem,
+    instants: Instants,
+    solution: Solution,
+    early: Marginals,
+    number: int,
+    causal: bool,
 ) -> tuple[Array, Array, Array]:
     """Where a sense's images were expected: mean (F,D),
     covariance (F,D,D), the model's variance (F,D).
@@ -519,8 +497,9 @@ def _expect_places(
     at = problem.timeline.sightings[names.index(sighting.name)]
     mean, jac, var = sighting.model.predict(instants.before[at])
     cov = jac @ instants.before_cov[at] @ jac.swapaxes(1, 2)
-    beliefs = predict_knots(solution.system, solution.eliminated) if causal else solution.beliefs
-    expected, own, settled = _expect_images(linear.problem, images, rows, beliefs)
+    expected, own, settled = _expect_rows(
+        linear.problem, early, rows.slopes, images.knots, rows.right[..., 1:]
+    )
     residual = rows.right[..., 0] - expected
     spread = own + settled
     if not causal:
@@ -543,16 +522,15 @@ def _standardise_readings(
     """Errors (E,M) of readings in standard deviations, by
     what came before or by the rest of the log; NaN elsewhere.
     """
-    line = problem.timeline
     joints = solution.linear.noise.joints
-    found = np.full((len(line.t), len(problem.start)), np.nan)
-    knot = np.clip(np.searchsorted(fine.knots, fine.t + 1e-9) - 1, 0, len(fine.knots) - 1)
-    ahead = fine.t - fine.knots[knot]
+    encoder_rows = problem.timeline.encoders
+    knot, ahead = _find_knots_before(fine.t, fine.knots)
     mean, own, settled = _expect_readings(fine, solution, early, knot)
     var = joints.white * fine.relative
     assert fine.believed is not None
     rest = np.maximum(var / fine.believed - own, 1e-3 * var)
     total = (var + own if causal else rest) + settled
-    at_knot = ahead <= 1e-9
-    found[line.encoders[at_knot]] = ((fine.values - mean) / np.sqrt(total))[at_knot]
+    at_knot = ahead <= SAME_TIME_S
+    found = np.full((len(problem.timeline.t), len(problem.start)), np.nan)
+    found[encoder_rows[at_knot]] = ((fine.values - mean) / np.sqrt(total))[at_knot]
     return found
