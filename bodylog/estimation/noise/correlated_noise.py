@@ -24,6 +24,11 @@ Number = TypeVar("Number", float, Array)
 
 PIXEL_CORRELATION_PX = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
+INTERPOLATED_WEIGHT = 0.5
+"""Weight of a lasting error in a smoother beyond that of an independent one. Interpolated between
+two frames, (1 − x) e₀ + x e₁, a lasting error keeps its variance, and independent ones get the mean
+of (1 − x)² + x², 2/3 of theirs: the lasting one weighs 3/2 as much.
+"""
 EXTRAPOLATED_WEIGHT = -0.5
 """Weight of a lasting error in a filter beyond that of an
 independent one, on average over the time to the next frame.
@@ -60,9 +65,9 @@ class ErrorCorrelation:
     @cached_property
     def scaled_process(self) -> Array:
         """Process variance (M,) times c²ⁿ."""
-        steady = compute_steady_variance(np.ones(()), np.ones(()), self.order) / (
-            2 * self.order if self.whole else 1
-        )
+        steady = compute_steady_variance(np.ones(()), np.ones(()), self.order)
+        if self.whole:
+            steady = steady / (2 * self.order)
         return np.asarray(steady ** (2 * self.order) * self.process)
 
     @property
@@ -76,10 +81,9 @@ class ErrorCorrelation:
 
     def correlate_place_steps(self, step: Array) -> Array:
         """Correlation (…,) of perception's errors for a step (…,D) px."""
-        return np.asarray(
-            (self.correlation_px > 0)
-            * np.exp(-np.sqrt(np.square(step).sum(axis=-1)) / (self.correlation_px or 1.0))
-        )
+        if self.correlation_px <= 0:
+            return np.zeros(step.shape[:-1])
+        return np.asarray(np.exp(-np.sqrt(np.square(step).sum(axis=-1)) / self.correlation_px))
 
     def compute_kept_share(self, dt: Array, lasting: Array, jac: Array) -> Array:
         """Share κ (F,) of frames dt (F,) s before that still
@@ -92,14 +96,14 @@ class ErrorCorrelation:
         span = (error / np.maximum(drift, 1e-9)) ** self.span_exponent
         return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
 
-    def compute_variance_factor(self, count: Number, like: Number) -> Number:
+    def compute_variance_factor(self, count: Number, similarity: Number) -> Number:
         """Factor on the variance of a frame that counts as
-        one of `count`; `like`: correlation with the last.
+        one of `count`; similarity: correlation with the last.
 
-        A lasting error keeps its variance. Interpolated between two frames, (1 − x) e₀ + x e₁,
-        independent ones get 2/3 of theirs, so that in a smoother it weighs ½ more.
+        A lasting error keeps its variance.
         """
-        return 2.0 * count - 1.0 + (0.5 if self.whole else EXTRAPOLATED_WEIGHT) * like / count
+        weight = INTERPOLATED_WEIGHT if self.whole else EXTRAPOLATED_WEIGHT
+        return 2.0 * count - 1.0 + weight * similarity / count
 
 
 def read_correlation_length(model: ForwardModel) -> Array:
@@ -131,29 +135,25 @@ def inflate_variances(
     jac: Array,
     pixel: Array,
     model: Array,
-    often: float = 1.0,
+    duplication: float = 1.0,
 ) -> Array:
     """Variances (F,D) px² of frames at t (F,) s, inflated
     such that correlated frames do not count too much.
 
-    places (F,D) px · points (F,M) rad and jac (F,D,M) there
-    · pixel and model variance (F,D) · often: factor on it.
+    places (F,D) px · points (F,M) rad and jac (F,D,M) there · pixel and model variance (F,D) ·
+    duplication: factor on the model's.
     """
     if not len(t):
         return pixel + model
-    similarity = (
-        like.correlate_place_steps(np.diff(places, axis=0)),
-        like.correlate_posture_steps(np.diff(points, axis=0)),
-    )
-    lasting = pixel[1:] * similarity[0][:, None] + model[1:] * similarity[1][:, None]
-    fade = like.compute_kept_share(np.diff(t), lasting, jac[1:])
+    by_place = like.correlate_place_steps(np.diff(places, axis=0))
+    by_posture = like.correlate_posture_steps(np.diff(points, axis=0))
+    lasting = pixel[1:] * by_place[:, None] + model[1:] * by_posture[:, None]
+    kept = like.compute_kept_share(np.diff(t), lasting, jac[1:])
     spots, postures = (
-        like.compute_variance_factor(count_effective_frames(fade * one), np.append(0.0, one))[
-            :, None
-        ]
-        for one in similarity
+        like.compute_variance_factor(count_effective_frames(kept * one), np.append(0.0, one))
+        for one in (by_place, by_posture)
     )
-    return np.asarray(pixel * spots + often * model * postures)
+    return np.asarray(pixel * spots[:, None] + duplication * model * postures[:, None])
 
 
 def compute_shared_model_factors(
@@ -267,7 +267,8 @@ class PendingFrame:
         span = max((error / max(drift, 1e-9)) ** like.span_exponent, 1e-9)
         fade = math.exp(-2.0 * (self.t - last.t) / span)
         by_spot, by_posture = last.count.tolist()
-        counts = 1.0 + fade * spot * by_spot, 1.0 + fade * posture * by_posture
-        spots = like.compute_variance_factor(counts[0], spot)
-        postures = like.compute_variance_factor(counts[1], posture)
-        return spots, postures, LastFrame(self.t, self.value, x, np.array(counts))
+        by_spot = 1.0 + fade * spot * by_spot
+        by_posture = 1.0 + fade * posture * by_posture
+        spots = like.compute_variance_factor(by_spot, spot)
+        postures = like.compute_variance_factor(by_posture, posture)
+        return spots, postures, LastFrame(self.t, self.value, x, np.array([by_spot, by_posture]))

@@ -67,9 +67,8 @@ def find_least_error_process(part: FilterProblem, solved: Solution) -> tuple[Arr
     step = 2.0 ** (0.5 * order)  # moves the cut-off by 2^¼
     factors = step ** np.arange(-6.0, 5.0)
     present = _find_times_outside_gaps(part, part.timeline.t)
-    moved = np.square(np.diff(_smooth_candidates(part, solved, factors), axis=0))[:, present].mean(
-        axis=1
-    )
+    paths = _smooth_candidates(part, solved, factors)
+    moved = np.square(np.diff(paths, axis=0))[:, present].mean(axis=1)
     # noise's share of it grows as q^(1/2n)
     noise = moved[-1] * (factors[:-1] / factors[-2])[:, None] ** (0.5 / order)
     ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
@@ -101,9 +100,7 @@ def _compute_noise_share(part: FilterProblem) -> float:
 def _find_times_outside_gaps(part: FilterProblem, t: Array) -> Array:
     """Times t (E,) s outside long silences of an encoder, in which a path moves far with q."""
     encoders = part.evidence.encoders
-    known = (
-        np.empty(0) if encoders is None else encoders.t[np.isfinite(encoders.values).all(axis=1)]
-    )
+    known = np.empty(0) if encoders is None else encoders.t[find_finite_rows(encoders.values)]
     if len(known) < 2:
         return np.ones(len(t), bool)
     steps = np.diff(known)
@@ -153,21 +150,11 @@ def _smooth_path(
     var = solved.tangents.weighed(posed, fold, solved.readings, whole=True)
     readings = replace(solved.readings, var=var)
     prior = stretch_priors(posed, fold)
-    before = solved.trace
-    trace = filter_stretches(
-        readings,
-        dynamics,
-        *hand_over_starts(*prior, before.z[-1], before.end_p),
-        TraceDetail.MEANS,
-        into,
-    )
-    trace = filter_stretches(
-        readings,
-        dynamics,
-        *hand_over_starts(*prior, trace.z[-1], trace.end_p),
-        TraceDetail.MEANS,
-        trace,
-    )
+    ends = solved.trace
+    for _ in range(2):
+        starts = hand_over_starts(*prior, ends.z[-1], ends.end_p)
+        ends = into = filter_stretches(readings, dynamics, *starts, TraceDetail.MEANS, into)
+    trace = ends
     _, start = smooth_states(readings, trace, np.zeros_like(trace.z[-1]), dynamics)
     smooth, _ = smooth_states(readings, trace, adjoints_for_next_round(start), dynamics)
     return fold.unfold(smooth[:, :m]), trace
@@ -243,9 +230,7 @@ def tune_by_evidence(problem: FilterProblem, whole: bool) -> tuple[NoiseModel, S
     """Process variances and pixel factors from (the middle
     of) the log, for a smoother (`whole`) or a filter.
 
-    Rounds of steps to the greatest evidence end when all are within a standard deviation of it; a
-    parabola is as wide as before until its minimum is near. Also the last solution as a warm start,
-    if it covers the whole log.
+    Also the last solution as a warm start, if it covers the whole log.
     """
     log = cut_to_middle(
         drop_undetermined_images(
@@ -260,6 +245,26 @@ def tune_by_evidence(problem: FilterProblem, whole: bool) -> tuple[NoiseModel, S
     ]
     if not names and not whole:
         return problem.precision, None
+    part, solved = _maximise_evidence(part, names)
+    warm = solved if part.timeline is problem.timeline else None
+    own = _tune_filter_noise(problem, part, solved)
+    if whole:
+        precision = _tune_smoother_noise(part, solved, log.evidence.encoders)
+        return replace(precision, filter_process=own.process), warm
+    process_by_view = {
+        view: _tune_filter_noise(problem, *_restrict_to_view(part, view)).process
+        for view in _list_partial_views(problem)
+    }
+    return replace(own, process_by_view=process_by_view), warm
+
+
+def _maximise_evidence(part: FilterProblem, names: list[str]) -> tuple[FilterProblem, Solution]:
+    """The problem with the process variances and the named tracks' pixel factors of most evidence,
+    and the filter's last solution.
+
+    Rounds of steps to the greatest evidence end when all are within a standard deviation of it; a
+    parabola is as wide as before until its minimum is near.
+    """
     solved = filter_roughly(part)
     half = np.ones(len(part.start) + len(names))
     for _ in range(MAX_SWEEPS if names else 0):
@@ -271,17 +276,7 @@ def tune_by_evidence(problem: FilterProblem, whole: bool) -> tuple[NoiseModel, S
         if (np.abs(_take_log_parameters(part, names) - logs) <= std).all():
             break
         half = np.where(np.abs(step) < 2.0 * half, np.minimum(half, std), half)
-    warm = solved if part.timeline is problem.timeline else None
-    if whole:
-        likeliest = _tune_filter_noise(problem, part, solved).process
-        return replace(
-            _tune_smoother_noise(part, solved, log.evidence.encoders), filter_process=likeliest
-        ), warm
-    fewer = {
-        view: _tune_filter_noise(problem, *_restrict_to_view(part, view)).process
-        for view in _list_partial_views(problem)
-    }
-    return replace(_tune_filter_noise(problem, part, solved), process_by_view=fewer), warm
+    return part, solved
 
 
 def _list_partial_views(problem: FilterProblem) -> list[View]:
@@ -309,14 +304,12 @@ def _tune_smoother_noise(
     within the gate, with the share of its covariance to state.
     """
     precision = part.precision
-    low = (
-        0.0
-        if encoders is None
-        else compute_least_process(encoders.t, precision.encoder, precision.order)
-    )
-    held = replace(precision, process=np.maximum(precision.process, low))
-    process, stated = find_least_error_process(replace(part, precision=held), solved)
-    process = np.maximum(process, low)
+    least: Array | float = 0.0
+    if encoders is not None:
+        least = compute_least_process(encoders.t, precision.encoder, precision.order)
+    bounded = replace(precision, process=np.maximum(precision.process, least))
+    process, stated = find_least_error_process(replace(part, precision=bounded), solved)
+    process = np.maximum(process, least)
     if encoders is not None:
         process = find_followable_process(encoders, precision.encoder, process, precision.order)
     return replace(precision, process=process, stated=stated)
@@ -360,6 +353,7 @@ def _take_log_parameters(part: FilterProblem, names: list[str]) -> Array:
 
 
 def _set_noise_values(part: FilterProblem, values: Array, names: list[str]) -> NoiseModel:
+    """The noise model with process variances, then pixel factors, of values (M + tracks,)."""
     m = len(part.start)
     # correlated frames predict each other well, which is no evidence of lower pixel noise
     found = dict(zip(names, np.maximum(values[m:], 1.0).tolist(), strict=True))
@@ -421,13 +415,11 @@ def cut_to_middle(problem: FilterProblem) -> FilterProblem:
     """The problem with only the images and encoder readings
     nearest to the middle of the images, if there are many.
     """
-    evidence = problem.evidence
     found = problem.evidence.encoders
-    seen_at = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
-    low, high = span = _find_middle_span(seen_at, np.empty(0) if found is None else found.t)
-    if span == (-np.inf, np.inf):
-        return problem
-    return cut_problem(problem, low, high)
+    times = (sighting.t for sighting in problem.evidence.sightings)
+    seen_at = max(times, key=len, default=np.empty(0))
+    span = _find_middle_span(seen_at, np.empty(0) if found is None else found.t)
+    return problem if span is None else cut_problem(problem, *span)
 
 
 def cut_problem(problem: FilterProblem, low: float, high: float) -> FilterProblem:
@@ -445,15 +437,15 @@ def cut_problem(problem: FilterProblem, low: float, high: float) -> FilterProble
     )
 
 
-def _find_middle_span(seen_at: Array, read_at: Array) -> tuple[float, float]:
+def _find_middle_span(seen_at: Array, read_at: Array) -> tuple[float, float] | None:
     """First and last time (s) of the MAX_INSTANTS images and
     averages nearest to the middle of the images among readings.
 
-    Nearest to the middle of the readings if none are among these; infinite if the log has no more.
+    Nearest to the middle of the readings if none are among these; None if the log has no more.
     """
     every = np.concatenate([seen_at, read_at[:: count_readings_per_average(read_at)]])
     if len(every) <= MAX_INSTANTS:
-        return -np.inf, np.inf
+        return None
     low, high = (read_at[0], read_at[-1]) if len(read_at) else (-np.inf, np.inf)
     among = seen_at[(seen_at >= low) & (seen_at <= high)]
     centre = np.median(among if len(among) else read_at)
@@ -473,18 +465,13 @@ def drop_undetermined_images(problem: FilterProblem) -> FilterProblem:
     """The problem without images at times when no more numbers
     than encoders are silent must determine these joints.
     """
-    held = problem.left_open
-    if held is None:
+    undetermined = problem.left_open
+    if undetermined is None or not undetermined.any():
         return problem
-    sure = np.asarray(~held.any(axis=1))
-    line = problem.timeline
-    pairs = zip(problem.evidence.sightings, line.sightings, strict=True)
+    sure = np.asarray(~undetermined.any(axis=1))
+    pairs = zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
     sightings = [sighting.select_rows(sure[at]) for sighting, at in pairs]
-    return (
-        problem
-        if sure.all()
-        else _replace_measurements(problem, problem.evidence.encoders, sightings)
-    )
+    return _replace_measurements(problem, problem.evidence.encoders, sightings)
 
 
 def _replace_measurements(

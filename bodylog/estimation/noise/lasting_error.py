@@ -22,7 +22,7 @@ import numpy as np
 from ...linear_algebra import forward_substituted
 from ...types import Array
 from ..faults.threshold import SIGNIFICANT_SIGMA
-from ..measurements.long_arrays import MIN_READINGS
+from ..measurements.long_arrays import MIN_READINGS, find_finite_rows, median_step
 from ..measurements.records import Encoders, Sighting, mix_rows
 from .correlated_noise import PIXEL_CORRELATION_PX, correlate_postures
 
@@ -58,6 +58,7 @@ and of the difference of its first row from its last.
 UNREAD_RAD = 0.03
 """rad: how far a joint without readings may be from its belief."""
 _JITTER = 1e-6
+"""Share of the mean variance that is added to each, so that a covariance has a Cholesky factor."""
 _STATED = np.array([1.0, 1.0, 0.01])
 """Factors on the noise of images, of readings, and alike, with which the search begins."""
 _LIMITS = np.log([[1e-6, 1e6], [1e-6, 1e6], [1e-6, 1e6], [1e-7, 1.0], [SHORTEST_S, LONGEST_S]])
@@ -173,20 +174,16 @@ def _list_stretch_residuals(
     has_reading = np.isfinite(read) & tells
     angles = np.where(has_reading, read, belief.angles)
     values, var, mix = sighting.independent
-    usable = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(angles).all(axis=1))
+    usable = np.flatnonzero(find_finite_rows(values) & find_finite_rows(angles))
     if len(usable) < MIN_READINGS or not has_reading.any():
         return
-    mean, jac, model_var = mix_rows(
-        None if mix is None else mix[usable], sighting.model.predict(angles[usable])
-    )
+    own_mix = None if mix is None else mix[usable]
+    mean, jac, model_var = mix_rows(own_mix, sighting.model.predict(angles[usable]))
     residual = values[usable] - mean
-    inlying = _find_inliers(residual)
     width = max(ROWS_PER_STRETCH // values.shape[1], 1)
-    frames = np.arange(len(usable))[inlying]
-    counts = encoders.count_variance
-    for start in np.unique(
-        np.linspace(0, max(len(frames) - width, 0), STRETCHES_PER_LOG).astype(int)
-    ):
+    frames = np.flatnonzero(_find_inliers(residual))
+    starts = np.linspace(0, max(len(frames) - width, 0), STRETCHES_PER_LOG).astype(int)
+    for start in np.unique(starts):
         part = frames[start : start + width]
         rows = usable[part]
         shown = has_reading[rows][:, None, :]
@@ -202,7 +199,7 @@ def _list_stretch_residuals(
             late,
             sighting.t[rows],
             variance,
-            counts,
+            encoders.count_variance,
             correlate_postures(sighting.model, angles[rows]),
         )
 
@@ -212,10 +209,11 @@ def _interpolate_readings(encoders: Encoders, t: Array) -> Array:
     beside each; NaN where one of them is missing.
     """
     after = np.clip(np.searchsorted(encoders.t, t), 1, len(encoders.t) - 1)
-    begin, end = encoders.t[after - 1], encoders.t[after]
+    begin = encoders.t[after - 1]
+    end = encoders.t[after]
     share = ((t - begin) / (end - begin))[:, None]
     read = (1.0 - share) * encoders.values[after - 1] + share * encoders.values[after]
-    usual = (t >= begin) & (t <= end) & (end - begin <= MOST_STEPS * np.median(np.diff(encoders.t)))
+    usual = (t >= begin) & (t <= end) & (end - begin <= MOST_STEPS * median_step(encoders.t))
     return np.asarray(np.where(usual[:, None], read, np.nan))
 
 

@@ -56,43 +56,38 @@ class NoiseModel:
 
     def plain_numbers(self) -> dict[str, Any]:
         """The model as plain numbers, for the estimate's settings."""
-        drift = None if self.drift is None else [float(v) for v in self.drift]
-        encoder = [float(v) for v in self.encoder]
-        process = [float(v) for v in self.process]
-        plain: dict[str, Any] = {
+        numbers: dict[str, Any] = {
             "motion": self.motion,
-            "encoder": encoder,
-            "process": process,
-            "drift": drift,
+            "encoder": [float(v) for v in self.encoder],
+            "process": [float(v) for v in self.process],
+            "drift": None if self.drift is None else [float(v) for v in self.drift],
+            "scale": dict(self.scale),
+            "near": dict(self.correlation_px),
+            "stated": np.broadcast_to(self.stated, self.process.shape).tolist(),
         }
-        plain["scale"] = dict(self.scale)
-        fewer = {
-            " ".join(view) or "none": [float(v) for v in process]
-            for view, process in self.process_by_view.items()
-        }
-        plain["near"], plain["stated"] = (
-            dict(self.correlation_px),
-            np.broadcast_to(self.stated, self.process.shape).tolist(),
-        )
-        moments = {} if self.moments is None else {"moments": self.moments.tolist()}
-        likeliest = (
-            {} if self.filter_process is None else {"likeliest": self.filter_process.tolist()}
-        )
-        return {**plain, **likeliest, **moments, **({"process_in_view": fewer} if fewer else {})}
+        if self.filter_process is not None:
+            numbers["likeliest"] = self.filter_process.tolist()
+        if self.moments is not None:
+            numbers["moments"] = self.moments.tolist()
+        if self.process_by_view:
+            numbers["process_in_view"] = {
+                " ".join(view) or "none": [float(v) for v in process]
+                for view, process in self.process_by_view.items()
+            }
+        return numbers
 
     def with_memory_bound(
         self, evident: Array, encoders: Encoders, white: Array | float = 1.0
     ) -> "NoiseModel":
-        """With processes (M,) by evidence, but at least
-        those that bound a filter's memory by MEMORY.
+        """The model with processes (M,) by evidence, but at least those that bound a filter's
+        memory by MAX_MEMORY_S.
 
-        Under white noise in derivative p, 1/2p of a steady variance is
-        motion, which is stated only as far as there is any. `white`:
-        share of the variance from encoders, whose errors are independent.
+        Under white noise in derivative p, 1/2p of a steady variance is motion, which is stated only
+        as far as there is any. white: share of the variance from encoders, whose errors are
+        independent.
         """
-        process = np.maximum(
-            evident, encoder_noise.compute_least_process(encoders.t, self.encoder, self.order)
-        )
+        least = encoder_noise.compute_least_process(encoders.t, self.encoder, self.order)
+        process = np.maximum(evident, least)
         stated = 1.0 - white / (2 * self.order) * (1.0 - np.minimum(evident / process, 1.0))
         return replace(self, process=process, stated=stated, evidence_process=evident)
 
@@ -141,10 +136,8 @@ def resolve_noise_model(
     joints = encoder_noise.average_joint_readings(evidence.encoders)
     jerk = encoder_noise.learn_encoder_noise(joints, encoder, process, 3)
     white = encoder_noise.learn_encoder_noise(joints, encoder, process, 2, jerk.dithered)
-    held = NoiseModel(white.encoder, process, None, scale, near).with_memory_bound(
-        white.process, evidence.encoders
-    )
-    return replace(held, learned=(white, jerk))
+    learned = NoiseModel(white.encoder, process, None, scale, near, learned=(white, jerk))
+    return learned.with_memory_bound(white.process, evidence.encoders)
 
 
 def weigh_repeated_readings(
@@ -162,7 +155,8 @@ def weigh_repeated_readings(
         return evidence
     found = np.ones(encoders.values.shape)
     for own, column, variance in zip(found.T, encoders.values.T, precision.encoder, strict=True):
-        if (known := np.isfinite(column)).any():
+        known = np.isfinite(column)
+        if known.any():
             own[known] = compute_relative_variances(encoders.t[known], column[known], variance)
     return replace(evidence, encoders=replace(encoders, own_variance=found))
 
@@ -173,9 +167,8 @@ def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> Noise
     UsageError if these are not of this body.
     """
     if found is None:
-        return NoiseModel(
-            np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {}
-        )
+        encoder = np.array(body.noise.encoder, float)
+        return NoiseModel(encoder, np.array(body.noise.process, float), None, {})
     motion = found.get("motion", WHITE_ACCELERATION)
     require_motion_model(motion, "learned")
     order = MOTION_MODELS[motion].order
@@ -185,9 +178,9 @@ def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> Noise
     encoder, process, stated = (
         _parse_positive_array(found, name, shape) for name in ("encoder", "process", "stated")
     )
-    moments = (
-        _parse_positive_array(found, "moments", (order, *shape)) if "moments" in found else None
-    )
+    moments = None
+    if "moments" in found:
+        moments = _parse_positive_array(found, "moments", (order, *shape))
     scale = dict(found.get("scale", {}))
     near = dict(found.get("near", {}))
     return NoiseModel(encoder, process, None, scale, near, stated, motion=motion, moments=moments)
@@ -252,13 +245,11 @@ def check_typed_variances(
     """UsageError for a table that names an unknown joint or track."""
     for key, names in (("sigma_encoders", joints), ("process", joints), ("sigma_vision", tracks)):
         given = getattr(settings, key)
-        unknown = (
-            [name for name in given if name not in names] if isinstance(given, Mapping) else []
-        )
-        if unknown:
-            raise UsageError(
-                f"estimate.{key}: {unknown[0]!r} is not one of {', '.join(names) or 'none'}"
-            )
+        for name in given if isinstance(given, Mapping) else ():
+            if name not in names:
+                raise UsageError(
+                    f"estimate.{key}: {name!r} is not one of {', '.join(names) or 'none'}"
+                )
 
 
 def fill_joint_variances(
@@ -299,16 +290,16 @@ def with_typed_noise(
     with a process set, the full covariance is stated.
     """
 
-    def given(learned: Array) -> Array:
+    def fill_process(learned: Array) -> Array:
         return fill_joint_variances(settings.process, joints, learned)
 
     return replace(
         found,
         encoder=fill_joint_variances(settings.sigma_encoders, joints, found.encoder),
-        process=given(found.process),
-        filter_process=None if found.filter_process is None else given(found.filter_process),
-        process_by_view={view: given(one) for view, one in found.process_by_view.items()},
-        stated=np.where(np.isnan(given(np.full(len(joints), np.nan))), found.stated, 1.0),
+        process=fill_process(found.process),
+        filter_process=None if found.filter_process is None else fill_process(found.filter_process),
+        process_by_view={view: fill_process(one) for view, one in found.process_by_view.items()},
+        stated=np.where(np.isnan(fill_process(np.full(len(joints), np.nan))), found.stated, 1.0),
         scale={
             name: factor if find_typed_variance(settings, name) is None else 1.0
             for name, factor in found.scale.items()
@@ -337,8 +328,6 @@ def remark_on_precision(
 
 
 def _list_variances(values: Array) -> str:
-    return (
-        f"{values[0]:.3g}"
-        if np.ptp(values) == 0.0
-        else " ".join(f"{value:.3g}" for value in values)
-    )
+    """Variances (M,) in words: one for all where they are the same."""
+    distinct = values[:1] if np.ptp(values) == 0.0 else values
+    return " ".join(f"{value:.3g}" for value in distinct)

@@ -31,11 +31,9 @@ def find_joint_unit(joints: Series | None) -> tuple[str, float]:
     if joints.unit != "rad":
         return joints.unit, _guess_rad_per_unit(span)
     known = joints.values[np.isfinite(joints.values)]
-    return (
-        ("counts", _guess_rad_per_unit(span))
-        if span > tau and (known == np.round(known)).all()
-        else ("rad", 1.0)
-    )
+    if span > tau and (known == np.round(known)).all():
+        return "counts", _guess_rad_per_unit(span)
+    return "rad", 1.0
 
 
 def _measure_reading_span(values: Array) -> float:
@@ -46,6 +44,7 @@ def _measure_reading_span(values: Array) -> float:
 
 
 def _guess_rad_per_unit(span: float) -> float:
+    """The size (rad) of a unit, if a turn has the least power of two that holds the span."""
     return tau / 2.0 ** np.ceil(np.log2(span)) if span > tau else 1.0
 
 
@@ -81,13 +80,11 @@ def convert_fault_to_units(fault: Fault, unit: str, scale: float) -> Fault:
 
 def _convert_settings_to_units(settings: Mapping[str, Any], scale: float) -> dict[str, Any]:
     """The settings with variances of encoders and of motion in the readings' unit."""
-    variances = ("encoder", "process", "drift")
-    return {
-        name: [scale**2 * each for each in value]
-        if name in variances and isinstance(value, list)
-        else value
-        for name, value in settings.items()
-    }
+    converted = dict(settings)
+    for name in ("encoder", "process", "drift"):
+        if isinstance(converted.get(name), list):
+            converted[name] = [scale**2 * each for each in converted[name]]
+    return converted
 
 
 MULTIPLE_TOLERANCE = 0.02
@@ -98,8 +95,6 @@ SHARED_ERROR_S = 0.15
 """s: where a reading repeats for longer, motion does
 not average its error, and the readings share it.
 """
-
-
 SAME_READING = 1e-12
 """rad: readings that differ by less are the same, up to the rounding of their units."""
 
@@ -115,10 +110,9 @@ def find_reading_step(y: Array) -> float:
     steps = steps[steps > SAME_READING]
     if not len(steps):
         return 0.0
-    counts = steps / steps.min()
-    return (
-        float(steps.min()) if np.abs(counts - np.round(counts)).mean() < MULTIPLE_TOLERANCE else 0.0
-    )
+    least = float(steps.min())
+    counts = steps / least
+    return least if np.abs(counts - np.round(counts)).mean() < MULTIPLE_TOLERANCE else 0.0
 
 
 def compute_repeat_factor(t: Array, y: Array) -> float:
@@ -126,7 +120,8 @@ def compute_repeat_factor(t: Array, y: Array) -> float:
     the errors that repeats share; 1 without repeats.
     """
     runs = 1 + np.count_nonzero(_mark_changes(y))
-    return max(1.0, min(float(t[-1] - t[0]) / runs / SHARED_ERROR_S, len(y) / runs))
+    lasting = float(t[-1] - t[0]) / runs
+    return max(1.0, min(lasting / SHARED_ERROR_S, len(y) / runs))
 
 
 def dither_readings(t: Array, y: Array) -> tuple[Array, float, float]:
@@ -137,7 +132,8 @@ def dither_readings(t: Array, y: Array) -> tuple[Array, float, float]:
     least = compute_quantisation_variance(y) * compute_repeat_factor(t, y)
     if step == 0.0:
         return y, 0.0, least
-    return y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y)), step * step / 12.0, least
+    dithered = y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y))
+    return dithered, step * step / 12.0, least
 
 
 def compute_relative_variances(t: Array, y: Array, variance: float) -> Array:
