@@ -9,6 +9,7 @@ from scipy.linalg import block_diag
 
 from bodylog.estimation.factors import robust
 from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, ImageShift, Path
+from bodylog.estimation.factors.elimination import filter_knots, predict_knots
 from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.factor_problem import FactorProblem, Noise, linearise_problem
 from bodylog.estimation.factors.gauss_newton import guess_path, solve_problem
@@ -25,7 +26,6 @@ from bodylog.estimation.factors.noise_search import (
     _tabulate_parameters,
     _weigh_log,
 )
-from bodylog.estimation.factors.solve import filter_knots, predict_knots
 from bodylog.estimation.measurements.arm_errors import PLAY_STD, follow_slack
 from bodylog.estimation.measurements.records import Sighting
 from bodylog.motion import motion_covariance
@@ -282,7 +282,7 @@ def test_an_outlier_costs_more_the_farther_it_is_and_at_most_its_range():
     span = np.array([6.0])
     share = robust.compute_believed_shares(away, cov, span)
     assert (np.diff(share) <= 0.0).all() and share[0] > 0.99 and share[-1] < 1e-5
-    assert robust.compute_outlier_nats(share[-1:], span) == pytest.approx(np.log(6.0 / robust.OUTLIERS), rel=1e-4)
+    assert robust.compute_outlier_nats(share[-1:], span) == pytest.approx(np.log(6.0 / robust.OUTLIER_SHARE), rel=1e-4)
 
 
 @pytest.mark.parametrize("settled", [False, True])

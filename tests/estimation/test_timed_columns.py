@@ -8,10 +8,10 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors import timed_columns
 from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path
+from bodylog.estimation.factors.elimination import eliminate_states
 from bodylog.estimation.factors.factor_problem import build_system, linearise_problem
 from bodylog.estimation.factors.gauss_newton import guess_path, solve_problem
 from bodylog.estimation.factors.load import PostureLoad, describe_load
-from bodylog.estimation.factors.solve import eliminate_states
 from bodylog.estimation.factors.timed_columns import (
     LinkShift,
     _change_between,

@@ -12,8 +12,8 @@ from ..inference.scan import ROUGHLY_CONVERGED_MOVE
 from ..measurements.arm_errors import LEAST_PLAY, NOISE_SIGMAS, follow_slack
 from ..measurements.records import interpolate_values
 from .columns import Path, Play
+from .elimination import Eliminated, Marginals, System, eliminate_states, filter_knots, smooth_knots
 from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise_problem
-from .solve import Eliminated, Marginals, System, eliminate_states, filter_knots, smooth_knots
 
 ROUNDS = 12
 """Rounds at most. Smoothers settle after 2 to 4; with 25, a filter moves angles of a drawn log with

@@ -14,12 +14,12 @@ from ..measurements.arm_errors import PLAY_STD
 from ..measurements.track import camera_of_track
 from ..noise.lasting_error import MOST_COUNTS
 from .columns import Column, Delay, Play
+from .elimination import compute_column_nats
 from .encoder_error import LEAST_STD
 from .factor_problem import CHANGE, FactorProblem, Noise
 from .gauss_newton import path_from_beliefs, solve_problem
 from .load import FIRST_BEND, Load, bend_under_load, count_groups, curve_loads
 from .noise_search import FEWEST_READINGS, Learned, learn_noise
-from .solve import compute_column_nats
 from .timed_columns import list_displaced_images, list_timed_loads, weigh_displacements
 
 FIRST_STD = 1e-3
@@ -154,17 +154,15 @@ def _allow_play(
     turning = _find_turning(basis.noise)
     play = tuple(one for one in _list_plays(halves) if turning[one.joint])
     late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _list_cameras(problem))
-    loose = replace(problem, columns=(*problem.columns, *play))
+    loose = problem.with_columns(play)
     # a delay that was corrected for play hides the play: both are free where they are compared
-    free = replace(problem, columns=(*loose.columns, *late))
-    loosely = _choose_most_probable(
-        [_fit_noise(free, one.noise, basis.step_s, one) for one in sides]
-    )
+    free = loose.with_columns(late)
+    each = [_fit_noise(free, one.noise, basis.step_s, one) for one in sides]
+    loosely = _choose_most_probable(each)
     least = -EVIDENCE_THRESHOLD_NATS if halves.any() else EVIDENCE_THRESHOLD_NATS
     if lasting.nats - loosely.nats <= least:
         return problem, lasting, None
-    delayed = replace(problem, columns=(*problem.columns, *late))
-    beside = _fit_noise(delayed, lasting.noise, basis.step_s, lasting)
+    beside = _fit_noise(problem.with_columns(late), lasting.noise, basis.step_s, lasting)
     gain = min(lasting.nats, beside.nats) - loosely.nats
     if gain <= least:
         return problem, lasting, None
@@ -190,7 +188,7 @@ def _displace_images(
         if max(gains, default=0.0) <= EVIDENCE_THRESHOLD_NATS:
             return problem, before, total
         shifts, cost = tried[int(np.argmax(gains))]
-        more = replace(problem, columns=(*problem.columns, *shifts))
+        more = problem.with_columns(shifts)
         after = _fit_noise(more, before.noise, basis.step_s, before)
         gain = before.nats - after.nats - cost
         if gain <= EVIDENCE_THRESHOLD_NATS:
@@ -223,14 +221,14 @@ def _allow_load(
     bends = bend_under_load(loads, bent.sizes[-len(loads) :], bent.path.knots, bent.path.angles)
     if gain <= (0.0 if rival else EVIDENCE_THRESHOLD_NATS) or np.abs(bends).max() > MOST_BEND:
         return problem, before, None
-    return replace(problem, columns=(*problem.columns, *loads)), bent, gain
+    return problem.with_columns(loads), bent, gain
 
 
 def _learn_load(
     problem: FactorProblem, basis: _Basis, loads: tuple[Load, ...], before: Learned
 ) -> Learned:
     """The noise beside a load by evidence, with errors at encoders or at links."""
-    loaded = replace(problem, columns=(*problem.columns, *loads))
+    loaded = problem.with_columns(loads)
     groups = (FIRST_BEND,) * count_groups(loads)
     each = [replace(one, groups=groups) for one in _list_lasting_noises(basis.white.noise)]
     return _choose_most_probable([_fit_noise(loaded, one, basis.step_s, before) for one in each])
@@ -282,8 +280,8 @@ def _measure_remaining_delays(
 ) -> Iterator[Late]:
     """Yield each camera's delay that is left beside what explains the log."""
     for name in _list_cameras(problem):
-        late = replace(problem, columns=(*problem.columns, Delay("delay", DELAY_STD, camera=name)))
-        delayed = _fit_noise(late, found.noise, step_s, found)
+        late = Delay("delay", DELAY_STD, camera=name)
+        delayed = _fit_noise(problem.with_columns([late]), found.noise, step_s, found)
         std = float(np.sqrt(delayed.sizes_cov[-1, -1]))
         yield Late(name, float(delayed.sizes[-1]), std, found.nats - delayed.nats)
 
@@ -329,7 +327,7 @@ def _compute_required_gain(noise: Noise) -> float:
 
 
 def _choose_most_probable(found: Sequence[Learned]) -> Learned:
-    """The one with most evidence."""
+    """The noise with most evidence."""
     return min(found, key=lambda one: one.nats)
 
 
@@ -349,9 +347,8 @@ def add_lasting_errors(noise: Noise, std: float) -> Noise:
 
 def _list_lasting_noises(noise: Noise) -> tuple[Noise, Noise]:
     """The noise with errors that last, at the encoders and at the links."""
-    own = add_lasting_errors(
-        noise, np.exp(noise.prior.error[0]) if noise.prior.known else FIRST_STD
-    )
+    std = np.exp(noise.prior.error[0]) if noise.prior.known else FIRST_STD
+    own = add_lasting_errors(noise, std)
     at_link = replace(own.joints, at_link=own.joints.learned)
     return own, replace(own, joints=at_link)
 

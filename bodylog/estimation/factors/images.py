@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Sighting, mix_rows
 from ..noise.correlated_noise import read_correlation_length
 from .condensing import SAME_TIME_S
@@ -58,7 +59,7 @@ def place_images(sighting: Sighting, knots: Array, nearest: bool) -> Images:
     """
     values, var, mix = sighting.independent
     within = sighting.t <= knots[-1] + SAME_TIME_S
-    frames = np.flatnonzero(np.isfinite(values).all(axis=1) & within)
+    frames = np.flatnonzero(find_finite_rows(values) & within)
     t = sighting.t[frames]
     own = find_nearest_knots(t, knots) if nearest else find_next_knots(t, knots)
     own_mix = None if mix is None else mix[frames]

@@ -10,6 +10,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..measurements.long_arrays import find_finite_rows
 from .columns import Column, Path
 from .images import Images
 
@@ -136,7 +137,7 @@ def build_load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
     """A load's columns for readings (N,M) rad: by the levers of the
     hand where a URDF tells them, else any linear function of the posture, as they are searched.
     """
-    known = readings[np.isfinite(readings).all(axis=1)]
+    known = readings[find_finite_rows(readings)]
     if not len(known):
         return ()
     levers = _find_hand_levers(body, known)

@@ -18,10 +18,10 @@ from ..noise.lasting_error import LONGEST_S
 from .columns import Path
 from .condensed_slopes import Expected, measure_condensed_slopes
 from .condensing import PairFactors, PassedSteps
+from .elimination import Smoothed, eliminate_states, smooth_knots
 from .encoder_error import JointNoise
 from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise_problem
 from .gauss_newton import path_from_beliefs
-from .solve import Smoothed, eliminate_states, smooth_knots
 
 LOG_SCALE = (0.0, 1.0)
 """Mean and standard deviation of the logarithm of the factor on the variance of images."""
@@ -130,26 +130,15 @@ def _tabulate_parameters(
     wide = np.log(_SPAN)
     white = np.log(usual.white)
     process = np.log(usual.process)
+    least = np.log(LEAST_PROCESS)
     # a variance of n readings is known to √(2/n)
+    sure = np.sqrt(2.0 / read)
     table: dict[str, tuple[Any, ...]] = {
-        "white": (
-            np.log(joints.white),
-            np.sqrt(2.0 / read),
-            white - wide,
-            white + wide,
-            white,
-            WHITE_SPREAD,
-        ),
-        "process": (
-            np.log(joints.process),
-            0.15,
-            np.log(LEAST_PROCESS),
-            process + wide,
-            0.0,
-            np.inf,
-        ),
+        "white": (np.log(joints.white), sure, white - wide, white + wide, white, WHITE_SPREAD),
+        "process": (np.log(joints.process), 0.15, least, process + wide, 0.0, np.inf),
     }
-    if len(errors := _list_lasting_stds(joints)):
+    errors = _list_lasting_stds(joints)
+    if len(errors):
         ends = np.log(FEWEST_READINGS * step_s), np.log(LONGEST_S)
         table["error"] = (np.log(errors), 0.4, np.log(1e-6), np.log(0.3), *noise.prior.error)
         seconds = np.log(joints.seconds[joints.learned][:1])

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...types import Array
 
-OUTLIERS = 1e-2
+OUTLIER_SHARE = 1e-2
 """Share ε of measurements that are outliers before the log: one in a hundred, as of the filter's
 FLAT_COST_NATS."""
 LEAST_SHARE = 1e-6
@@ -45,15 +45,15 @@ def _compute_log_mixture(residual: Array, cov: Array, span: Array) -> tuple[Arra
     rows = residual.shape[1]
     square = np.einsum("fd,fd->f", residual, np.linalg.solve(cov, residual[..., None])[..., 0])
     log_det = np.linalg.slogdet(cov)[1]
-    inlier = -0.5 * (square + log_det + rows * np.log(2.0 * np.pi)) + np.log1p(-OUTLIERS)
-    return inlier, float(np.log(OUTLIERS) - np.log(span).sum())
+    inlier = -0.5 * (square + log_det + rows * np.log(2.0 * np.pi)) + np.log1p(-OUTLIER_SHARE)
+    return inlier, float(np.log(OUTLIER_SHARE) - np.log(span).sum())
 
 
 def compute_outlier_nats(share: Array, span: Array) -> float:
     """−ln p of measurements as far as they are
     outliers: shares (F,) that are believed, span (D,).
     """
-    return float(((1.0 - share) * (np.log(span).sum() - np.log(OUTLIERS))).sum())
+    return float(((1.0 - share) * (np.log(span).sum() - np.log(OUTLIER_SHARE))).sum())
 
 
 def leave_out_measurement(

@@ -12,9 +12,11 @@ from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 from ..inference.filter_problem import FilterProblem
 from ..inference.tangents import OFFSET_STD
-from ..measurements.records import Encoders, Sighting, unmix_rows
+from ..measurements.long_arrays import find_finite_rows, median_step
+from ..measurements.records import Encoders, unmix_rows
 from .columns import EncoderShift
 from .condensing import SAME_TIME_S
+from .elimination import Marginals, filter_knots, predict_knots
 from .encoder_error import LEAST_STD, JointNoise
 from .factor_problem import FactorProblem, LastingPrior, Noise
 from .gauss_newton import Solution, path_from_beliefs, solve_problem
@@ -33,7 +35,6 @@ from .robust import (
     leave_out_measurement,
     measure_image_span,
 )
-from .solve import Marginals, filter_knots, predict_knots
 from .timed_columns import list_timed_loads
 
 CLOSEST_S = 4e-3
@@ -44,7 +45,7 @@ COARSE_S = 0.01
 """s between the knots that noise is learned on, at least:
 images, and instants where there are none for long.
 """
-WEIGHING = 3
+WEIGHING_ROUNDS = 3
 """Rounds of linearising before readings are weighed."""
 SPARSE_S = 0.1
 """s between the knots that noise is learned on where no images are."""
@@ -136,7 +137,7 @@ def explain_log(
     found = find_explanation(
         coarse,
         replace(noise, prior=lasting),
-        _measure_usual_step(encoders),
+        median_step(encoders.t),
         encoders.count_variance,
         halves,
         loads,
@@ -150,7 +151,7 @@ def explain_by_white_noise(problem: FilterProblem) -> ExplainedLog | None:
     if posed is None:
         return None
     fine, coarse, noise = posed
-    white = fit_white_noise(coarse, noise, _measure_usual_step(_require_encoders(problem)))
+    white = fit_white_noise(coarse, noise, median_step(_require_encoders(problem).t))
     return ExplainedLog(
         fine, conclude_white_noise(fine, white), white.nats + _weigh_outliers(coarse)
     )
@@ -160,11 +161,6 @@ def _require_encoders(problem: FilterProblem) -> Encoders:
     """The encoders of a log that is posed: it has some."""
     assert problem.evidence.encoders is not None
     return problem.evidence.encoders
-
-
-def _measure_usual_step(encoders: Encoders) -> float:
-    """The usual time (s) from one reading to the next."""
-    return float(np.median(np.diff(encoders.t)))
 
 
 def resembles_load(problem: FilterProblem, without: FilterProblem, loads: tuple[Load, ...]) -> bool:
@@ -179,14 +175,20 @@ def resembles_load(problem: FilterProblem, without: FilterProblem, loads: tuple[
     if posed is None or alone is None:
         return False
     _, shifted, its_noise = posed
-    offset = solve_problem(shifted, its_noise, rounds=WEIGHING).nats + _weigh_outliers(shifted)
+    offset = solve_problem(shifted, its_noise, rounds=WEIGHING_ROUNDS).nats + _weigh_outliers(
+        shifted
+    )
     _, coarse, noise = alone
-    path = path_from_beliefs(coarse, noise, solve_problem(coarse, noise, rounds=WEIGHING).beliefs)
+    path = path_from_beliefs(
+        coarse, noise, solve_problem(coarse, noise, rounds=WEIGHING_ROUNDS).beliefs
+    )
     wide = replace(noise, groups=(WIDE_BEND,) * count_groups(loads))
     for timed, cost in list_timed_loads(coarse, noise, path, loads):
-        bent = replace(coarse, columns=(*coarse.columns, *timed))
+        bent = coarse.with_columns(timed)
         nats = (
-            solve_problem(bent, wide, path, rounds=WEIGHING).nats + _weigh_outliers(coarse) + cost
+            solve_problem(bent, wide, path, rounds=WEIGHING_ROUNDS).nats
+            + _weigh_outliers(coarse)
+            + cost
         )
         if nats - offset < EVIDENCE_THRESHOLD_NATS:
             return True
@@ -199,11 +201,19 @@ def _pose_log(problem: FilterProblem) -> tuple[FactorProblem, FactorProblem, Noi
     """
     encoders = problem.evidence.encoders
     sightings = tuple(
-        one for one in problem.evidence.sightings if np.isfinite(one.values).all(axis=1).any()
+        one for one in problem.evidence.sightings if find_finite_rows(one.values).any()
     )
     if encoders is None or not sightings or not np.isfinite(encoders.values).any():
         return None
-    fine = _build_problem(problem, encoders, sightings, _thin_times(problem.timeline.t, CLOSEST_S))
+    fine = FactorProblem(
+        _thin_times(problem.timeline.t, CLOSEST_S),
+        encoders.t,
+        encoders.values,
+        encoders.relative,
+        problem.start,
+        sightings,
+        tuple(_list_repaired_steps(problem)),
+    )
     noise = _guess_noise(problem, len(sightings))
     # a joint that rests may bend, too
     fine = _weigh_measurements(
@@ -234,26 +244,11 @@ def _weigh_outliers(problem: FactorProblem) -> float:
     known = np.isfinite(problem.values)
     total = compute_outlier_nats(problem.believed[known], TURN)
     for one, share in zip(problem.sightings, problem.images_believed, strict=True):
-        seen = np.isfinite(one.values).all(axis=1)
+        seen = find_finite_rows(one.values)
         total += compute_outlier_nats(
             share[seen], measure_image_span(one.values[seen], one.var[seen])
         )
     return total
-
-
-def _build_problem(
-    problem: FilterProblem, encoders: Encoders, sightings: tuple[Sighting, ...], knots: Array
-) -> FactorProblem:
-    """The log on these knots (K,) s, about no path yet."""
-    return FactorProblem(
-        knots,
-        encoders.t,
-        encoders.values,
-        encoders.relative,
-        problem.start,
-        sightings,
-        tuple(_list_repaired_steps(problem)),
-    )
 
 
 def _list_repaired_steps(problem: FilterProblem) -> Iterator[EncoderShift]:
@@ -285,7 +280,7 @@ def _coarsen_middle(fine: FactorProblem) -> FactorProblem:
     centre = 0.5 * (fine.knots[0] + fine.knots[-1])
     begin = centre - LEARNED_S / 2
     end = centre + LEARNED_S / 2
-    seen = [one.t[np.isfinite(one.values).all(axis=1)] for one in fine.sightings]
+    seen = [one.t[find_finite_rows(one.values)] for one in fine.sightings]
     images = np.sort(np.concatenate(seen))
     spread = np.arange(fine.knots[0], fine.knots[-1], SPARSE_S)
     alone = np.abs(spread[:, None] - images[None]).min(axis=1) > SPARSE_S
@@ -355,11 +350,11 @@ def _weigh_measurements(fine: FactorProblem, noise: Noise, rough: bool) -> Facto
     rough: before the noise is known, images are judged by what most of them are off.
     """
     open_problem = replace(fine, believed=None, images_believed=None)
-    solution = solve_problem(open_problem, noise, rounds=WEIGHING)
+    solution = solve_problem(open_problem, noise, rounds=WEIGHING_ROUNDS)
     fine = _update_shares(fine, solution, noise, rough)
     # an outlier no longer hides another, nor a sound reading
     solution = solve_problem(
-        fine, noise, path_from_beliefs(fine, noise, solution.beliefs), rounds=WEIGHING
+        fine, noise, path_from_beliefs(fine, noise, solution.beliefs), rounds=WEIGHING_ROUNDS
     )
     return _update_shares(fine, solution, noise, rough)
 
