@@ -125,9 +125,8 @@ def explain_log(
     """Explain a log by white noise alone, or by errors of
     its hardware; None where it has no readings or no images.
 
-    problem: with the encoder offsets that were found · halves (M,)
-    rad: half of each joint's play in the exploration · lasting: errors of
-    encoders before the log · loads: columns of a load.
+    problem: with the encoder offsets that were found · halves (M,) rad: half of each joint's play
+    in the exploration · lasting: errors of encoders before the log · loads: columns of a load.
     """
     posed = _pose_log(problem)
     if posed is None:

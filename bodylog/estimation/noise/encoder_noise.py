@@ -1,8 +1,7 @@
 """Encoder noise and process noise of each joint, for white
 acceleration or jerk, by the evidence of its readings.
 
-Evidence of one joint's encoder readings alone, for
-many ratios of process to noise (kernels.py).
+Evidence of one joint's encoder readings alone, for many ratios of process to noise (kernels.py).
 """
 
 from dataclasses import dataclass

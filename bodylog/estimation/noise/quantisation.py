@@ -116,9 +116,7 @@ def find_reading_step(y: Array) -> float:
 
 
 def compute_repeat_factor(t: Array, y: Array) -> float:
-    """Factor on the variance of readings (N,) for
-    the errors that repeats share; 1 without repeats.
-    """
+    """Factor on the variance of readings (N,) for the errors that repeats share; 1 without repeats."""
     runs = 1 + np.count_nonzero(_mark_changes(y))
     lasting = float(t[-1] - t[0]) / runs
     return max(1.0, min(lasting / SHARED_ERROR_S, len(y) / runs))
