@@ -212,15 +212,13 @@ def test_errors_many_times_the_explorations_stand_for_no_offset(std, seconds, us
     prior = LastingPrior((float(np.log(1e-3)), CHANGE), (0.0, CHANGE), True)
     all_of_them = np.ones(3, bool)
     error = np.array([1e-3, std, 1e-3])
-    joints = JointNoise(
-        3, np.full(3, 1e-6), np.ones(3), error, np.full(3, seconds), ~all_of_them, all_of_them
-    )
+    joints = JointNoise(np.full(3, 1e-6), np.ones(3), error, np.full(3, seconds), ~all_of_them, all_of_them)
     assert explained._is_usual(Noise(joints, (1.0,), prior=prior)) is usual
     assert explained._is_usual(Noise(joints, (1.0,), prior=ANY_ERRORS)) is (seconds < 5.0)
 
 
 def test_encoders_without_errors_that_last_are_usual():
-    white = JointNoise(3, np.full(3, 1e-6), np.ones(3), None, np.ones(3), np.zeros(3, bool), np.zeros(3, bool))
+    white = JointNoise(np.full(3, 1e-6), np.ones(3), None, np.ones(3), np.zeros(3, bool), np.zeros(3, bool))
     assert explained._is_usual(Noise(white, (1.0,), prior=ANY_ERRORS))
 
 

@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 from bodylog.estimation.factors import robust
 from bodylog.estimation.factors.columns import Column, Delay, EncoderShift, ImageShift, Path
 from bodylog.estimation.factors.elimination import filter_knots, predict_knots
-from bodylog.estimation.factors.encoder_error import JointNoise
+from bodylog.estimation.factors.encoder_error import MOTION_ORDER, JointNoise
 from bodylog.estimation.factors.factor_problem import FactorProblem, Noise, linearise_problem
 from bodylog.estimation.factors.gauss_newton import guess_path, solve_problem
 from bodylog.estimation.factors.hypotheses import (
@@ -56,7 +56,7 @@ def dense(problem, noise, linear, until):
     covs, moves = [start], []
     for gap in np.diff(times):
         move = block_diag(*[transition(joints, gap, j) for j in range(m)])
-        unit = motion_covariance(joints.order, np.array([gap])).transpose(1, 2, 0)
+        unit = motion_covariance(MOTION_ORDER, np.array([gap])).transpose(1, 2, 0)
         grown = joints.compute_gained_covariance(np.array([gap]), unit)[:, :, 0]
         covs.append(move @ covs[-1] @ move.T + block_diag(*np.moveaxis(grown, -1, 0)))
         moves.append(move)
@@ -116,8 +116,8 @@ def dense(problem, noise, linear, until):
 def transition(joints, gap, joint):
     """The transition (p,p) of one joint's state."""
     move = np.eye(joints.states)
-    for i in range(joints.order):
-        for k in range(i + 1, joints.order):
+    for i in range(MOTION_ORDER):
+        for k in range(i + 1, MOTION_ORDER):
             move[i, k] = gap ** (k - i) / (k - i)
     if joints.error is not None:
         move[-1, -1] = np.exp(-gap / joints.seconds[joint])
@@ -125,15 +125,14 @@ def transition(joints, gap, joint):
 
 
 ERRORS = ((False, False), (True, False), (True, True))
-CASES = [(order, *error) for order in (2, 3) for error in ERRORS]
 
 
-@pytest.mark.parametrize(("order", "lasting", "at_link"), CASES)
-def test_filter_and_smoother_of_a_linear_body_are_those_of_dense_matrices(order, lasting, at_link):
+@pytest.mark.parametrize(("lasting", "at_link"), ERRORS)
+def test_filter_and_smoother_of_a_linear_body_are_those_of_dense_matrices(lasting, at_link):
     for seed in range(2):
-        rng = np.random.default_rng([seed, order])
+        rng = np.random.default_rng([seed, 3])
         columns = (EncoderShift("step", 0.01, joint=1, since=0.2), Tilt("bent", 0.02, mean=0.01))
-        problem, assumed = drawn(rng, columns), noise(order, rng, lasting, at_link)
+        problem, assumed = drawn(rng, columns), noise(rng, lasting, at_link)
         solution = solve_problem(problem, assumed, rounds=1)
         forward = filter_knots(solution.system, solution.eliminated)
         size = JOINTS * assumed.joints.states
@@ -158,7 +157,7 @@ def test_filter_and_smoother_of_a_linear_body_are_those_of_dense_matrices(order,
 def test_angles_of_a_linear_body_are_those_of_dense_matrices_to_the_ninth_digit():
     for seed in range(5):
         rng = np.random.default_rng(seed)
-        problem, assumed = drawn(rng), noise(2, rng)
+        problem, assumed = drawn(rng), noise(rng)
         solution = solve_problem(problem, assumed, rounds=1)
         mean, cov, _, _ = dense(problem, assumed, solution.linear, problem.knots[-1])
         p = assumed.joints.states
@@ -169,7 +168,7 @@ def test_angles_of_a_linear_body_are_those_of_dense_matrices_to_the_ninth_digit(
 def test_a_filter_that_knows_the_sizes_ends_where_the_whole_log_does():
     rng = np.random.default_rng(3)
     columns = (EncoderShift("step", 0.01, joint=1, since=0.2), Tilt("bent", 0.02))
-    problem, assumed = drawn(rng, columns), noise(3, rng)
+    problem, assumed = drawn(rng, columns), noise(rng)
     whole = solve_problem(problem, assumed, rounds=1).beliefs
     about = tuple(replace(one, mean=size) for one, size in zip(columns, whole.sizes[0], strict=True))
     settled = replace(problem, columns=about, settled=whole.sizes_cov[0])
@@ -190,7 +189,7 @@ def test_sizes_hold_what_follows_if_a_joint_does_not_bend():
     groups = (0.01, 0.02)
     # images tell the sum of both sizes to 1 mrad: .02
     shown = 1e6 * np.outer([0.02, 1.0, 1.0], [0.02, 1.0, 1.0])
-    assumed = replace(noise(3, np.random.default_rng(0)), groups=groups)
+    assumed = replace(noise(np.random.default_rng(0)), groups=groups)
     found = mix_silent_groups(
         Learned(assumed, None, 0.0, np.zeros(2), np.zeros((2, 2)), shown), columns
     )
@@ -210,7 +209,7 @@ def test_sizes_hold_what_follows_if_a_joint_does_not_bend():
 
 def test_what_is_predicted_is_what_was_known_before_the_knot():
     rng = np.random.default_rng(3)
-    problem, assumed = drawn(rng), noise(3, rng)
+    problem, assumed = drawn(rng), noise(rng)
     solution = solve_problem(problem, assumed, rounds=1)
     before = predict_knots(solution.system, solution.eliminated)
     mean, cov, _, _ = dense(problem, assumed, solution.linear, problem.knots[5] - 1e-6)
@@ -225,7 +224,7 @@ def test_the_slope_of_the_evidence_is_that_of_differences(at_link):
         rng = np.random.default_rng(seed)
         columns = (Delay("late", 0.05, camera="camera"), Tilt("bent", 2.0, group=0))
         problem = drawn(rng, columns)
-        assumed = replace(noise(3, rng, True, at_link), groups=(0.01,))
+        assumed = replace(noise(rng, True, at_link), groups=(0.01,))
         linear = linearise_problem(problem, guess_path(problem), assumed)
         at = _tabulate_parameters(problem, assumed, 0.01)[1][:, 0]
         _, slope = _weigh_log(linear, at)
@@ -240,7 +239,7 @@ def test_the_slope_of_the_evidence_is_that_of_differences(at_link):
 def test_noise_by_evidence_does_not_amplify_rounding(seed):
     rng = np.random.default_rng(seed)
     problem = drawn(rng, images=60)
-    assumed = noise(3, rng)
+    assumed = noise(rng)
     found = []
     for moved in (0.0, 1e-14, -1e-14):
         off = moved * np.random.default_rng(seed).standard_normal(problem.values.shape)
@@ -292,7 +291,7 @@ def test_measurements_left_out_are_those_of_a_solve_without_them(settled):
         ImageShift("displaced", 3.0, axis=0, camera="camera", since=0.1, until=0.3),
         ImageShift("displaced", 3.0, axis=1, camera="camera", since=0.1, until=0.3),
     )
-    problem, assumed = drawn(rng, shifts if settled else ()), noise(2, rng, lasting=False)
+    problem, assumed = drawn(rng, shifts if settled else ()), noise(rng, lasting=False)
     if settled:  # to more than the noise of an image
         problem = replace(problem, settled=np.array([[4.0, 1.0], [1.0, 2.0]]))
     solution = solve_problem(problem, assumed, rounds=1)
@@ -322,7 +321,7 @@ def test_a_smoothed_arm_without_lasting_errors_is_that_of_the_textbook_iteration
     sighting = Sighting("effector", arm, knots, seen, np.full(seen.shape, 0.09), stamps)
     read = angles + 1e-3 * rng.standard_normal(angles.shape)
     problem = FactorProblem(knots, t, read, np.ones(read.shape), read[0], (sighting,))
-    joints = JointNoise(3, np.full(3, 1e-6), np.full(3, 5.0), None, np.ones(3), np.zeros(3, bool), np.ones(3, bool))
+    joints = JointNoise(np.full(3, 1e-6), np.full(3, 5.0), None, np.ones(3), np.zeros(3, bool), np.ones(3, bool))
     assumed = Noise(joints, (1.0,))
     solution = solve_problem(problem, assumed)
     again = solve_problem(problem, assumed, solution.linear.path, rounds=1)
@@ -352,7 +351,7 @@ def test_a_filter_of_a_resting_joint_ends_where_the_smoother_does():
     values = problem.values.copy()
     values[:, 1] = 1e-3 * rng.standard_normal(len(values))
     problem = replace(problem, knots=knots, values=values)
-    joints = replace(noise(3, rng, lasting=False).joints, process=np.array([1.0, LEAST_PROCESS]))
+    joints = replace(noise(rng, lasting=False).joints, process=np.array([1.0, LEAST_PROCESS]))
     found = [solve_problem(problem, Noise(joints, (1.3,)), causal=causal, rounds=1).beliefs for causal in (True, False)]
     apart = found[0].mean[-1] - found[1].mean[-1]
     assert (np.abs(apart) < 1e-2 * np.sqrt(np.diag(found[1].cov[-1]))).all()

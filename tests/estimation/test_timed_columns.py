@@ -41,7 +41,7 @@ def test_columns_added_later_have_the_schur_complement_of_columns_that_are_there
     known = (EncoderShift("repaired step", 1e-3, mean=2e-3, joint=1, since=0.2),)
     problem = factor_problems.drawn(rng, known)
     more = (bent(0, (0.1, 0.25)), bent(1, (0.2,)), LinkShift("shift", 1.0, joint=0, since=0.15, until=0.45))
-    noise = replace(factor_problems.noise(3, rng), groups=(1.0, 1.0))
+    noise = replace(factor_problems.noise(rng), groups=(1.0, 1.0))
     path = guess_path(problem)
     linear = linearise_problem(problem, path, noise)
     found = _extend_schur(linear, eliminate_states(build_system(linear)), more)
@@ -61,7 +61,7 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
     rng = np.random.default_rng(seed)
     problem = factor_problems.drawn(rng, images=64)
     shifts = tuple(ImageShift("displaced", 9.0, camera="camera", axis=axis, since=1.0, until=2.0) for axis in range(2))
-    assumed = factor_problems.noise(3, rng, lasting=False)
+    assumed = factor_problems.noise(rng, lasting=False)
     for sizes, moved in (((0.0, 0.0), False), ((5.0, -3.0), True)):
         spoilt = moved_images(problem, shifts, sizes)
         path = guess_path(spoilt)
@@ -83,7 +83,7 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
 def test_a_window_holds_some_images_and_not_all(window, monkeypatch):
     rng = np.random.default_rng(0)
     problem = factor_problems.drawn(rng, images=64)
-    assumed = factor_problems.noise(3, rng, lasting=False)
+    assumed = factor_problems.noise(rng, lasting=False)
     path = guess_path(problem)
     monkeypatch.setattr(timed_columns, "_narrow_window", lambda *_: (-1e9, window))
     assert list(list_displaced_images(problem, assumed, path)) == []
@@ -139,7 +139,7 @@ def test_moments_are_found_between_two_images(moments):
     (sighting,) = problem.sightings
     seen = sighting.values + np.einsum("dm,fm->fd", sighting.model.a, rows)
     problem = replace(problem, sightings=(replace(sighting, values=seen),))
-    noise = factor_problems.noise(3, rng, lasting=False)
+    noise = factor_problems.noise(rng, lasting=False)
     path = solve_problem(problem, noise, rounds=1).linear.path
     *_, (timed, cost) = list_timed_loads(problem, noise, path, loads)
     np.testing.assert_allclose(timed[0].moments, moments, atol=0.06)
@@ -154,7 +154,7 @@ def test_moments_are_found_among_fewer_images_than_the_log_has_parts():
     (sighting,) = problem.sightings
     seen = sighting.values + np.einsum("dm,fm->fd", sighting.model.a, rows)
     problem = replace(problem, sightings=(replace(sighting, values=seen),))
-    noise = factor_problems.noise(3, rng, lasting=False)
+    noise = factor_problems.noise(rng, lasting=False)
     path = solve_problem(problem, noise, rounds=1).linear.path
     *_, (timed, _) = list_timed_loads(problem, noise, path, tuple(bent(j) for j in range(2)))
     np.testing.assert_allclose(timed[0].moments, (0.7,), atol=0.11)
@@ -163,7 +163,7 @@ def test_moments_are_found_among_fewer_images_than_the_log_has_parts():
 def test_an_encoder_that_is_off_since_a_moment_is_no_load():
     rng = np.random.default_rng(5)
     problem = factor_problems.drawn(rng, images=64)
-    noise = factor_problems.noise(3, rng, lasting=False)
+    noise = factor_problems.noise(rng, lasting=False)
     after = np.maximum(problem.t - 1.2, 0.0)
     for off in (after > 0.0, after):
         read = problem.values.copy()

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...types import Array
 from .condensing import PairFactors, PassedReading, PassedSteps, Readings
-from .encoder_error import JointNoise
+from .encoder_error import MOTION_ORDER, JointNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,6 @@ def measure_condensed_slopes(
     pairs, passed: what the readings are condensed to, and what that passes.
     """
     p = noise.states
-    order = noise.order
     states, columns = expected.with_start()
     starts = np.concatenate([states[:p], columns])
     # r after the last gap is (x₁ − what x₀ and c predict) in its precision
@@ -74,7 +73,7 @@ def measure_condensed_slopes(
         by_start, last_cov = passed.lasts[k]
         gap = readings.gaps[k][:, None]
         decay = np.exp(-gap / noise.seconds)
-        gained = readings.unit_motion[:, :, k, :, None] * square[:order, :order]
+        gained = readings.unit_motion[:, :, k, :, None] * square[:MOTION_ORDER, :MOTION_ORDER]
         process -= 0.5 * noise.process * gained.sum(axis=(0, 1))
         last = square[-1, -1].copy()
         kept = (by_starts[-1] * by_start).sum(axis=0)

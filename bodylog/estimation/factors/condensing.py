@@ -15,7 +15,7 @@ import numpy as np
 
 from ...motion import motion_covariance
 from ...types import Array
-from .encoder_error import JointNoise
+from .encoder_error import MOTION_ORDER, JointNoise
 
 SAME_TIME_S = 1e-9
 """s: times that differ by less are one, up to the rounding of their stamps."""
@@ -27,7 +27,7 @@ class Readings:
 
     at_knot (K,M,R) rad and its weight (K,M) · between (S,K-1,M,R) rad, weight
     (S,K-1,M): 0 for no reading · gaps (S+1,K-1) s: from the knot or reading before · unit_motion
-    (o,o,S+1,K-1): covariance that angle and its derivatives gain over them for a process of
+    (3,3,S+1,K-1): covariance that angle and its derivatives gain over them for a process of
     variance 1. A weight is the inverse of a variance relative to the encoder's; believed (…): share
     of a reading that is not taken for an outlier.
     """
@@ -82,13 +82,13 @@ class PassedSteps:
 
 
 def place_readings(
-    t: Array, values: Array, relative: Array, believed: Array, knots: Array, order: int
+    t: Array, values: Array, relative: Array, believed: Array, knots: Array
 ) -> Readings:
     """Distribute readings at t (N,) s over the knots (K,) s; those within SAME_TIME_S of one are
     at it.
 
     values (N,M,R) rad, NaN in the first right-hand side where missing · relative (N,M): variance
-    over the encoder's · believed (N,M) · order: that of the motion.
+    over the encoder's · believed (N,M).
     """
     known = np.isfinite(values[..., 0])
     weight = np.where(known, believed / relative, 0.0)
@@ -120,7 +120,8 @@ def place_readings(
     knot_weight, between_weight = place_rows(weight)
     knot_believed, between_believed = place_rows(believed)
     gaps = np.diff(stamps, axis=0)
-    motion = motion_covariance(order, gaps.ravel()).reshape(*gaps.shape, order, order)
+    motion = motion_covariance(MOTION_ORDER, gaps.ravel())
+    motion = motion.reshape(*gaps.shape, MOTION_ORDER, MOTION_ORDER)
     return Readings(
         knots,
         at_knot,

@@ -115,14 +115,14 @@ class FactorProblem:
         """Length S of the state at a knot: each joint's, then the model errors."""
         return len(self.start) * noise.joints.states + self.model_rows
 
-    def place_on_knots(self, path: Path, order: int) -> Readings:
-        """The readings at and between the knots, with the change
-        of each by the columns as further right-hand sides. order: that of the motion.
+    def place_on_knots(self, path: Path) -> Readings:
+        """The readings at and between the knots, with the change of each by the columns as further
+        right-hand sides.
         """
         moved = (column.changes_readings(self.t, path) for column in self.columns)
         values = np.stack([self.values, *moved], axis=-1)
         believed = np.ones(self.values.shape) if self.believed is None else self.believed
-        return place_readings(self.t, values, self.relative, believed, self.knots, order)
+        return place_readings(self.t, values, self.relative, believed, self.knots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,9 +150,7 @@ def linearise_problem(problem: FactorProblem, path: Path, noise: Noise) -> Linea
         rows.append(build_image_rows(images, here.links, noise.joints, *columns, first, size))
         first += images.values.shape[1]
     kappa = correlate_model_errors(problem.sightings, path.links)
-    return Linearised(
-        problem, path, problem.place_on_knots(path, noise.joints.order), tuple(rows), kappa, noise
-    )
+    return Linearised(problem, path, problem.place_on_knots(path), tuple(rows), kappa, noise)
 
 
 def build_image_columns(problem: FactorProblem, images: Images, path: Path) -> tuple[Array, Array]:

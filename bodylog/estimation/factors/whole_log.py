@@ -17,7 +17,7 @@ from ..measurements.records import Encoders, unmix_rows
 from .columns import EncoderShift
 from .condensing import SAME_TIME_S
 from .elimination import Marginals, filter_knots, predict_knots
-from .encoder_error import LEAST_STD, JointNoise
+from .encoder_error import LEAST_STD, MOTION_ORDER, JointNoise
 from .factor_problem import FactorProblem, LastingPrior, Noise
 from .gauss_newton import Solution, path_from_beliefs, solve_problem
 from .hypotheses import (
@@ -51,8 +51,6 @@ SPARSE_S = 0.1
 """s between the knots that noise is learned on where no images are."""
 LEARNED_S = 60.0
 """s of a log that noise is learned from; longer ones give their middle."""
-ORDER = 3
-"""White jerk: white acceleration takes the noise of motors for motion."""
 TURN = np.array([2.0 * np.pi])
 """rad: within what an outlier of an encoder may be."""
 USUAL_STD = 4e-3
@@ -314,7 +312,7 @@ def _guess_noise(problem: FilterProblem, sights: int) -> Noise:
     m = len(problem.start)
     process = np.full(m, FIRST_PROCESS)
     if precision.learned is not None:
-        process = np.clip(precision.learned[ORDER - 2].process, 1e-2, 1e3)
+        process = np.clip(precision.learned[MOTION_ORDER - 2].process, 1e-2, 1e3)
     drift = np.zeros(m) if precision.drift is None else precision.drift
     walks = drift > 0.0
     far = np.full(m, PRIOR_STD_RAD)
@@ -323,7 +321,7 @@ def _guess_noise(problem: FilterProblem, sights: int) -> Noise:
     seconds = np.where(walks, 2.0 * far**2 / np.where(walks, drift, 1.0), 1.0)
     error = np.where(walks, far, LEAST_STD) if walks.any() else None
     joints = JointNoise(
-        ORDER, precision.encoder, process, error, seconds, np.zeros(m, bool), np.zeros(m, bool)
+        precision.encoder, process, error, seconds, np.zeros(m, bool), np.zeros(m, bool)
     )
     return Noise(joints, (1.0,) * sights, usual=joints, resting=find_resting_joints(problem))
 
