@@ -37,7 +37,7 @@ DELAY_STD = 0.05
 
 
 @dataclass(frozen=True)
-class Late:
+class RemainingDelay:
     """How much later a camera is than was allowed for:
     seconds ± std, and the nats by which that wins.
     """
@@ -63,7 +63,7 @@ class Explanation:
     nats: float
     lasting: float
     gains: Mapping[str, float]
-    delays: tuple[Late, ...] = ()
+    delays: tuple[RemainingDelay, ...] = ()
 
     @property
     def is_sound(self) -> bool:
@@ -277,13 +277,13 @@ def mix_silent_groups(found: Learned, columns: Sequence[Column]) -> Learned:
 
 def _measure_remaining_delays(
     problem: FactorProblem, found: Learned, step_s: float
-) -> Iterator[Late]:
+) -> Iterator[RemainingDelay]:
     """Yield each camera's delay that is left beside what explains the log."""
     for name in _list_cameras(problem):
         late = Delay("delay", DELAY_STD, camera=name)
         delayed = _fit_noise(problem.with_columns([late]), found.noise, step_s, found)
         std = float(np.sqrt(delayed.sizes_cov[-1, -1]))
-        yield Late(name, float(delayed.sizes[-1]), std, found.nats - delayed.nats)
+        yield RemainingDelay(name, float(delayed.sizes[-1]), std, found.nats - delayed.nats)
 
 
 def _find_turning(noise: Noise) -> Array:

@@ -20,12 +20,20 @@ from .condensed_slopes import Expected, measure_condensed_slopes
 from .condensing import PairFactors, PassedSteps
 from .elimination import Smoothed, eliminate_states, smooth_knots
 from .encoder_error import JointNoise
-from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise_problem
+from .factor_problem import (
+    ANY_ERRORS,
+    FactorProblem,
+    Linearised,
+    Noise,
+    build_system,
+    linearise_problem,
+)
 from .gauss_newton import path_from_beliefs
+from .load import FIRST_BEND
 
 LOG_SCALE = (0.0, 1.0)
 """Mean and standard deviation of the logarithm of the factor on the variance of images."""
-LOG_GROUP = (float(np.log(5e-3)), 1.5)
+LOG_GROUP = (float(np.log(FIRST_BEND)), 1.5)
 """The same of ln σ of what links bend by (rad): 0.25 to 100 mrad."""
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
@@ -33,7 +41,7 @@ FLAT_NATS = 1e-3
 """Twice what the last step of the search may gain: parameters are then within √0.001 = 0.03
 standard deviations of the most probable ones.
 """
-WHITE_SPREAD = 1.5
+WHITE_SPREAD = ANY_ERRORS.seconds[1]
 """Standard deviation of the logarithm of the variance of readings about its value without errors
 that last, as wide as that of τ. Where such errors take all noise of readings, the log says nothing
 of that variance, and a search without a prior ends anywhere.

@@ -299,7 +299,7 @@ def _score_lasting_error(pieces: Sequence[Residuals], factors: Array) -> tuple[f
     """
     scores = np.zeros((2, len(TIMES_S)))
     for piece in pieces:
-        root = np.linalg.cholesky(_stabilise(piece.compute_sound_covariance(factors)))
+        root = np.linalg.cholesky(_stabilise_covariance(piece.compute_sound_covariance(factors)))
         white = forward_substituted(root, piece.residual[:, None])[:, 0]
         white = white / max(float(np.sqrt(np.mean(white * white))), 1e-12)
         for k, seconds in enumerate(TIMES_S):
@@ -366,7 +366,7 @@ def _compute_residual_nats(
         if std:
             cov += std**2 * piece.compute_lasting_covariance(seconds)
         # LAPACK has columns first: of a symmetric matrix the same one, without a copy
-        root, failed = dpotrf(_stabilise(cov).T, lower=1, clean=0, overwrite_a=1)
+        root, failed = dpotrf(_stabilise_covariance(cov).T, lower=1, clean=0, overwrite_a=1)
         if failed:
             raise np.linalg.LinAlgError("the covariance of an image's residuals is singular")
         white, _ = dtrtrs(root, piece.residual, lower=1)
@@ -374,7 +374,7 @@ def _compute_residual_nats(
     return total
 
 
-def _stabilise(cov: Array) -> Array:
+def _stabilise_covariance(cov: Array) -> Array:
     """A covariance (R,R) with as much white noise as the rounding of its Cholesky factor needs,
     in place.
     """
