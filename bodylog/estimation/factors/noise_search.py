@@ -207,9 +207,8 @@ def _measure_slopes(
             (by["error"] + first)[joints.learned],
             by["seconds"][joints.learned].sum(keepdims=True),
         ]
-    return np.concatenate(
-        [*parts, _measure_scale_slopes(linear, beliefs), _measure_group_slopes(linear, beliefs)]
-    )
+    parts += [_measure_scale_slopes(linear, beliefs), _measure_group_slopes(linear, beliefs)]
+    return np.concatenate(parts)
 
 
 def _expect_moments(linear: Linearised, beliefs: Smoothed) -> Expected:
@@ -257,9 +256,8 @@ def _measure_group_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
     means = np.array([column.mean for column in columns])
     square = np.square(beliefs.sizes[0] - means) + np.diag(beliefs.sizes_cov[0])
     slopes = np.zeros(len(linear.noise.groups))
-    for column, one in zip(
-        columns, square / linear.noise.list_column_stds(columns) ** 2, strict=True
-    ):
+    shares = square / linear.noise.list_column_stds(columns) ** 2
+    for column, one in zip(columns, shares, strict=True):
         if column.group is not None:
             slopes[column.group] += 1.0 - one
     return slopes

@@ -149,9 +149,8 @@ def explain_by_white_noise(problem: FilterProblem) -> ExplainedLog | None:
         return None
     fine, coarse, noise = posed
     white = fit_white_noise(coarse, noise, median_step(_require_encoders(problem).t))
-    return ExplainedLog(
-        fine, conclude_white_noise(fine, white), white.nats + _weigh_outliers(coarse)
-    )
+    explanation = conclude_white_noise(fine, white)
+    return ExplainedLog(fine, explanation, white.nats + _weigh_outliers(coarse))
 
 
 def _require_encoders(problem: FilterProblem) -> Encoders:
@@ -172,22 +171,16 @@ def resembles_load(problem: FilterProblem, without: FilterProblem, loads: tuple[
     if posed is None or alone is None:
         return False
     _, shifted, its_noise = posed
-    offset = solve_problem(shifted, its_noise, rounds=WEIGHING_ROUNDS).nats + _weigh_outliers(
-        shifted
-    )
+    found = solve_problem(shifted, its_noise, rounds=WEIGHING_ROUNDS)
+    offset = found.nats + _weigh_outliers(shifted)
     _, coarse, noise = alone
-    path = path_from_beliefs(
-        coarse, noise, solve_problem(coarse, noise, rounds=WEIGHING_ROUNDS).beliefs
-    )
+    beliefs = solve_problem(coarse, noise, rounds=WEIGHING_ROUNDS).beliefs
+    path = path_from_beliefs(coarse, noise, beliefs)
     wide = replace(noise, groups=(WIDE_BEND,) * count_groups(loads))
+    outliers = _weigh_outliers(coarse)
     for timed, cost in list_timed_loads(coarse, noise, path, loads):
-        bent = coarse.with_columns(timed)
-        nats = (
-            solve_problem(bent, wide, path, rounds=WEIGHING_ROUNDS).nats
-            + _weigh_outliers(coarse)
-            + cost
-        )
-        if nats - offset < EVIDENCE_THRESHOLD_NATS:
+        bent = solve_problem(coarse.with_columns(timed), wide, path, rounds=WEIGHING_ROUNDS)
+        if bent.nats + outliers + cost - offset < EVIDENCE_THRESHOLD_NATS:
             return True
     return False
 
@@ -213,9 +206,8 @@ def _pose_log(problem: FilterProblem) -> tuple[FactorProblem, FactorProblem, Noi
     )
     noise = _guess_noise(problem, len(sightings))
     # a joint that rests may bend, too
-    fine = _weigh_measurements(
-        fine, add_lasting_errors(replace(noise, resting=None), USUAL_STD), rough=True
-    )
+    lasting = add_lasting_errors(replace(noise, resting=None), USUAL_STD)
+    fine = _weigh_measurements(fine, lasting, rough=True)
     return fine, _coarsen_middle(fine), noise
 
 
@@ -242,9 +234,8 @@ def _weigh_outliers(problem: FactorProblem) -> float:
     total = compute_outlier_nats(problem.believed[known], TURN)
     for one, share in zip(problem.sightings, problem.images_believed, strict=True):
         seen = find_finite_rows(one.values)
-        total += compute_outlier_nats(
-            share[seen], measure_image_span(one.values[seen], one.var[seen])
-        )
+        span = measure_image_span(one.values[seen], one.var[seen])
+        total += compute_outlier_nats(share[seen], span)
     return total
 
 
@@ -350,9 +341,8 @@ def _weigh_measurements(fine: FactorProblem, noise: Noise, rough: bool) -> Facto
     solution = solve_problem(open_problem, noise, rounds=WEIGHING_ROUNDS)
     fine = _update_shares(fine, solution, noise, rough)
     # an outlier no longer hides another, nor a sound reading
-    solution = solve_problem(
-        fine, noise, path_from_beliefs(fine, noise, solution.beliefs), rounds=WEIGHING_ROUNDS
-    )
+    path = path_from_beliefs(fine, noise, solution.beliefs)
+    solution = solve_problem(fine, noise, path, rounds=WEIGHING_ROUNDS)
     return _update_shares(fine, solution, noise, rough)
 
 

@@ -77,9 +77,8 @@ def find_least_error_process(part: FilterProblem, solved: Solution) -> tuple[Arr
     last = int(np.flatnonzero(over > 0.0).max(initial=-1))
     beyond = 0.5 + over[last] / (over[last] - over[last + 1]) if last >= 0 else 0.0
     factor = factors[max(last, 0)] * step**beyond
-    return np.asarray(part.precision.process * factor), _compute_noise_share(part) * power / (
-        power - 1.0
-    )
+    share = _compute_noise_share(part) * power / (power - 1.0)
+    return np.asarray(part.precision.process * factor), share
 
 
 def compute_least_move(power: float, order: int) -> float:
@@ -112,9 +111,8 @@ def _fit_motion_power(ratios: Array, step: float, order: int) -> float:
     """p, from the rate at which moves over those of noise,
     1 + b q^(−p/2n), fall; ratios (10,), a step of q apart.
     """
-    last = max(
-        int(np.flatnonzero(ratios > compute_least_move(2.0 * order, order)).max(initial=0)), 2
-    )
+    large = np.flatnonzero(ratios > compute_least_move(2.0 * order, order))
+    last = max(int(large.max(initial=0)), 2)
     before, after = ratios[[last - 2, last]] - 1.0
     if after <= 0.0 or before <= after:
         return 2.0 * order + 4.0
@@ -131,11 +129,8 @@ def _smooth_candidates(part: FilterProblem, solved: Solution, factors: Array) ->
     trace = None
     paths = []
     for process in factors[:, None] * part.precision.process:
-        posed = replace(
-            part,
-            precision=replace(part.precision, process=process, stated=_compute_noise_share(part)),
-        )
-        path, trace = _smooth_path(posed, solved, trace)
+        precision = replace(part.precision, process=process, stated=_compute_noise_share(part))
+        path, trace = _smooth_path(replace(part, precision=precision), solved, trace)
         paths.append(path)
     return np.stack(paths)
 
@@ -220,9 +215,8 @@ def with_motion(problem: FilterProblem, name: str) -> FilterProblem:
     encoders = problem.evidence.encoders
     if encoders is not None and precision.learned is not None:
         learned = precision.learned[precision.order - 2]
-        precision = replace(precision, encoder=learned.encoder).with_memory_bound(
-            learned.process, encoders
-        )
+        precision = replace(precision, encoder=learned.encoder)
+        precision = precision.with_memory_bound(learned.process, encoders)
     return replace(problem, precision=precision)
 
 
@@ -232,11 +226,8 @@ def tune_by_evidence(problem: FilterProblem, whole: bool) -> tuple[NoiseModel, S
 
     Also the last solution as a warm start, if it covers the whole log.
     """
-    log = cut_to_middle(
-        drop_undetermined_images(
-            replace(problem, precision=replace(problem.precision, process_by_view={}))
-        )
-    )
+    one_process = replace(problem, precision=replace(problem.precision, process_by_view={}))
+    log = cut_to_middle(drop_undetermined_images(one_process))
     part = thin_encoder_readings(log)
     names = [
         s.name
