@@ -271,7 +271,7 @@ def _coarsen_middle(fine: FactorProblem) -> FactorProblem:
     seen = [one.t[find_finite_rows(one.values)] for one in fine.sightings]
     images = np.sort(np.concatenate(seen))
     spread = np.arange(fine.knots[0], fine.knots[-1], SPARSE_S)
-    alone = np.abs(spread[:, None] - images[None]).min(axis=1) > SPARSE_S
+    alone = np.abs(spread - images[find_nearest_knots(spread, images)]) > SPARSE_S
     ends = [fine.knots[0], fine.knots[-1]]
     t = np.unique(np.concatenate([images, spread[alone], ends]))
     knots = _thin_times(t[(t >= begin) & (t <= end)], COARSE_S)
