@@ -9,7 +9,7 @@ import pytest
 import bodylog
 import bodylog.logs as logs
 from bodylog.errors import ConfigError
-from bodylog.estimation.noise.quantisation import unit_of
+from bodylog.estimation.noise.quantisation import find_joint_unit
 from bodylog.findings.result import Scores
 from bodylog.settings import Settings
 from bodylog.types import LazyImage, Score, Series
@@ -86,4 +86,4 @@ def test_image_tables_of_a_log_are_written_as_they_were_read(arm, tmp_path):
 )
 def test_the_size_of_a_unit_follows_from_the_readings(values, unit, expected):
     joints = Series(np.arange(2.0), np.array(values)[:, None], ("j",), unit, np.arange(2))
-    assert unit_of(joints) == expected
+    assert find_joint_unit(joints) == expected

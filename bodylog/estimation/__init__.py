@@ -21,7 +21,12 @@ from .methods.consistency import (
 )
 from .methods.table import METHODS, ignored_settings
 from .noise import noise_model
-from .noise.quantisation import JOINT_UNIT_KEY, as_angles, in_units, unit_of
+from .noise.quantisation import (
+    JOINT_UNIT_KEY,
+    convert_estimate_to_units,
+    find_joint_unit,
+    scale_to_angles,
+)
 from .poses import estimate_still_poses as still_poses
 from .timing.correction import (
     add_delay_uncertainty,
@@ -46,10 +51,10 @@ def estimate_from_features(
     All its numbers are finite; otherwise ModelError, EvidenceError or UsageError.
     """
     check_estimation_settings(body, settings)
-    unit, size = unit_of(features.joints) if "encoders" not in body.senses else ("rad", 1.0)
+    unit, size = find_joint_unit(features.joints) if "encoders" not in body.senses else ("rad", 1.0)
     if size != 1.0 and not body.senses and not settings.typed and settings.start is None:
-        angles = estimate_from_features(as_angles(features, size), body, settings, delay)
-        found = in_units(angles, unit, size)
+        angles = estimate_from_features(scale_to_angles(features, size), body, settings, delay)
+        found = convert_estimate_to_units(angles, unit, size)
         return replace(found, settings={**found.settings, JOINT_UNIT_KEY: unit})
     method = METHODS[settings.method]
     with one_thread(), report_numerical_errors(settings.method):

@@ -68,7 +68,7 @@ class LiveInputs:
         self._newest_angles = [-inf] * len(body.joints)
         self._newest: dict[str, float] = {}
         self._typed_variance = {
-            name: noise_model.typed_track_variance(settings, name) for name in self.models
+            name: noise_model.find_typed_variance(settings, name) for name in self.models
         }
         self._counts: dict[str, dict[str, int]] = {}
 
@@ -320,7 +320,7 @@ class LiveEstimator:
         self._noise = noise = noise_model.with_typed_noise(
             carry_noise_model(body, learned), settings, body.joints
         )
-        self._stated = noise.of(np.ones((len(body.joints),) * 2))
+        self._stated = noise.stated_covariance(np.ones((len(body.joints),) * 2))
         self._inputs = LiveInputs(body, settings, to_angles)
         self._correlations = {
             name: correlate_errors(noise, name, model)
@@ -404,7 +404,9 @@ class LiveEstimator:
         m = len(names)
         z = now.z.copy()
         cov = now.p[:m, :m]
-        cov = self._stated * cov if now.held is None else self._noise.of(cov, now.held)
+        cov = (
+            self._stated * cov if now.held is None else self._noise.stated_covariance(cov, now.held)
+        )
         offset = self._noise.order * m
         bias = z[offset:] if len(z) > offset else None
         return Belief(now.t, z[:m], z[m : 2 * m], cov, nats, errors, bias, lost, names)

@@ -453,7 +453,7 @@ def estimate_still_poses(
         raise EvidenceError(
             "no pose has a joint reading or position known to the body; type: bodylog info LOG"
         )
-    known = noise_model.typed_joint_variances(
+    known = noise_model.fill_joint_variances(
         settings.sigma_encoders, body.joints, np.array(body.noise.encoder, float)
     )
     unknown = settings.precision == "auto" and settings.sigma_encoders is None

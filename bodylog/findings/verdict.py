@@ -142,8 +142,8 @@ def _lasting_error_sentences(found: Estimate) -> Iterator[str]:
 
 def _hardware_error_sentences(found: Estimate) -> Iterator[str]:
     """Errors of joints, encoders and cameras that the angles allow for."""
-    from ..estimation.factors.columns import displacement_sentence
-    from ..estimation.factors.load import load_sentence
+    from ..estimation.factors.columns import describe_displacement
+    from ..estimation.factors.load import describe_load
 
     errors = found.settings.get(HARDWARE_ERRORS)
     if not isinstance(errors, Mapping):
@@ -158,9 +158,9 @@ def _hardware_error_sentences(found: Estimate) -> Iterator[str]:
         sizes = ", ".join(f"{name} {np.rad2deg(size):.2g}°" for name, size in slips.items())
         yield f"joints stick and slip, by about {sizes} at once; angles follow the readings"
     for displaced in errors.get("displaced", ()):
-        yield f"{displacement_sentence(displaced)}; angles allow for it"
+        yield f"{describe_displacement(displaced)}; angles allow for it"
     if load := errors["load"]:
-        yield f"{load_sentence(load)}; angles and error bars allow for it"
+        yield f"{describe_load(load)}; angles and error bars allow for it"
 
 
 def _agreement_sentence(found: Estimate) -> str:

@@ -12,13 +12,13 @@ ENCODER_S = 0.01
 IMAGE_S = 0.05
 
 
-def noise(order, rng, lasting=True, at_link=False):
+def noise(rng, lasting=True, at_link=False):
     error = rng.uniform(1e-3, 3e-3, JOINTS) if lasting else None
     white = rng.uniform(0.5e-6, 2e-6, JOINTS)
     process = rng.uniform(0.5, 5.0, JOINTS)
     seconds = np.full(JOINTS, rng.uniform(0.2, 2.0))
     place = np.full(JOINTS, at_link)
-    return Noise(JointNoise(order, white, process, error, seconds, place, ~np.zeros(JOINTS, bool)), (1.3,))
+    return Noise(JointNoise(white, process, error, seconds, place, ~np.zeros(JOINTS, bool)), (1.3,))
 
 
 def drawn(rng, columns=(), images=9, model=None):

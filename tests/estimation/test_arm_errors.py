@@ -11,7 +11,12 @@ from bodylog.errors import ModelError
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors.columns import Path
 from bodylog.estimation.factors.images import place_images
-from bodylog.estimation.factors.load import count_groups, curve_loads, load_columns, load_sentence
+from bodylog.estimation.factors.load import (
+    build_load_columns,
+    count_groups,
+    curve_loads,
+    describe_load,
+)
 from bodylog.estimation.measurements.arm_errors import (
     ARM_ERRORS,
     ArmErrors,
@@ -213,21 +218,21 @@ def test_links_are_followed_through_noise_of_readings():
 
 def test_a_load_without_a_urdf_is_any_linear_function_of_the_posture(sound_body):
     q = mechanisms.replayed(4, mechanisms.SOUND, Fault(), duration=6.0).joints.values
-    columns = load_columns(sound_body, q)
+    columns = build_load_columns(sound_body, q)
     assert {one.name for one in columns} == {"posture"}
     path = Path(np.arange(len(q)), q, q, q, q)
     moved = np.stack([one.moves_links(path) for one in columns], axis=-1).reshape(q.size, -1)
     linear = (q @ np.array([[0.1, 0.2, 0.0], [0.0, -0.3, 0.1], [0.2, 0.0, 0.0]]) + 0.05).ravel()
     left = linear - moved @ np.linalg.lstsq(moved, linear, rcond=None)[0]
     assert np.abs(left).max() < 1e-9
-    text = load_sentence({"weight": False, "nats": 20.0, "rad": {"lift": 0.01}})
+    text = describe_load({"weight": False, "nats": 20.0, "rad": {"lift": 0.01}})
     assert text.startswith("payload, or") and "lift 0.57°" in text and "20 nats" in text
 
 
 def test_a_posture_load_follows_gravity_to_the_second_order_in_joints_that_turn(sound_body):
     q = mechanisms.replayed(4, mechanisms.SOUND, Fault(), duration=6.0).joints.values
     q = np.column_stack([np.full(len(q), 0.3), q[:, 1:]])
-    linear = load_columns(sound_body, q)
+    linear = build_load_columns(sound_body, q)
     columns = curve_loads(linear, np.array([False, True, True]))
     assert len(columns) == len(linear) + 9
     path = Path(np.arange(len(q)), q, q, q, q)
@@ -238,7 +243,7 @@ def test_a_posture_load_follows_gravity_to_the_second_order_in_joints_that_turn(
         return np.abs(bends - own @ np.linalg.lstsq(own, bends, rcond=None)[0]).max()
 
     assert measure_misfit(columns) < 0.2 * measure_misfit(linear)
-    six = load_columns(sound_body, np.column_stack([q, q]))
+    six = build_load_columns(sound_body, np.column_stack([q, q]))
     assert curve_loads(six, np.ones(6, bool)) == six  # too many
 
 
@@ -253,7 +258,7 @@ def test_a_load_with_a_urdf_bends_joints_by_the_levers_of_the_hand():
 
     sense = SimpleNamespace(hand_levers=levers)
     q = np.random.default_rng(5).uniform(-1.0, 1.0, (50, len(arm.joints)))
-    alike, *each = load_columns(SimpleNamespace(senses={"effector": sense}), q)
+    alike, *each = build_load_columns(SimpleNamespace(senses={"effector": sense}), q)
     assert {one.name for one in (alike, *each)} == {"payload"}
     carrying = [one.joints[0] for one in each]
     assert 0 not in carrying  # the first axis stands upright
@@ -276,7 +281,7 @@ def test_a_load_bends_joints_that_stood_still_and_may_carry_the_marker():
     seen = SimpleNamespace(
         hand_levers=lambda x: 0.5 * np.cos(x), still_joints=("roll", "wrist"), show_still_joints=show
     )
-    alike, *each = load_columns(SimpleNamespace(senses={"effector": seen}), q)
+    alike, *each = build_load_columns(SimpleNamespace(senses={"effector": seen}), q)
     # an axis that stands upright carries nothing
     assert [(one.joints, one.still) for one in (alike, *each)] == [
         ((0, 1), ("wrist",)),

@@ -65,12 +65,12 @@ def test_a_slow_drift_of_a_quiet_arm_is_estimated(
 
 def test_a_step_without_a_finite_cost_is_not_taken() -> None:
     half = np.array([1.0, 0.5])
-    step, std = evidence_search._parabola_step(np.array([3.0, 2.0, 5.0, np.nan, 4.0]), half)
+    step, std = evidence_search._step_to_parabola_minimum(np.array([3.0, 2.0, 5.0, np.nan, 4.0]), half)
     assert np.isfinite([step, std]).all()
     assert step[0] > 0.0  # up costs less
     assert step[1] <= 0.0
     for costs in (np.full(5, np.nan), np.array([np.nan, 1.0, 1.0, 2.0, 2.0]), np.array([np.inf, 1.0, 1.0, 2.0, 2.0])):
-        assert not evidence_search._parabola_step(costs, half)[0].any()
+        assert not evidence_search._step_to_parabola_minimum(costs, half)[0].any()
 
 
 MECHANISMS = {

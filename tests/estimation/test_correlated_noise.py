@@ -50,12 +50,12 @@ def test_counts_are_the_recursion():
 @pytest.mark.parametrize("near", [0.0, alike.PIXEL_CORRELATION_PX])
 @pytest.mark.parametrize("whole", [False, True])
 def test_frame_variances_one_by_one_equal_the_batch(world, speed, near, whole):
-    like, seen = alike.ErrorCorrelation(PROCESS, alike.correlation_length(Local()), near, whole), passed(world, 1, speed)
+    like, seen = alike.ErrorCorrelation(PROCESS, alike.read_correlation_length(Local()), near, whole), passed(world, 1, speed)
     together = alike.inflate_variances(like, *seen)
     memory, single, (t, places, points, _, pixel, _) = alike.LastFrame(), [], seen
     for k, now in enumerate(t):
         sight = alike.PendingFrame(Local(), float(now), places[k], pixel[k], like, memory)
-        _, _, _, var, memory = sight.at(points[k])
+        _, _, _, var, memory = sight.predict_inflated(points[k])
         single.append(var)
     np.testing.assert_allclose(together, single, rtol=1e-9)
 
@@ -64,7 +64,7 @@ def test_frame_variances_of_a_moving_arm_are_uncorrelated(world):
     seen = passed(world, 2, 1.5)
     for whole in (False, True):
         found = alike.inflate_variances(alike.ErrorCorrelation(PROCESS, np.array(0.002), alike.PIXEL_CORRELATION_PX, whole), *seen)
-        assert np.all(alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, whole).spots(np.zeros((3, 2))) == 0.0)
+        assert np.all(alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, whole).correlate_place_steps(np.zeros((3, 2))) == 0.0)
         assert np.median(found / (seen[-2] + seen[-1])) == pytest.approx(1.0, abs=0.01)
 
 
@@ -73,13 +73,13 @@ def test_error_correlation_of_a_lasting_error_equals_linear_interpolation():
     like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0, True)
     for correlation in (0.0, 0.4, 1.0):
         lasting = (x**2 + (1 - x) ** 2 + 2.0 * correlation * x * (1 - x)).mean()
-        assert like.times(1.0, correlation) == pytest.approx(lasting / (x**2 + (1 - x) ** 2).mean(), rel=1e-4)
+        assert like.compute_variance_factor(1.0, correlation) == pytest.approx(lasting / (x**2 + (1 - x) ** 2).mean(), rel=1e-4)
 
 
 def test_lasting_errors_count_less_than_independent_ones_in_a_filter():
     like = alike.ErrorCorrelation(PROCESS, np.array(0.1), 0.0)
     # extrapolated from two frames alone
-    assert 1.0 - 5.0 / 8.0 < like.times(1.0, 1.0) < 1.0
+    assert 1.0 - 5.0 / 8.0 < like.compute_variance_factor(1.0, 1.0) < 1.0
 
 
 @pytest.mark.parametrize(("whole", "steady"), [(False, np.sqrt(2.0)), (True, np.sqrt(0.125))])
@@ -122,13 +122,13 @@ def test_belief_of_a_resting_arm_keeps_the_model_variance(world, method):
 
 
 def test_repeated_counts_the_models_common_error_once():
-    assert alike.shared_model_factors([90], [0.8], 2) == (1.0,)
+    assert alike.compute_shared_model_factors([90], [0.8], 2) == (1.0,)
     for share in (0.3, 1.0):
-        times = alike.shared_model_factors([90, 90, 50, 90], [share, share, 0.0, share], 2)
+        times = alike.compute_shared_model_factors([90, 90, 50, 90], [share, share, 0.0, share], 2)
         assert times[2] == 1.0
         assert times[0] / 3.0 == pytest.approx(share + (1.0 - share) / 3.0)
-        assert alike.shared_model_factors([90, 90], [share, share], 3)[1] == pytest.approx(1.0 + share / 3.0)
-    assert alike.shared_model_factors([90, 0], [1.0, 1.0], 2)[0] == 1.0
+        assert alike.compute_shared_model_factors([90, 90], [share, share], 3)[1] == pytest.approx(1.0 + share / 3.0)
+    assert alike.compute_shared_model_factors([90, 0], [1.0, 1.0], 2)[0] == 1.0
 
 
 def test_directions_of_duplicate_models_equal_those_of_one():

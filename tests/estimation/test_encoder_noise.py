@@ -141,7 +141,7 @@ def test_process_variance_of_undetermined_joints_is_the_encoders(
     world, monkeypatch, white_acceleration
 ):
     monkeypatch.setattr(
-        evidence_search, "least_error_process", lambda part, warned: (part.precision.process, 1.0)
+        evidence_search, "find_least_error_process", lambda part, warned: (part.precision.process, 1.0)
     )
     blind = conftest.Linear(
         np.array([[300.0, 0.0, 0.0], [0.0, 250.0, 0.0]]), np.array([160.0, 120.0])
@@ -280,7 +280,7 @@ def test_joints_at_rest_have_the_least_process_variance():
     for seed in range(20):
         y = 0.3 + np.random.default_rng(seed).normal(0.0, 0.02, len(t))
         noise, process = likeliest(t, y)
-        more.append(process > encoder_noise.least_process_density(t, noise, 2))
+        more.append(process > encoder_noise.compute_least_process(t, noise, 2))
     assert np.sum(more) <= 2  # with stretches of half the length 12 of them
 
 

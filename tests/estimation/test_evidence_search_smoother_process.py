@@ -33,7 +33,7 @@ def test_the_move_at_the_least_error_follows_from_the_spectrum(order, beyond):
 
     passed, spectrum = 1.0 / (1.0 + u ** (2 * order)), u**-power
     noise, moved = whole(passed**2), np.square(passed * (1.0 - passed))
-    strength = (evidence_search.move_at_least(power, order) - 1.0) * whole(moved) / whole(moved * spectrum)
+    strength = (evidence_search.compute_least_move(power, order) - 1.0) * whole(moved) / whole(moved * spectrum)
     motion = strength * whole((1.0 - passed) ** 2 * spectrum)
     assert noise == pytest.approx((1.0 - 0.5 / order) * whole(passed), rel=2e-3)
     assert motion == pytest.approx(noise / (power - 1.0), rel=2e-3)
@@ -52,7 +52,7 @@ def test_smoother_process_beats_maximum_evidence_with_true_error_bars(
     drawn = [world(seed, duration=30.0) for seed in range(4)]
     found = np.array([errors(one) for one in drawn])
     monkeypatch.setattr(
-        evidence_search, "least_error_process", lambda part, solved: (part.precision.process, 1.0)
+        evidence_search, "find_least_error_process", lambda part, solved: (part.precision.process, 1.0)
     )
     likeliest = np.array([errors(one) for one in drawn])
     assert np.mean(found[:, 0] / likeliest[:, 0]) < gain

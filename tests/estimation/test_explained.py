@@ -9,7 +9,7 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors.encoder_error import JointNoise
 from bodylog.estimation.factors.factor_problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
-from bodylog.estimation.factors.load import load_columns
+from bodylog.estimation.factors.load import build_load_columns
 from bodylog.estimation.factors.whole_log import explain_by_white_noise, explain_log, solve_log
 from bodylog.estimation.faults.moved_camera import restore_displacements
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
@@ -212,15 +212,13 @@ def test_errors_many_times_the_explorations_stand_for_no_offset(std, seconds, us
     prior = LastingPrior((float(np.log(1e-3)), CHANGE), (0.0, CHANGE), True)
     all_of_them = np.ones(3, bool)
     error = np.array([1e-3, std, 1e-3])
-    joints = JointNoise(
-        3, np.full(3, 1e-6), np.ones(3), error, np.full(3, seconds), ~all_of_them, all_of_them
-    )
+    joints = JointNoise(np.full(3, 1e-6), np.ones(3), error, np.full(3, seconds), ~all_of_them, all_of_them)
     assert explained._is_usual(Noise(joints, (1.0,), prior=prior)) is usual
     assert explained._is_usual(Noise(joints, (1.0,), prior=ANY_ERRORS)) is (seconds < 5.0)
 
 
 def test_encoders_without_errors_that_last_are_usual():
-    white = JointNoise(3, np.full(3, 1e-6), np.ones(3), None, np.ones(3), np.zeros(3, bool), np.zeros(3, bool))
+    white = JointNoise(np.full(3, 1e-6), np.ones(3), None, np.ones(3), np.zeros(3, bool), np.zeros(3, bool))
     assert explained._is_usual(Noise(white, (1.0,), prior=ANY_ERRORS))
 
 
@@ -251,7 +249,7 @@ def test_a_load_that_is_found_follows_the_posture_to_the_second_order():
     features = mechanisms.replayed(8, mechanisms.SOUND, Fault(payload=1.75e-2))
     problem = filtering.build_filter_problem(features, body, EstimationSettings())
     problem = filtering.tune_noise(problem, EstimationSettings())[0]
-    loads = load_columns(body, features.joints.values)
+    loads = build_load_columns(body, features.joints.values)
     found = explain_log(problem, np.zeros(3), ANY_ERRORS, loads)
     assert "load" in found.explanation.gains
     orders = [len(one.factors) for one in found.explanation.columns]

@@ -8,11 +8,11 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.noise import quantisation
 from bodylog.estimation.noise.quantisation import (
+    compute_quantisation_variance,
+    compute_relative_variances,
+    compute_repeat_factor,
     dither_readings,
-    quantisation_variance,
-    relative_variances,
-    shared_variance,
-    step_size,
+    find_reading_step,
 )
 from bodylog.evaluation.scores import truth_at_times
 from bodylog.settings import EstimationSettings
@@ -22,11 +22,10 @@ from tests.estimation.resting import Drawn, drawn
 def test_step_size_is_found_only_for_coarse_encoders():
     rng = np.random.default_rng(0)
     y = np.sin(np.arange(0.0, 10.0, 0.02))
-    assert (
-        step_size(y) == 0.0 and step_size(y + rng.normal(0, 0.01, len(y))) == 0.0 and step_size(np.full(20, 0.3)) == 0.0
-    )
-    assert step_size(np.round(y / 0.01) * 0.01) == pytest.approx(0.01)
-    assert step_size(np.round((y + rng.normal(0, 0.004, len(y))) / 0.0015) * 0.0015) == pytest.approx(0.0015)
+    for without_step in (y, y + rng.normal(0, 0.01, len(y)), np.full(20, 0.3)):
+        assert find_reading_step(without_step) == 0.0
+    assert find_reading_step(np.round(y / 0.01) * 0.01) == pytest.approx(0.01)
+    assert find_reading_step(np.round((y + rng.normal(0, 0.004, len(y))) / 0.0015) * 0.0015) == pytest.approx(0.0015)
 
 
 def test_dither_is_as_wide_as_the_step_and_the_same_every_time():
@@ -52,15 +51,15 @@ def test_readings_that_differ_by_rounding_are_the_same(seed):
     t = np.arange(0.0, 10.0, 0.01)
     y = np.round(np.sin(0.01 * t + seed) / 0.002) * 0.002
     moved = y + 1e-14 * rng.standard_normal(len(y))
-    assert shared_variance(t, moved) == shared_variance(t, y) > 1.0
-    assert quantisation_variance(moved) == pytest.approx(quantisation_variance(y), rel=1e-9)
-    assert relative_variances(t, moved, 1e-6) == pytest.approx(relative_variances(t, y, 1e-6))
+    assert compute_repeat_factor(t, moved) == compute_repeat_factor(t, y) > 1.0
+    assert compute_quantisation_variance(moved) == pytest.approx(compute_quantisation_variance(y), rel=1e-9)
+    assert compute_relative_variances(t, moved, 1e-6) == pytest.approx(compute_relative_variances(t, y, 1e-6))
 
 
 def test_slow_readings_that_differ_share_none():
     t = np.arange(0.0, 20.0, 1.0)
-    assert shared_variance(t, np.sin(t)) == 1.0
-    assert shared_variance(t, np.repeat(np.sin(t[::2]), 2)) == 2.0
+    assert compute_repeat_factor(t, np.sin(t)) == 1.0
+    assert compute_repeat_factor(t, np.repeat(np.sin(t[::2]), 2)) == 2.0
 
 
 @pytest.mark.parametrize("method", ["filter", "smoother"])

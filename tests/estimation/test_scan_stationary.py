@@ -107,7 +107,7 @@ def test_silence_of_a_linear_body_is_that_of_full_matrices(world, linear_model, 
     drawn = world(3, duration=7.0, model=linear_model)
     features = muted(drawn.features, 3.0, 4.0)
     problem = filtering.build_filter_problem(features, drawn.body, EstimationSettings(precision="model", bias="off"))
-    precision = replace(problem.precision, motion=WHITE_MOTIONS[order], near={})
+    precision = replace(problem.precision, motion=WHITE_MOTIONS[order], correlation_px={})
     problem = replace(problem, precision=precision)
     problem = replace(problem, stationary=Stationary(problem.start, np.square(
         np.repeat(np.array(START_STD[:order])[:, None], 3, axis=1)), precision.process))  # fmt: skip

@@ -8,10 +8,10 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.factors import timed_columns
 from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path
+from bodylog.estimation.factors.elimination import eliminate_states
 from bodylog.estimation.factors.factor_problem import build_system, linearise_problem
-from bodylog.estimation.factors.gauss_newton import initial_path, solve
-from bodylog.estimation.factors.load import PostureLoad, load_sentence
-from bodylog.estimation.factors.solve import eliminate
+from bodylog.estimation.factors.gauss_newton import guess_path, solve_problem
+from bodylog.estimation.factors.load import PostureLoad, describe_load
 from bodylog.estimation.factors.timed_columns import (
     LinkShift,
     _change_between,
@@ -41,18 +41,18 @@ def test_columns_added_later_have_the_schur_complement_of_columns_that_are_there
     known = (EncoderShift("repaired step", 1e-3, mean=2e-3, joint=1, since=0.2),)
     problem = factor_problems.drawn(rng, known)
     more = (bent(0, (0.1, 0.25)), bent(1, (0.2,)), LinkShift("shift", 1.0, joint=0, since=0.15, until=0.45))
-    noise = replace(factor_problems.noise(3, rng), groups=(1.0, 1.0))
-    path = initial_path(problem)
+    noise = replace(factor_problems.noise(rng), groups=(1.0, 1.0))
+    path = guess_path(problem)
     linear = linearise_problem(problem, path, noise)
-    found = _extend_schur(linear, eliminate(build_system(linear)), more)
+    found = _extend_schur(linear, eliminate_states(build_system(linear)), more)
     whole = linearise_problem(replace(problem, columns=(*known, *more)), path, noise)
-    np.testing.assert_allclose(found, eliminate(build_system(whole)).schur, rtol=1e-6, atol=1e-6 * found[0, 0])
+    np.testing.assert_allclose(found, eliminate_states(build_system(whole)).schur, rtol=1e-6, atol=1e-6 * found[0, 0])
 
 
 def moved_images(problem, shifts, sizes):
     """The problem with images displaced by shifts of these sizes, px."""
     (sighting,), (images,) = problem.sightings, problem.images
-    rows = sum(size * one.displaces_images(images, initial_path(problem)) for one, size in zip(shifts, sizes, strict=True))
+    rows = sum(size * one.displaces_images(images, guess_path(problem)) for one, size in zip(shifts, sizes, strict=True))
     return replace(problem, sightings=(replace(sighting, values=sighting.values + rows),))
 
 
@@ -61,10 +61,10 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
     rng = np.random.default_rng(seed)
     problem = factor_problems.drawn(rng, images=64)
     shifts = tuple(ImageShift("displaced", 9.0, camera="camera", axis=axis, since=1.0, until=2.0) for axis in range(2))
-    assumed = factor_problems.noise(3, rng, lasting=False)
+    assumed = factor_problems.noise(rng, lasting=False)
     for sizes, moved in (((0.0, 0.0), False), ((5.0, -3.0), True)):
         spoilt = moved_images(problem, shifts, sizes)
-        path = initial_path(spoilt)
+        path = guess_path(spoilt)
         found = [
             (one, cost) for one, cost in list_displaced_images(spoilt, assumed, path)
             if weigh_displacements(spoilt, assumed, path, [one])[0] - cost > EVIDENCE_THRESHOLD_NATS
@@ -74,7 +74,7 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
             assert [one.axis for one in own] == [0, 1]
             np.testing.assert_allclose([own[0].since, own[0].until], [1.0, 2.0], atol=0.06)
             whole = replace(spoilt, columns=own)
-            each = (eliminate(build_system(linearise_problem(one, path, assumed))).nats for one in (spoilt, whole))
+            each = (eliminate_states(build_system(linearise_problem(one, path, assumed))).nats for one in (spoilt, whole))
             without, beside = each
             assert weigh_displacements(spoilt, assumed, path, [own])[0] == pytest.approx(without - beside, rel=1e-6)
 
@@ -83,8 +83,8 @@ def test_images_that_are_displaced_for_a_while_are_found(seed):
 def test_a_window_holds_some_images_and_not_all(window, monkeypatch):
     rng = np.random.default_rng(0)
     problem = factor_problems.drawn(rng, images=64)
-    assumed = factor_problems.noise(3, rng, lasting=False)
-    path = initial_path(problem)
+    assumed = factor_problems.noise(rng, lasting=False)
+    path = guess_path(problem)
     monkeypatch.setattr(timed_columns, "_narrow_window", lambda *_: (-1e9, window))
     assert list(list_displaced_images(problem, assumed, path)) == []
 
@@ -100,10 +100,17 @@ def test_windows_that_are_narrowed_lie_apart_in_order_of_probability():
 def test_a_shift_of_a_link_is_minus_that_of_its_encoder():
     t = np.linspace(0.0, 4.0, 9)
     path = Path(t, *[np.zeros((9, 2))] * 4)
-    for grows in (False, True):
-        shown = LinkShift("shift", 1.0, joint=1, since=1.0, until=4.0 if grows else 1.0).moves_links(path)
-        read = EncoderShift("shift", 1.0, joint=1, since=1.0, grows=grows).reads(t, path)
-        np.testing.assert_allclose(shown, read / (3.0 if grows else 1.0))
+    shown = LinkShift("shift", 1.0, joint=1, since=1.0, until=1.0).moves_links(path)
+    read = EncoderShift("shift", 1.0, joint=1, since=1.0).changes_readings(t, path)
+    np.testing.assert_allclose(shown, read)
+
+
+def test_a_shift_of_a_link_that_grows_is_a_ramp():
+    t = np.linspace(0.0, 4.0, 9)
+    path = Path(t, *[np.zeros((9, 2))] * 4)
+    shown = LinkShift("shift", 1.0, joint=1, since=1.0, until=4.0).moves_links(path)
+    np.testing.assert_allclose(shown[:, 0], 0.0)
+    np.testing.assert_allclose(shown[:, 1], np.maximum(t - 1.0, 0.0) / 3.0)
 
 
 def test_a_change_takes_a_load_where_there_is_none_and_puts_it_down_where_there_is_one():
@@ -126,14 +133,14 @@ def test_a_change_takes_a_load_where_there_is_none_and_puts_it_down_where_there_
 def test_moments_are_found_between_two_images(moments):
     rng = np.random.default_rng(4)
     problem = factor_problems.drawn(rng, images=128)
-    path = initial_path(problem)
+    path = guess_path(problem)
     loads = tuple(bent(j) for j in range(2))
     rows = 0.02 * sum(replace(one, moments=moments).moves_links(path.at_images(problem.images[0])) for one in loads)
     (sighting,) = problem.sightings
     seen = sighting.values + np.einsum("dm,fm->fd", sighting.model.a, rows)
     problem = replace(problem, sightings=(replace(sighting, values=seen),))
-    noise = factor_problems.noise(3, rng, lasting=False)
-    path = solve(problem, noise, rounds=1).linear.path
+    noise = factor_problems.noise(rng, lasting=False)
+    path = solve_problem(problem, noise, rounds=1).linear.path
     *_, (timed, cost) = list_timed_loads(problem, noise, path, loads)
     np.testing.assert_allclose(timed[0].moments, moments, atol=0.06)
     assert cost > 0.0 and {one.moments for one in timed} == {timed[0].moments}
@@ -143,12 +150,12 @@ def test_moments_are_found_among_fewer_images_than_the_log_has_parts():
     rng = np.random.default_rng(4)
     problem = factor_problems.drawn(rng, images=28)  # 1.4 s
     loads = tuple(bent(j, (0.7,)) for j in range(2))
-    rows = 0.02 * sum(one.moves_links(initial_path(problem).at_images(problem.images[0])) for one in loads)
+    rows = 0.02 * sum(one.moves_links(guess_path(problem).at_images(problem.images[0])) for one in loads)
     (sighting,) = problem.sightings
     seen = sighting.values + np.einsum("dm,fm->fd", sighting.model.a, rows)
     problem = replace(problem, sightings=(replace(sighting, values=seen),))
-    noise = factor_problems.noise(3, rng, lasting=False)
-    path = solve(problem, noise, rounds=1).linear.path
+    noise = factor_problems.noise(rng, lasting=False)
+    path = solve_problem(problem, noise, rounds=1).linear.path
     *_, (timed, _) = list_timed_loads(problem, noise, path, tuple(bent(j) for j in range(2)))
     np.testing.assert_allclose(timed[0].moments, (0.7,), atol=0.11)
 
@@ -156,12 +163,13 @@ def test_moments_are_found_among_fewer_images_than_the_log_has_parts():
 def test_an_encoder_that_is_off_since_a_moment_is_no_load():
     rng = np.random.default_rng(5)
     problem = factor_problems.drawn(rng, images=64)
-    noise = factor_problems.noise(3, rng, lasting=False)
-    for grows in (False, True):
-        off = EncoderShift("shift", 1.0, joint=1, since=1.2, grows=grows)
-        read = problem.values + 0.03 * off.reads(problem.t, initial_path(problem))
+    noise = factor_problems.noise(rng, lasting=False)
+    after = np.maximum(problem.t - 1.2, 0.0)
+    for off in (after > 0.0, after):
+        read = problem.values.copy()
+        read[:, 1] += 0.03 * off
         one = replace(problem, values=read)
-        path = solve(one, noise, rounds=2).linear.path
+        path = solve_problem(one, noise, rounds=2).linear.path
         found = list(list_timed_loads(one, noise, path, (bent(0), bent(1))))
         assert [timed[0].moments for timed, _ in found] == [ALWAYS]
 
@@ -201,4 +209,4 @@ def test_what_an_arm_picks_up_is_named_as_a_load_and_no_encoder_is_accused(mecha
 )
 def test_a_sentence_says_when_a_load_is_carried(moments, words):
     load = {"weight": True, "nats": 20.0, "rad": {"lift": 0.01}, "moments": moments}
-    assert load_sentence(load).startswith(words)
+    assert describe_load(load).startswith(words)

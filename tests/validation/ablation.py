@@ -126,7 +126,7 @@ def sure(part, values, names):
 
 def alone(problem, part, solved):
     """A filter's process variances of greatest evidence."""
-    return part.precision.held(part.precision.process, problem.evidence.encoders)
+    return part.precision.with_memory_bound(part.precision.process, problem.evidence.encoders)
 
 
 def always_jerk(problem):
@@ -138,14 +138,14 @@ def always_jerk(problem):
 
 def stating_all(patch):
     """The whole covariance is stated."""
-    kept = NoiseModel.held
-    patch.setattr(NoiseModel, "held", lambda *args: replace(kept(*args), stated=1.0))
+    kept = NoiseModel.with_memory_bound
+    patch.setattr(NoiseModel, "with_memory_bound", lambda *args: replace(kept(*args), stated=1.0))
 
 
 def unbounded(patch):
     """A filter's memory without a bound."""
     for owner in (encoder_noise, evidence_search):
-        patch.setattr(owner, "least_process_density", lambda t, encoder, order: np.full(len(encoder), 1e-30))
+        patch.setattr(owner, "compute_least_process", lambda t, encoder, order: np.full(len(encoder), 1e-30))
 
 
 def never_dithered(t, y):
@@ -166,7 +166,7 @@ PARTS = {
         setting(filtering, "with_preferred_order", always_jerk)),
     "a smoother's process of least error": (
         ("sines", "white acceleration", "slow sines, encoders of 0.02 rad"),
-        setting(evidence_search, "least_error_process", lambda part, solved: (part.precision.process, 1.0))),
+        setting(evidence_search, "find_least_error_process", lambda part, solved: (part.precision.process, 1.0))),
     "process noise that follows sudden motion": (
         ("reaches, steps of 0.1 mrad",),
         setting(encoder_noise, "_raise_until_followed", lambda folded, ratio, variance, order: ratio)),
@@ -182,7 +182,7 @@ PARTS = {
     "noise by the evidence of images": (
         ("reaches, one camera", "reaches, two cameras"), setting(filtering, "tune_by_evidence", learned_alone)),
     "pixel variances by evidence": (
-        ("sines, a track that claims a third of its error",), setting(evidence_search, "_noise_with_values", sure)),
+        ("sines, a track that claims a third of its error",), setting(evidence_search, "_set_noise_values", sure)),
     "a filter's own process noise": (
         ("reaches, one camera", "reaches, two cameras"), setting(evidence_search, "_tune_filter_noise", alone)),
     "process noise by tracks in view": (
@@ -190,11 +190,12 @@ PARTS = {
     "common errors of near places": (("still arms",), setting(noise_model, "PIXEL_CORRELATION_PX", 0.0)),
     "common errors of near postures": (
         ("babble, one camera", "babble, two cameras"),
-        setting(correlated_noise.ErrorCorrelation, "postures", independent)),
+        setting(correlated_noise.ErrorCorrelation, "correlate_posture_steps", independent)),
     "weight of errors that last": (
         ("reaches, two cameras", "babble, two cameras"),
-        setting(correlated_noise.ErrorCorrelation, "times", lambda self, count, like: 2.0 * count - 1.0)),
+        setting(correlated_noise.ErrorCorrelation, "compute_variance_factor", lambda self, count, like: 2.0 * count - 1.0)),
     "common errors of two tracks": (
-        ("babble, two cameras",), setting(tangents, "shared_model_factors", lambda frames, common, distinct: (1.0,) * len(frames))),
+        ("babble, two cameras",),
+        setting(tangents, "compute_shared_model_factors", lambda frames, common, distinct: (1.0,) * len(frames))),
 }  # fmt: skip
 """What is taken out: the logs where it matters, and the patch."""

@@ -4,15 +4,13 @@ unit of each changes in links, images and readings.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from ...types import TRACK_AXES, Array
 from ..measurements.track import camera_of_track
-
-if TYPE_CHECKING:
-    from .images import Images
+from .images import Images
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,7 +28,7 @@ class Path:
     links: Array
     slack: Array
 
-    def at_images(self, images: "Images") -> "Path":
+    def at_images(self, images: Images) -> "Path":
         """The same at the images' times."""
         ahead = images.ahead[:, None]
         rows = images.knots
@@ -49,41 +47,40 @@ class Path:
 class Column:
     """A global parameter that changes nothing: what a column may override.
 
-    name · std, mean: of its size before the log · bends: whether it moves the links themselves ·
-    group: the one whose standard deviation, times std, is learned from the log; None for std alone.
+    name · std, mean: of its size before the log · group: the one whose standard deviation, times
+    std, is learned from the log; None for std alone · bends: whether it moves the links themselves,
+    and not only what images show of them.
     """
 
+    bends: ClassVar[bool] = False
     name: str
     std: float
     mean: float = 0.0
-    bends: bool = False
     group: int | None = None
 
     def moves_links(self, path: Path) -> Array:
         """What a unit moves the links by (K,M) rad."""
         return np.zeros(path.angles.shape)
 
-    def moves_images(self, images: "Images", path: Path) -> Array:
+    def moves_images(self, images: Images, path: Path) -> Array:
         """What a unit moves the links by (F,M) rad, as images show them."""
         return self.moves_links(path.at_images(images))
 
-    def displaces_images(self, images: "Images", path: Path) -> Array:
+    def displaces_images(self, images: Images, path: Path) -> Array:
         """What a unit displaces images by beside moving links (F,D), in the unit of their sense."""
         return np.zeros(images.values.shape)
 
-    def reads(self, t: Array, path: Path) -> Array:
+    def changes_readings(self, t: Array, path: Path) -> Array:
         """What a unit changes in readings (N,M) at t (N,) s, rad."""
         return np.zeros((len(t), path.angles.shape[1]))
 
 
 @dataclass(frozen=True)
 class Play(Column):
-    """Half of the play between a joint's motor and
-    its link, rad: the link trails the motor by it.
-    """
+    """Half of the play between a joint's motor and its link, rad: the link trails the motor by it."""
 
+    bends: ClassVar[bool] = True
     joint: int = 0
-    bends: bool = True
 
     def moves_links(self, path: Path) -> Array:
         """The link's place within its play, for this joint."""
@@ -94,13 +91,11 @@ class Play(Column):
 
 @dataclass(frozen=True)
 class Delay(Column):
-    """How late a camera's images are against the
-    encoders, s: they show links as they were before.
-    """
+    """How late a camera's images are against the encoders, s: they show links as they were before."""
 
     camera: str = ""
 
-    def moves_images(self, images: "Images", path: Path) -> Array:
+    def moves_images(self, images: Images, path: Path) -> Array:
         """Minus the rate, in this camera's images."""
         return -path.at_images(images).rates * float(
             camera_of_track(images.sighting.name) == self.camera
@@ -118,7 +113,7 @@ class ImageShift(Column):
     since: float = -np.inf
     until: float = np.inf
 
-    def displaces_images(self, images: "Images", path: Path) -> Array:
+    def displaces_images(self, images: Images, path: Path) -> Array:
         """A unit along the axis, in this camera's images of that time."""
         own = np.zeros(images.values.shape)
         sighting = images.sighting
@@ -128,7 +123,7 @@ class ImageShift(Column):
         return own
 
 
-def displacement_sentence(displaced: Mapping[str, Any]) -> str:
+def describe_displacement(displaced: Mapping[str, Any]) -> str:
     """Displaced images in words: `camera`, `since` and `until` (s), None at an end of the log, and
     `size` along each axis, in their unit.
     """
@@ -143,15 +138,13 @@ def displacement_sentence(displaced: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class EncoderShift(Column):
-    """What an encoder reads too much from `since` s on, rad, or rad/s where it grows."""
+    """What an encoder reads too much from `since` s on, rad."""
 
     joint: int = 0
     since: float = -np.inf
-    grows: bool = False
 
-    def reads(self, t: Array, path: Path) -> Array:
-        """A step, or a ramp."""
+    def changes_readings(self, t: Array, path: Path) -> Array:
+        """A step."""
         own = np.zeros((len(t), path.angles.shape[1]))
-        after = t >= self.since
-        own[:, self.joint] = np.where(after, t - self.since, 0.0) if self.grows else after
+        own[:, self.joint] = t >= self.since
         return own

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...types import Array
 from .condensing import PairFactors, PassedReading, PassedSteps, Readings
-from .encoder_error import LEAST_STD, JointNoise
+from .encoder_error import MOTION_ORDER, JointNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +53,6 @@ def measure_condensed_slopes(
     pairs, passed: what the readings are condensed to, and what that passes.
     """
     p = noise.states
-    order = noise.order
     states, columns = expected.with_start()
     starts = np.concatenate([states[:p], columns])
     # r after the last gap is (x₁ − what x₀ and c predict) in its precision
@@ -64,16 +63,17 @@ def measure_condensed_slopes(
     with_pair -= _multiply_blocks(shift, expected.with_columns.swapaxes(0, 1))
     square = _multiply_blocks(with_pair, ahead.swapaxes(0, 1))
     square -= _multiply_blocks(by_starts[:, p:], shift.swapaxes(0, 1)) + ahead[:, p:]
-    var = np.square(np.maximum(0.0 if noise.error is None else noise.error, LEAST_STD))
     white = np.zeros(by_starts.shape[2:])
-    process, error, seconds = white.copy(), white.copy(), white.copy()
+    process = white.copy()
+    error = white.copy()
+    seconds = white.copy()
     for k in reversed(range(len(passed.lasts))):
         if k < len(passed.readings):
             white += _pass_reading(noise, passed.readings[k], starts, by_starts, square)
         by_start, last_cov = passed.lasts[k]
         gap = readings.gaps[k][:, None]
         decay = np.exp(-gap / noise.seconds)
-        gained = readings.unit_motion[:, :, k, :, None] * square[:order, :order]
+        gained = readings.unit_motion[:, :, k, :, None] * square[:MOTION_ORDER, :MOTION_ORDER]
         process -= 0.5 * noise.process * gained.sum(axis=(0, 1))
         last = square[-1, -1].copy()
         kept = (by_starts[-1] * by_start).sum(axis=0)
@@ -81,6 +81,7 @@ def measure_condensed_slopes(
         noise.carry_slopes_back(square, gap, decay)
         if noise.error is not None:
             kept += (square[:, -1] * last_cov).sum(axis=0)
+            var = noise.error_variance
             faster = gap / noise.seconds * decay
             error += var * np.expm1(-2.0 * gap / noise.seconds) * last
             seconds += faster * (var * decay * last - kept)
@@ -107,10 +108,10 @@ def _pass_reading(
     pulled = ((reach - 2.0 * inverse * with_slope) * step.gain).sum(axis=0)
     excess = inverse * (inverse * mean_square - 1.0) + pulled
     shared = inverse * with_slope - reach
-    noise.add_to_read(shared, 0.5 * excess)
-    noise.add_to_read(by_starts, own)
-    noise.add_to_read(square, shared)
-    noise.add_to_read(square.swapaxes(0, 1), shared)
+    noise.add_to_readings(shared, 0.5 * excess)
+    noise.add_to_readings(by_starts, own)
+    noise.add_to_readings(square, shared)
+    noise.add_to_readings(square.swapaxes(0, 1), shared)
     return np.asarray(-0.5 * step.var * excess)
 
 

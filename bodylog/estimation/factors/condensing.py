@@ -15,7 +15,10 @@ import numpy as np
 
 from ...motion import motion_covariance
 from ...types import Array
-from .encoder_error import JointNoise
+from .encoder_error import MOTION_ORDER, JointNoise
+
+SAME_TIME_S = 1e-9
+"""s: times that differ by less are one, up to the rounding of their stamps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +27,7 @@ class Readings:
 
     at_knot (K,M,R) rad and its weight (K,M) · between (S,K-1,M,R) rad, weight
     (S,K-1,M): 0 for no reading · gaps (S+1,K-1) s: from the knot or reading before · unit_motion
-    (o,o,S+1,K-1): covariance that angle and its derivatives gain over them for a process of
+    (3,3,S+1,K-1): covariance that angle and its derivatives gain over them for a process of
     variance 1. A weight is the inverse of a variance relative to the encoder's; believed (…): share
     of a reading that is not taken for an outlier.
     """
@@ -79,27 +82,21 @@ class PassedSteps:
 
 
 def place_readings(
-    t: Array,
-    values: Array,
-    relative: Array,
-    believed: Array,
-    knots: Array,
-    order: int,
-    near: float = 1e-9,
+    t: Array, values: Array, relative: Array, believed: Array, knots: Array
 ) -> Readings:
-    """Distribute readings at t (N,) s over the knots
-    (K,) s; those within `near` s of one are at it.
+    """Distribute readings at t (N,) s over the knots (K,) s; those within SAME_TIME_S of one are
+    at it.
 
     values (N,M,R) rad, NaN in the first right-hand side where missing · relative (N,M): variance
-    over the encoder's · believed (N,M) · order: that of the motion.
+    over the encoder's · believed (N,M).
     """
     known = np.isfinite(values[..., 0])
     weight = np.where(known, believed / relative, 0.0)
     believed = np.where(known, believed, 0.0)
     values = np.where(known[..., None], values, 0.0)
     count = len(knots)
-    after = np.searchsorted(knots, t - near)
-    is_at = (after < count) & (np.abs(knots[np.minimum(after, count - 1)] - t) <= near)
+    after = np.searchsorted(knots, t - SAME_TIME_S)
+    is_at = (after < count) & (np.abs(knots[np.minimum(after, count - 1)] - t) <= SAME_TIME_S)
     rows = np.flatnonzero(~is_at & (after > 0) & (after < count))
     interval = after[rows] - 1
     first = np.searchsorted(interval, interval)
@@ -123,7 +120,8 @@ def place_readings(
     knot_weight, between_weight = place_rows(weight)
     knot_believed, between_believed = place_rows(believed)
     gaps = np.diff(stamps, axis=0)
-    motion = motion_covariance(order, gaps.ravel()).reshape(*gaps.shape, order, order)
+    motion = motion_covariance(MOTION_ORDER, gaps.ravel())
+    motion = motion.reshape(*gaps.shape, MOTION_ORDER, MOTION_ORDER)
     return Readings(
         knots,
         at_knot,
@@ -137,7 +135,7 @@ def place_readings(
     )
 
 
-def condense(
+def condense_readings(
     readings: Readings, noise: JointNoise, passed: PassedSteps | None = None
 ) -> PairFactors:
     """The factor of each interval and joint on the states at both its ends; `passed`, if given,
@@ -146,11 +144,11 @@ def condense(
     steps, count, m, r = readings.between.shape
     p = noise.states
     decays = np.exp(-readings.gaps[..., None] / noise.seconds)
-    gains = noise.covariance(readings.gaps, readings.unit_motion)
+    gains = noise.compute_gained_covariance(readings.gaps, readings.unit_motion)
     values = np.ascontiguousarray(np.moveaxis(readings.between, -1, 1))
     known = readings.between_weight > 0.0
     var = noise.white / np.where(known, readings.between_weight, 1.0)
-    logs = normalisation(var, readings.between_believed).sum(axis=0)
+    logs = compute_normalisation(var, readings.between_believed).sum(axis=0)
     carry = np.zeros((p, p, count, m))
     carry[np.arange(p), np.arange(p)] = 1.0
     shift = np.zeros((p, r, count, m))
@@ -162,7 +160,7 @@ def condense(
         if passed is not None:
             passed.lasts.append((np.concatenate([carry[-1], shift[-1]]), cov[:, -1].copy()))
         for states in (carry, shift, cov, cov.swapaxes(0, 1)):
-            noise.advance(states, readings.gaps[k][:, None], decays[k])
+            noise.advance_states(states, readings.gaps[k][:, None], decays[k])
         cov += gains[:, :, k]
         if k == steps:
             break
@@ -183,7 +181,7 @@ def condense(
         carry -= gain[:, None] * seen
         shift += gain[:, None] * innovation
         cov -= gain[:, None] * spread
-    return _pair_factors(carry, shift, cov, PairFactors(info, right, square, logs))
+    return _join_second_states(carry, shift, cov, PairFactors(info, right, square, logs))
 
 
 def _add_square(square: Array, left: Array, right: Array) -> None:
@@ -194,14 +192,12 @@ def _add_square(square: Array, left: Array, right: Array) -> None:
         square[i, i:] += row * right[i:]
 
 
-def normalisation(var: Array, believed: Array) -> Array:
-    """½ ln 2πR of each reading as far as it is
-    believed, where its variance is var = R / believed.
-    """
+def compute_normalisation(var: Array, believed: Array) -> Array:
+    """½ ln 2πR of each reading as far as it is believed, where its variance is var = R / believed."""
     return np.asarray(0.5 * believed * np.log(tau * var * np.where(believed > 0.0, believed, 1.0)))
 
 
-def _pair_factors(carry: Array, shift: Array, cov: Array, start: PairFactors) -> PairFactors:
+def _join_second_states(carry: Array, shift: Array, cov: Array, start: PairFactors) -> PairFactors:
     """Join what is known of the first state with the second one's normal distribution given it.
     Of the square at the start, the upper triangle.
     """

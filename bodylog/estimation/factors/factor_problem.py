@@ -2,7 +2,7 @@
 noise that is assumed, and the columns of its border.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,10 +11,17 @@ import numpy as np
 from ...types import Array
 from ..measurements.records import Sighting
 from .columns import Column, Path
-from .condensing import PassedSteps, Readings, condense, normalisation, place_readings
+from .condensing import (
+    PairFactors,
+    PassedSteps,
+    Readings,
+    compute_normalisation,
+    condense_readings,
+    place_readings,
+)
+from .elimination import System
 from .encoder_error import JointNoise
-from .images import ImageRows, Images, correlate_model_errors, image_rows, place_images
-from .solve import System
+from .images import ImageRows, Images, build_image_rows, correlate_model_errors, place_images
 
 CHANGE = 0.5
 """Standard deviation of ln σ and ln τ of a run's encoder errors about those of the exploration,
@@ -56,7 +63,7 @@ class Noise:
     usual: JointNoise | None = None
     resting: Array | None = None
 
-    def column_stds(self, columns: Sequence[Column]) -> Array:
+    def list_column_stds(self, columns: Sequence[Column]) -> Array:
         """Standard deviation (C,) of each column's size before the log."""
         return np.array(
             [one.std * (1.0 if one.group is None else self.groups[one.group]) for one in columns]
@@ -100,18 +107,22 @@ class FactorProblem:
         """Number U of rows of all senses, each with a model error among the states."""
         return sum(one.values.shape[1] for one in self.sightings)
 
+    def with_columns(self, more: Iterable[Column]) -> "FactorProblem":
+        """The problem with more columns after its own."""
+        return replace(self, columns=(*self.columns, *more))
+
     def count_states(self, noise: Noise) -> int:
         """Length S of the state at a knot: each joint's, then the model errors."""
         return len(self.start) * noise.joints.states + self.model_rows
 
-    def place_on_knots(self, path: Path, order: int) -> Readings:
-        """The readings at and between the knots, with the change
-        of each by the columns as further right-hand sides. order: that of the motion.
+    def place_on_knots(self, path: Path) -> Readings:
+        """The readings at and between the knots, with the change of each by the columns as further
+        right-hand sides.
         """
-        moved = (column.reads(self.t, path) for column in self.columns)
+        moved = (column.changes_readings(self.t, path) for column in self.columns)
         values = np.stack([self.values, *moved], axis=-1)
         believed = np.ones(self.values.shape) if self.believed is None else self.believed
-        return place_readings(self.t, values, self.relative, believed, self.knots, order)
+        return place_readings(self.t, values, self.relative, believed, self.knots)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,16 +146,14 @@ def linearise_problem(problem: FactorProblem, path: Path, noise: Noise) -> Linea
     first = size - problem.model_rows
     for images in problem.images:
         here = path.at_images(images)
-        columns = columns_of_images(problem, images, path)
-        rows.append(image_rows(images, here.links, noise.joints, *columns, first, size))
+        columns = build_image_columns(problem, images, path)
+        rows.append(build_image_rows(images, here.links, noise.joints, *columns, first, size))
         first += images.values.shape[1]
     kappa = correlate_model_errors(problem.sightings, path.links)
-    return Linearised(
-        problem, path, problem.place_on_knots(path, noise.joints.order), tuple(rows), kappa, noise
-    )
+    return Linearised(problem, path, problem.place_on_knots(path), tuple(rows), kappa, noise)
 
 
-def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> tuple[Array, Array]:
+def build_image_columns(problem: FactorProblem, images: Images, path: Path) -> tuple[Array, Array]:
     """What the columns move links by (F,M,C), as images show
     them, and what they displace images by beside (F,D,C).
     """
@@ -157,22 +166,43 @@ def columns_of_images(problem: FactorProblem, images: Images, path: Path) -> tup
 
 
 def build_system(linear: Linearised, passed: PassedSteps | None = None) -> System:
-    """All factors of the linearised problem; passed: as of `condense`."""
+    """All factors of the linearised problem; passed: as of `condense_readings`."""
     problem = linear.problem
-    noise = linear.noise
-    joints = noise.joints
-    pairs = condense(linear.readings, joints, passed)
-    size = problem.count_states(noise)
+    pairs = condense_readings(linear.readings, linear.noise.joints, passed)
+    system = System(
+        *_collect_knot_factors(linear),
+        *_collect_pair_factors(linear, pairs),
+        np.array([column.mean for column in problem.columns]),
+        linear.noise.list_column_stds(problem.columns) ** -2.0,
+        pairs,
+        problem.settled,
+    )
+    return system.subtract_means()
+
+
+def _collect_knot_factors(linear: Linearised) -> tuple[Array, Array, Array, Array]:
+    """info, right, square and logs at the knots, as of `System`: what is known before the log, the
+    readings at knots, and the images.
+    """
+    problem = linear.problem
+    joints = linear.noise.joints
+    readings = linear.readings
     p = joints.states
-    m = len(problem.start)
-    width = m * p
-    right_sides = 1 + len(problem.columns)
     count = len(problem.knots)
+    size = problem.count_states(linear.noise)
+    right_sides = 1 + len(problem.columns)
     info = np.zeros((count, size, size))
     right = np.zeros((count, size, right_sides))
     square = np.zeros((count, right_sides, right_sides))
     logs = np.zeros(count)
-    _add_start(info, right, square, logs, problem, joints)
+    for j, (start, precision) in enumerate(zip(problem.start, joints.start_precision, strict=True)):
+        own = slice(j * p, (j + 1) * p)
+        info[0, own, own] += precision
+        right[0, j * p, 0] += precision[0, 0] * start
+        square[0, 0, 0] += precision[0, 0] * start**2
+        logs[0] -= 0.5 * np.log(np.diag(precision)).sum()
+    model_errors = np.arange(len(problem.start) * p, size)
+    info[0, model_errors, model_errors] += 1.0
 
     def add_rows(
         at: Array, rows: Array, read: Array, var: Array, weight: Array, believed: Array
@@ -184,49 +214,48 @@ def build_system(linear: Linearised, passed: PassedSteps | None = None) -> Syste
         add_at_knots(right, at, weighted @ read)
         add_at_knots(square, at, read.swapaxes(1, 2) @ (precision * read))
         var = var / np.where(weight > 0.0, weight, 1.0)
-        add_at_knots(logs, at, normalisation(var, believed).sum(axis=1))
+        add_at_knots(logs, at, compute_normalisation(var, believed).sum(axis=1))
 
-    own = linear.readings
-    read_rows = joints.reads(size)[None]
     add_rows(
-        np.arange(count), read_rows, own.at_knot, joints.white, own.knot_weight, own.knot_believed
+        np.arange(count),
+        joints.place_rows_on_knots(joints.build_reading_rows(np.zeros(1)), size),
+        readings.at_knot,
+        joints.white,
+        readings.knot_weight,
+        readings.knot_believed,
     )
-    for images, rows, scale in zip(problem.images, linear.rows, noise.scales, strict=True):
+    for images, rows, scale in zip(problem.images, linear.rows, linear.noise.scales, strict=True):
         share = images.believed[:, None]
         add_rows(images.knots, rows.slopes, rows.right, scale * rows.var, share, share)
-    pair_info = np.zeros((count - 1, 2 * size, 2 * size))
-    pair_right = np.zeros((count - 1, 2 * size, right_sides))
-    for j in range(m):
+    return info, right, square, logs
+
+
+def _collect_pair_factors(
+    linear: Linearised, pairs: PairFactors
+) -> tuple[Array, Array, Array, Array]:
+    """info, right, square and logs from each knot to the next, as of `System`: the readings between
+    them, condensed to pairs, and how model errors last.
+    """
+    p = linear.noise.joints.states
+    count = len(linear.problem.knots) - 1
+    size = linear.problem.count_states(linear.noise)
+    info = np.zeros((count, 2 * size, 2 * size))
+    right = np.zeros((count, 2 * size, pairs.right.shape[1]))
+    for j in range(len(linear.problem.start)):
         own = np.r_[j * p : (j + 1) * p, size + j * p : size + (j + 1) * p]
-        pair_info[:, own[:, None], own] = np.moveaxis(pairs.info[..., j], -1, 0)
-        pair_right[:, own] = np.moveaxis(pairs.right[..., j], -1, 0)
-    logs_of_pairs = pairs.logs.sum(axis=1)
+        info[:, own[:, None], own] = np.moveaxis(pairs.info[..., j], -1, 0)
+        right[:, own] = np.moveaxis(pairs.right[..., j], -1, 0)
     # u₁ = κ u₀ + √(1 − κ²) ν
-    fresh = 1.0 / (1.0 - np.square(linear.model_correlation))
-    first = np.arange(width, size)
-    pair_info[:, first, first] = np.square(linear.model_correlation) * fresh
-    pair_info[:, size + first, size + first] = fresh
-    pair_info[:, first, size + first] = pair_info[:, size + first, first] = (
-        -linear.model_correlation * fresh
-    )
-    logs_of_pairs = logs_of_pairs - 0.5 * np.log(fresh).sum(axis=1)
-    means = np.array([column.mean for column in problem.columns])
-    precision = noise.column_stds(problem.columns) ** -2.0
-    system = System(
-        info,
-        right,
-        square,
-        logs,
-        pair_info,
-        pair_right,
-        np.moveaxis(pairs.square.sum(axis=-1), -1, 0),
-        logs_of_pairs,
-        means,
-        precision,
-        pairs,
-        problem.settled,
-    )
-    return system.about_means()
+    kappa = linear.model_correlation
+    fresh = 1.0 / (1.0 - np.square(kappa))
+    first = np.arange(size - linear.problem.model_rows, size)
+    second = size + first
+    info[:, first, first] = np.square(kappa) * fresh
+    info[:, second, second] = fresh
+    info[:, first, second] = -kappa * fresh
+    info[:, second, first] = -kappa * fresh
+    logs = pairs.logs.sum(axis=1) - 0.5 * np.log(fresh).sum(axis=1)
+    return info, right, np.moveaxis(pairs.square.sum(axis=-1), -1, 0), logs
 
 
 def add_at_knots(total: Array, at: Array, parts: Array) -> None:
@@ -238,25 +267,3 @@ def add_at_knots(total: Array, at: Array, parts: Array) -> None:
         total[at[is_next]] += parts[is_next]
         at = at[~is_next]
         parts = parts[~is_next]
-
-
-def _add_start(
-    info: Array,
-    right: Array,
-    square: Array,
-    logs: Array,
-    problem: FactorProblem,
-    joints: JointNoise,
-) -> None:
-    """What is known at the first knot before the log."""
-    p = joints.states
-    for j, (start, precision) in enumerate(
-        zip(problem.start, joints.start_precision(), strict=True)
-    ):
-        own = slice(j * p, (j + 1) * p)
-        info[0, own, own] += precision
-        right[0, j * p, 0] += precision[0, 0] * start
-        square[0, 0, 0] += precision[0, 0] * start**2
-        logs[0] -= 0.5 * np.log(np.diag(precision)).sum()
-    rest = np.arange(len(problem.start) * p, info.shape[1])
-    info[0, rest, rest] += 1.0

@@ -12,13 +12,15 @@ from ..inference.scan import ROUGHLY_CONVERGED_MOVE
 from ..measurements.arm_errors import LEAST_PLAY, NOISE_SIGMAS, follow_slack
 from ..measurements.records import interpolate_values
 from .columns import Path, Play
+from .elimination import Eliminated, Marginals, System, eliminate_states, filter_knots, smooth_knots
 from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise_problem
-from .solve import Eliminated, Marginals, System, eliminate, filtered, smoothed
 
 ROUNDS = 12
 """Rounds at most. Smoothers settle after 2 to 4; with 25, a filter moves angles of a drawn log with
 play by 1.4e-4 standard deviations at most.
 """
+GUESSED_STD = 1e-3
+"""rad: how well the readings tell the motors' angles, before a solution tells it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,19 +38,19 @@ class Solution:
         return self.eliminated.nats
 
 
-def initial_path(problem: FactorProblem) -> Path:
+def guess_path(problem: FactorProblem) -> Path:
     """The readings at the knots, the start where there are none."""
     read = interpolate_values(problem.t, problem.values, problem.knots)
     angles = np.where(np.isfinite(read), read, problem.start)
     rates = (
         np.gradient(angles, problem.knots, axis=0) if len(angles) > 1 else np.zeros(angles.shape)
     )
-    noise = 2.0 * np.full(len(problem.start), 1e-3)
-    halves = _halves(problem, [column.mean for column in problem.columns])
-    return Path(problem.knots, angles, rates, angles, follow_slack(angles, halves, noise))
+    unsure = np.full(len(problem.start), NOISE_SIGMAS * GUESSED_STD)
+    halves = _list_half_plays(problem, [column.mean for column in problem.columns])
+    return Path(problem.knots, angles, rates, angles, follow_slack(angles, halves, unsure))
 
 
-def _halves(problem: FactorProblem, sizes: Iterable[float]) -> Array:
+def _list_half_plays(problem: FactorProblem, sizes: Iterable[float]) -> Array:
     """Half of each joint's play (M,) rad, by the columns' sizes."""
     half = np.full(len(problem.start), LEAST_PLAY)
     for column, size in zip(problem.columns, sizes, strict=True):
@@ -57,26 +59,23 @@ def _halves(problem: FactorProblem, sizes: Iterable[float]) -> Array:
     return half
 
 
-def path_of(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
+def path_from_beliefs(problem: FactorProblem, noise: Noise, beliefs: Marginals) -> Path:
     """The path that beliefs give."""
-    p = noise.joints.states
-    m = len(problem.start)
-    joints = beliefs.mean[:, : m * p].reshape(-1, m, p)
-    angles = joints[..., 0]
-    links = angles + (
-        joints[..., -1] * noise.joints.at_link if noise.joints.error is not None else 0.0
-    )
-    var = np.einsum("kss->ks", beliefs.cov)[:, : m * p : p]
-    unsure = NOISE_SIGMAS * np.sqrt(np.median(var, axis=0))
-    slack = follow_slack(angles, _halves(problem, beliefs.sizes[-1].tolist()), unsure)
-    path = Path(problem.knots, angles, joints[..., 1], links, slack)
+    joints = noise.joints
+    states = beliefs.split_joints(joints)
+    angles = states[..., 0]
+    links = angles + (0.0 if joints.error is None else states[..., -1] * joints.at_link)
+    unsure = NOISE_SIGMAS * np.sqrt(np.median(beliefs.list_angle_variances(joints), axis=0))
+    halves = _list_half_plays(problem, beliefs.sizes[-1].tolist())
+    slack = follow_slack(angles, halves, unsure)
+    path = Path(problem.knots, angles, states[..., 1], links, slack)
     for c, column in enumerate(problem.columns):
         if column.bends:
             links = links + column.moves_links(path) * beliefs.sizes[:, c, None]
     return replace(path, links=links)
 
 
-def solve(
+def solve_problem(
     problem: FactorProblem,
     noise: Noise,
     path: Path | None = None,
@@ -84,16 +83,14 @@ def solve(
     rounds: int = ROUNDS,
 ) -> Solution:
     """Linearise and solve until the links rest; `causal`: by what was known at each knot."""
-    path = initial_path(problem) if path is None else path
+    path = guess_path(problem) if path is None else path
     for _ in range(rounds):
         linear = linearise_problem(problem, path, noise)
         system = build_system(linear)
-        eliminated = eliminate(system)
-        beliefs = filtered(system, eliminated) if causal else smoothed(system, eliminated)
-        after = path_of(problem, noise, beliefs)
-        var = np.einsum("kss->ks", beliefs.cov)[
-            :, : noise.joints.states * len(problem.start) : noise.joints.states
-        ]
+        eliminated = eliminate_states(system)
+        beliefs = filter_knots(system, eliminated) if causal else smooth_knots(system, eliminated)
+        after = path_from_beliefs(problem, noise, beliefs)
+        var = beliefs.list_angle_variances(noise.joints)
         moved = np.square(after.links - path.links) / var
         if np.sqrt(moved.max()) < ROUGHLY_CONVERGED_MOVE:
             break

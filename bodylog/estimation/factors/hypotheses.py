@@ -2,7 +2,7 @@
 last, play, and columns beside them, each by its evidence.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations, islice
 
@@ -12,19 +12,18 @@ from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..measurements.arm_errors import PLAY_STD
 from ..measurements.track import camera_of_track
+from ..noise.lasting_error import MOST_COUNTS
 from .columns import Column, Delay, Play
+from .elimination import compute_column_nats
 from .encoder_error import LEAST_STD
 from .factor_problem import CHANGE, FactorProblem, Noise
-from .gauss_newton import path_of, solve
+from .gauss_newton import path_from_beliefs, solve_problem
 from .load import FIRST_BEND, Load, bend_under_load, count_groups, curve_loads
 from .noise_search import FEWEST_READINGS, Learned, learn_noise
-from .solve import column_nats
 from .timed_columns import list_displaced_images, list_timed_loads, weigh_displacements
 
 FIRST_STD = 1e-3
 """rad: σ of a lasting error with which the search begins."""
-FIRST_S = 1.0
-"""s: how long a lasting error lasts with which the search begins."""
 DRIFTS_S = 5.0
 """s: errors that last longer can imitate an encoder that drifts, and a load."""
 SILENT_STD = 1e-5
@@ -38,7 +37,7 @@ DELAY_STD = 0.05
 
 
 @dataclass(frozen=True)
-class Late:
+class RemainingDelay:
     """How much later a camera is than was allowed for:
     seconds ± std, and the nats by which that wins.
     """
@@ -64,12 +63,12 @@ class Explanation:
     nats: float
     lasting: float
     gains: Mapping[str, float]
-    delays: tuple[Late, ...] = ()
+    delays: tuple[RemainingDelay, ...] = ()
 
     @property
     def is_sound(self) -> bool:
         """Whether white noise alone explains the log as well."""
-        return self.nats <= _least_gain(self.white.noise)
+        return self.nats <= _compute_required_gain(self.white.noise)
 
     @property
     def lasts(self) -> bool:
@@ -96,29 +95,29 @@ class _Basis:
     white: Learned
 
 
-def explain(
+def find_explanation(
     problem: FactorProblem,
     noise: Noise,
     step_s: float,
-    is_of_counts: Callable[[Noise], bool],
+    count_variance: Array,
     halves: Array,
     loads: tuple[Load, ...],
 ) -> Explanation:
     """The most probable explanation of a log: white noise alone, or errors of its hardware.
 
     noise: white noise alone, with the offsets that are known · step_s: the encoders' usual step ·
-    is_of_counts: whether errors that last are those of whole counts · halves (M,) rad: half of
-    each joint's play in the exploration · loads: columns of a load.
+    count_variance (M,) rad²: of readings in whole counts · halves (M,) rad: half of each joint's
+    play in the exploration · loads: columns of a load.
     """
     white = fit_white_noise(problem, noise, step_s)
-    sides = [_learn(problem, one, step_s, white) for one in _lasting(white.noise)]
-    lasting = _best(sides)
+    sides = [_fit_noise(problem, one, step_s, white) for one in _list_lasting_noises(white.noise)]
+    lasting = _choose_most_probable(sides)
     if (
-        white.nats - lasting.nats <= _least_gain(noise)
-        or is_of_counts(lasting.noise)
+        white.nats - lasting.nats <= _compute_required_gain(noise)
+        or _is_of_counts(lasting.noise, count_variance)
         or _is_short(lasting.noise, step_s)
     ):
-        return Explanation(problem.columns, white, white, 0.0, 0.0, {})
+        return conclude_white_noise(problem, white)
     basis = _Basis(noise, step_s, white)
     problem, lasting, played = _allow_play(problem, basis, halves, sides)
     problem, lasting, displaced = _displace_images(problem, basis, lasting)
@@ -131,12 +130,17 @@ def explain(
     )
     gained = white.nats - found.nats
     plain = replace(white.noise, groups=lasting.noise.groups)
-    without = _learn(problem, plain, step_s, lasting).nats if gains else white.nats
-    delays = tuple(_delays_left(problem, found, step_s))
+    without = _fit_noise(problem, plain, step_s, lasting).nats if gains else white.nats
+    delays = tuple(_measure_remaining_delays(problem, found, step_s))
     if "load" in gains:
         problem = replace(problem, columns=curve_loads(problem.columns, _find_turning(noise)))
-        found = mix_silent_groups(_learn(problem, found.noise, step_s, found), problem.columns)
+        found = mix_silent_groups(_fit_noise(problem, found.noise, step_s, found), problem.columns)
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
+
+
+def conclude_white_noise(problem: FactorProblem, white: Learned) -> Explanation:
+    """White noise alone as what explains a log."""
+    return Explanation(problem.columns, white, white, 0.0, 0.0, {})
 
 
 def _allow_play(
@@ -146,23 +150,23 @@ def _allow_play(
 
     sides: noise without play, with errors that last at encoders and at links.
     """
-    lasting = _best(sides)
+    lasting = _choose_most_probable(sides)
     turning = _find_turning(basis.noise)
     play = tuple(one for one in _list_plays(halves) if turning[one.joint])
-    late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _cameras(problem))
-    loose = replace(problem, columns=(*problem.columns, *play))
+    late = tuple(Delay("delay", DELAY_STD, camera=name) for name in _list_cameras(problem))
+    loose = problem.with_columns(play)
     # a delay that was corrected for play hides the play: both are free where they are compared
-    free = replace(problem, columns=(*loose.columns, *late))
-    loosely = _best([_learn(free, one.noise, basis.step_s, one) for one in sides])
+    free = loose.with_columns(late)
+    each = [_fit_noise(free, one.noise, basis.step_s, one) for one in sides]
+    loosely = _choose_most_probable(each)
     least = -EVIDENCE_THRESHOLD_NATS if halves.any() else EVIDENCE_THRESHOLD_NATS
     if lasting.nats - loosely.nats <= least:
         return problem, lasting, None
-    delayed = replace(problem, columns=(*problem.columns, *late))
-    beside = _learn(delayed, lasting.noise, basis.step_s, lasting)
+    beside = _fit_noise(problem.with_columns(late), lasting.noise, basis.step_s, lasting)
     gain = min(lasting.nats, beside.nats) - loosely.nats
     if gain <= least:
         return problem, lasting, None
-    return loose, _learn(loose, loosely.noise, basis.step_s, loosely), gain
+    return loose, _fit_noise(loose, loosely.noise, basis.step_s, loosely), gain
 
 
 def _displace_images(
@@ -184,8 +188,8 @@ def _displace_images(
         if max(gains, default=0.0) <= EVIDENCE_THRESHOLD_NATS:
             return problem, before, total
         shifts, cost = tried[int(np.argmax(gains))]
-        more = replace(problem, columns=(*problem.columns, *shifts))
-        after = _learn(more, before.noise, basis.step_s, before)
+        more = problem.with_columns(shifts)
+        after = _fit_noise(more, before.noise, basis.step_s, before)
         gain = before.nats - after.nats - cost
         if gain <= EVIDENCE_THRESHOLD_NATS:
             return problem, before, total
@@ -210,24 +214,24 @@ def _allow_load(
     bent, loads, cost = min(tried, key=lambda one: one[0].nats + one[2])
     # noise that is found beside a load may explain the log without it, too
     alone = replace(bent.noise, groups=before.noise.groups)
-    before = _best([before, _learn(problem, alone, basis.step_s, before)])
+    before = _choose_most_probable([before, _fit_noise(problem, alone, basis.step_s, before)])
     gain = before.nats - bent.nats - cost
     # what lasts long and is gone beside a load stood for it: neither is simpler; play leaves none
     rival = not others and _is_long(before.noise) and not _is_long(bent.noise)
     bends = bend_under_load(loads, bent.sizes[-len(loads) :], bent.path.knots, bent.path.angles)
     if gain <= (0.0 if rival else EVIDENCE_THRESHOLD_NATS) or np.abs(bends).max() > MOST_BEND:
         return problem, before, None
-    return replace(problem, columns=(*problem.columns, *loads)), bent, gain
+    return problem.with_columns(loads), bent, gain
 
 
 def _learn_load(
     problem: FactorProblem, basis: _Basis, loads: tuple[Load, ...], before: Learned
 ) -> Learned:
     """The noise beside a load by evidence, with errors at encoders or at links."""
-    loaded = replace(problem, columns=(*problem.columns, *loads))
+    loaded = problem.with_columns(loads)
     groups = (FIRST_BEND,) * count_groups(loads)
-    each = [replace(one, groups=groups) for one in _lasting(basis.white.noise)]
-    return _best([_learn(loaded, one, basis.step_s, before) for one in each])
+    each = [replace(one, groups=groups) for one in _list_lasting_noises(basis.white.noise)]
+    return _choose_most_probable([_fit_noise(loaded, one, basis.step_s, before) for one in each])
 
 
 def _list_plays(halves: Array) -> Iterator[Play]:
@@ -239,8 +243,8 @@ def _list_plays(halves: Array) -> Iterator[Play]:
 
 
 def fit_white_noise(problem: FactorProblem, noise: Noise, step_s: float) -> Learned:
-    """White noise alone by the evidence of a log; arguments as of `explain`."""
-    return _learn(problem, noise, step_s, rounds=2)
+    """White noise alone by the evidence of a log; arguments as of `find_explanation`."""
+    return _fit_noise(problem, noise, step_s, rounds=2)
 
 
 def mix_silent_groups(found: Learned, columns: Sequence[Column]) -> Learned:
@@ -259,8 +263,8 @@ def mix_silent_groups(found: Learned, columns: Sequence[Column]) -> Learned:
     covs = np.empty((len(sets), len(columns), len(columns)))
     for k, silent in enumerate(sets):
         left = tuple(SILENT_STD if g in silent else std for g, std in enumerate(groups))
-        precision = replace(found.noise, groups=left).column_stds(columns) ** -2.0
-        nats[k] = column_nats(found.schur[None], precision)[0]
+        precision = replace(found.noise, groups=left).list_column_stds(columns) ** -2.0
+        nats[k] = compute_column_nats(found.schur[None], precision)[0]
         covs[k] = np.linalg.inv(found.schur[1:, 1:] + np.diag(precision))
         sizes[k] = means + covs[k] @ found.schur[1:, 0]
     weights = np.exp(nats.min() - nats)
@@ -271,13 +275,15 @@ def mix_silent_groups(found: Learned, columns: Sequence[Column]) -> Learned:
     return replace(found, sizes=mean, sizes_cov=cov)
 
 
-def _delays_left(problem: FactorProblem, found: Learned, step_s: float) -> Iterator[Late]:
+def _measure_remaining_delays(
+    problem: FactorProblem, found: Learned, step_s: float
+) -> Iterator[RemainingDelay]:
     """Yield each camera's delay that is left beside what explains the log."""
-    for name in _cameras(problem):
-        late = replace(problem, columns=(*problem.columns, Delay("delay", DELAY_STD, camera=name)))
-        delayed = _learn(late, found.noise, step_s, found)
+    for name in _list_cameras(problem):
+        late = Delay("delay", DELAY_STD, camera=name)
+        delayed = _fit_noise(problem.with_columns([late]), found.noise, step_s, found)
         std = float(np.sqrt(delayed.sizes_cov[-1, -1]))
-        yield Late(name, float(delayed.sizes[-1]), std, found.nats - delayed.nats)
+        yield RemainingDelay(name, float(delayed.sizes[-1]), std, found.nats - delayed.nats)
 
 
 def _find_turning(noise: Noise) -> Array:
@@ -285,11 +291,18 @@ def _find_turning(noise: Noise) -> Array:
     return np.ones(len(noise.joints.white), bool) if noise.resting is None else ~noise.resting
 
 
-def _cameras(problem: FactorProblem) -> tuple[str, ...]:
+def _list_cameras(problem: FactorProblem) -> tuple[str, ...]:
     """Names of the cameras whose images there are."""
     return tuple(
         dict.fromkeys(camera_of_track(one.name) for one in problem.sightings if one.name != "touch")
     )
+
+
+def _is_of_counts(noise: Noise, count_variance: Array) -> bool:
+    """Whether what lasts is no more than whole counts make, which white noise has already."""
+    joints = noise.joints
+    small = joints.error_variance < MOST_COUNTS * count_variance
+    return bool(small[joints.learned].all())
 
 
 def _is_short(noise: Noise, step_s: float) -> bool:
@@ -306,19 +319,19 @@ def _is_long(noise: Noise) -> bool:
     return bool((joints.seconds[joints.learned] >= DRIFTS_S).any())
 
 
-def _least_gain(noise: Noise) -> float:
+def _compute_required_gain(noise: Noise) -> float:
     """Nats that errors which last must win over white noise: those of the exploration are there
     unless the log says otherwise.
     """
     return -EVIDENCE_THRESHOLD_NATS if noise.prior.known else EVIDENCE_THRESHOLD_NATS
 
 
-def _best(found: Sequence[Learned]) -> Learned:
-    """The one with most evidence."""
+def _choose_most_probable(found: Sequence[Learned]) -> Learned:
+    """The noise with most evidence."""
     return min(found, key=lambda one: one.nats)
 
 
-def with_lasting(noise: Noise, std: float) -> Noise:
+def add_lasting_errors(noise: Noise, std: float) -> Noise:
     """The noise with errors of `std` rad that last at all encoders
     but those whose offset was found, and those of joints that rest.
     """
@@ -332,14 +345,15 @@ def with_lasting(noise: Noise, std: float) -> Noise:
     return replace(noise, joints=replace(joints, error=error, seconds=seconds, learned=learned))
 
 
-def _lasting(noise: Noise) -> tuple[Noise, Noise]:
+def _list_lasting_noises(noise: Noise) -> tuple[Noise, Noise]:
     """The noise with errors that last, at the encoders and at the links."""
-    own = with_lasting(noise, np.exp(noise.prior.error[0]) if noise.prior.known else FIRST_STD)
+    std = np.exp(noise.prior.error[0]) if noise.prior.known else FIRST_STD
+    own = add_lasting_errors(noise, std)
     at_link = replace(own.joints, at_link=own.joints.learned)
     return own, replace(own, joints=at_link)
 
 
-def _learn(
+def _fit_noise(
     problem: FactorProblem,
     noise: Noise,
     step_s: float,
@@ -350,7 +364,7 @@ def _learn(
 
     before: what was learned of a like problem, with whose path and curvature this begins.
     """
-    solution = solve(problem, noise, None if before is None else before.path, rounds=4)
-    path = path_of(problem, noise, solution.beliefs)
+    solution = solve_problem(problem, noise, None if before is None else before.path, rounds=4)
+    path = path_from_beliefs(problem, noise, solution.beliefs)
     curvature = {} if before is None else before.curvature
     return learn_noise(problem, noise, path, step_s, rounds, curvature)

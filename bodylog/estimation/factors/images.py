@@ -16,8 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...types import Array
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Sighting, mix_rows
-from ..noise.correlated_noise import correlation_length
+from ..noise.correlated_noise import read_correlation_length
+from .condensing import SAME_TIME_S
 from .encoder_error import JointNoise
 from .robust import LEAST_SHARE
 
@@ -56,20 +58,28 @@ def place_images(sighting: Sighting, knots: Array, nearest: bool) -> Images:
     s: the nearest, or the first that is not before them.
     """
     values, var, mix = sighting.independent
-    frames = np.flatnonzero(np.isfinite(values).all(axis=1) & (sighting.t <= knots[-1] + 1e-9))
+    within = sighting.t <= knots[-1] + SAME_TIME_S
+    frames = np.flatnonzero(find_finite_rows(values) & within)
     t = sighting.t[frames]
-    after = np.minimum(np.searchsorted(knots, t - 1e-9), len(knots) - 1)
-    if nearest:
-        before = np.maximum(after - 1, 0)
-        after = np.where(t - knots[before] < knots[after] - t, before, after)
+    own = find_nearest_knots(t, knots) if nearest else find_next_knots(t, knots)
     own_mix = None if mix is None else mix[frames]
     ones = np.ones(len(frames))
-    return Images(
-        sighting, frames, after, t - knots[after], values[frames], var[frames], own_mix, ones
-    )
+    return Images(sighting, frames, own, t - knots[own], values[frames], var[frames], own_mix, ones)
 
 
-def image_rows(
+def find_next_knots(t: Array, knots: Array) -> Array:
+    """Numbers (N,) of the first knots (K,) s that are not before times t (N,) s, or of the last."""
+    return np.minimum(np.searchsorted(knots, t - SAME_TIME_S), len(knots) - 1)
+
+
+def find_nearest_knots(t: Array, knots: Array) -> Array:
+    """Numbers (N,) of the knots (K,) s nearest to times t (N,) s."""
+    after = find_next_knots(t, knots)
+    before = np.maximum(after - 1, 0)
+    return np.where(t - knots[before] < knots[after] - t, before, after)
+
+
+def build_image_rows(
     images: Images,
     links: Array,
     noise: JointNoise,
@@ -87,9 +97,9 @@ def image_rows(
     mean, jac, model_var = mix_rows(images.mix, images.sighting.model.predict(links))
     count, rows, joints = jac.shape
     slopes = np.zeros((count, rows, size))
-    stands = noise.stands(images.ahead)
     width = joints * noise.states
-    slopes[..., :width] = (jac[..., None] * stands[:, None]).reshape(count, rows, width)
+    by_states = jac[..., None] * noise.build_link_rows(images.ahead)[:, None]
+    slopes[..., :width] = by_states.reshape(count, rows, width)
     slopes[:, np.arange(rows), first + np.arange(rows)] = np.sqrt(np.maximum(model_var, 0.0))
     read = images.values - mean + np.einsum("fdm,fm->fd", jac, links)
     own = displaced if images.mix is None else images.mix @ displaced
@@ -104,7 +114,9 @@ def correlate_model_errors(sightings: Sequence[Sighting], links: Array) -> Array
     step = np.diff(links, axis=0)
     found = [
         np.repeat(
-            np.exp(-0.5 * np.linalg.norm(step / correlation_length(one.model), axis=-1))[:, None],
+            np.exp(-0.5 * np.linalg.norm(step / read_correlation_length(one.model), axis=-1))[
+                :, None
+            ],
             one.values.shape[1],
             axis=1,
         )

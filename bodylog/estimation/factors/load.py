@@ -3,13 +3,14 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..measurements.long_arrays import find_finite_rows
 from .columns import Column, Path
 from .images import Images
 
@@ -41,7 +42,7 @@ class Load(Column):
     start.
     """
 
-    bends: bool = True
+    bends: ClassVar[bool] = True
     moments: tuple[float, ...] = (-np.inf,)
 
     def moves_links(self, path: Path) -> Array:
@@ -132,17 +133,17 @@ def bend_under_load(columns: Sequence[Column], sizes: Array, t: Array, angles: A
     return sum((size * column.moves_links(path) for column, size in loads), rest)
 
 
-def load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
+def build_load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
     """A load's columns for readings (N,M) rad: by the levers of the
     hand where a URDF tells them, else any linear function of the posture, as they are searched.
     """
-    known = readings[np.isfinite(readings).all(axis=1)]
+    known = readings[find_finite_rows(readings)]
     if not len(known):
         return ()
-    levers = find_hand_levers(body, known)
+    levers = _find_hand_levers(body, known)
     if levers is None:
         return tuple(_bend_linearly(known))
-    return tuple(_bend_by_levers(levers, _still_levers(body, known), known))
+    return tuple(_bend_by_levers(levers, _measure_still_levers(body, known), known))
 
 
 def count_groups(loads: Sequence[Column]) -> int:
@@ -150,7 +151,7 @@ def count_groups(loads: Sequence[Column]) -> int:
     return 1 + max((one.group for one in loads if one.group is not None), default=-1)
 
 
-def find_hand_levers(body: BodyModel, known: Array) -> Callable[[Array], Array] | None:
+def _find_hand_levers(body: BodyModel, known: Array) -> Callable[[Array], Array] | None:
     """How far the hand rises with each joint (N,M), m per rad, at
     angles (N,M); None where no sense has a URDF that tells it at known (N,M).
     """
@@ -180,7 +181,7 @@ def _bend_by_levers(
         yield replace(alike, std=COMPLIANCE_SPREAD, still=(name,))
 
 
-def _still_levers(body: BodyModel, known: Array) -> dict[str, float]:
+def _measure_still_levers(body: BodyModel, known: Array) -> dict[str, float]:
     """The longest lever, m, of each joint that stood still and may carry the hand."""
     longest = dict[str, float]()
     for sense in body.senses.values():
@@ -220,7 +221,7 @@ def curve_loads(columns: Sequence[Column], turning: Array) -> tuple[Column, ...]
     return every if len(every) <= MOST_COLUMNS else tuple(columns)
 
 
-def load_sentence(load: Mapping[str, Any]) -> str:
+def describe_load(load: Mapping[str, Any]) -> str:
     """A load in words: `weight`, whether it is as under a weight at the hand, `moments` (s) when it
     is taken and put down in turn, `nats`, and `rad` {joint: how far it bends at most}.
     """

@@ -18,14 +18,22 @@ from ..noise.lasting_error import LONGEST_S
 from .columns import Path
 from .condensed_slopes import Expected, measure_condensed_slopes
 from .condensing import PairFactors, PassedSteps
+from .elimination import Smoothed, eliminate_states, smooth_knots
 from .encoder_error import JointNoise
-from .factor_problem import FactorProblem, Linearised, Noise, build_system, linearise_problem
-from .gauss_newton import path_of
-from .solve import Smoothed, eliminate, smoothed
+from .factor_problem import (
+    ANY_ERRORS,
+    FactorProblem,
+    Linearised,
+    Noise,
+    build_system,
+    linearise_problem,
+)
+from .gauss_newton import path_from_beliefs
+from .load import FIRST_BEND
 
 LOG_SCALE = (0.0, 1.0)
 """Mean and standard deviation of the logarithm of the factor on the variance of images."""
-LOG_GROUP = (float(np.log(5e-3)), 1.5)
+LOG_GROUP = (float(np.log(FIRST_BEND)), 1.5)
 """The same of ln σ of what links bend by (rad): 0.25 to 100 mrad."""
 FEWEST_READINGS = 5.0
 """Readings that a lasting error outlasts at least: a shorter one is white noise."""
@@ -33,7 +41,7 @@ FLAT_NATS = 1e-3
 """Twice what the last step of the search may gain: parameters are then within √0.001 = 0.03
 standard deviations of the most probable ones.
 """
-WHITE_SPREAD = 1.5
+WHITE_SPREAD = ANY_ERRORS.seconds[1]
 """Standard deviation of the logarithm of the variance of readings about its value without errors
 that last, as wide as that of τ. Where such errors take all noise of readings, the log says nothing
 of that variance, and a search without a prior ends anywhere.
@@ -95,11 +103,11 @@ def learn_noise(
         )
         begin = found.at
         guess = found.curvature
-        noise = _from_vector(found.at, noise)
+        noise = _build_noise(found.at, noise)
         system = build_system(replace(linear, noise=noise))
-        eliminated = eliminate(system)
-        beliefs = smoothed(system, eliminated)
-        path = path_of(problem, noise, beliefs)
+        eliminated = eliminate_states(system)
+        beliefs = smooth_knots(system, eliminated)
+        path = path_from_beliefs(problem, noise, beliefs)
     return Learned(
         noise,
         path,
@@ -130,26 +138,15 @@ def _tabulate_parameters(
     wide = np.log(_SPAN)
     white = np.log(usual.white)
     process = np.log(usual.process)
+    least = np.log(LEAST_PROCESS)
     # a variance of n readings is known to √(2/n)
+    sure = np.sqrt(2.0 / read)
     table: dict[str, tuple[Any, ...]] = {
-        "white": (
-            np.log(joints.white),
-            np.sqrt(2.0 / read),
-            white - wide,
-            white + wide,
-            white,
-            WHITE_SPREAD,
-        ),
-        "process": (
-            np.log(joints.process),
-            0.15,
-            np.log(LEAST_PROCESS),
-            process + wide,
-            0.0,
-            np.inf,
-        ),
+        "white": (np.log(joints.white), sure, white - wide, white + wide, white, WHITE_SPREAD),
+        "process": (np.log(joints.process), 0.15, least, process + wide, 0.0, np.inf),
     }
-    if len(errors := _list_lasting_stds(joints)):
+    errors = _list_lasting_stds(joints)
+    if len(errors):
         ends = np.log(FEWEST_READINGS * step_s), np.log(LONGEST_S)
         table["error"] = (np.log(errors), 0.4, np.log(1e-6), np.log(0.3), *noise.prior.error)
         seconds = np.log(joints.seconds[joints.learned][:1])
@@ -161,7 +158,7 @@ def _tabulate_parameters(
     return names, np.concatenate(list(rows.values()))
 
 
-def _from_vector(p: Array, like: Noise) -> Noise:
+def _build_noise(p: Array, like: Noise) -> Noise:
     """The noise of logarithms (P,), as `_tabulate_parameters` lists them."""
     joints = like.joints
     m = len(joints.white)
@@ -185,11 +182,11 @@ def _from_vector(p: Array, like: Noise) -> Noise:
 
 def _weigh_log(linear: Linearised, p: Array) -> tuple[float, Array]:
     """−ln p of the log for noise of these logarithms, and its gradient (P,)."""
-    posed = replace(linear, noise=_from_vector(p, linear.noise))
+    posed = replace(linear, noise=_build_noise(p, linear.noise))
     passed = PassedSteps()
     system = build_system(posed, passed)
-    eliminated = eliminate(system)
-    beliefs = smoothed(system, eliminated)
+    eliminated = eliminate_states(system)
+    beliefs = smooth_knots(system, eliminated)
     return eliminated.nats, _measure_slopes(posed, beliefs, system.joints, passed)
 
 
@@ -200,17 +197,18 @@ def _measure_slopes(
     joints = linear.noise.joints
     expected = _expect_moments(linear, beliefs)
     by = measure_condensed_slopes(linear.readings, joints, pairs, passed, expected)
-    parts = [by["white"] + _knot_slopes(linear, beliefs), by["process"]]
+    parts = [by["white"] + _measure_knot_slopes(linear, beliefs), by["process"]]
     if len(_list_lasting_stds(joints)):
         assert joints.error is not None
         p = joints.states
         square = expected.pairs[p - 1, p - 1, 0]
-        first = 1.0 - square * joints.start_precision()[:, -1, -1]
+        first = 1.0 - square * joints.start_precision[:, -1, -1]
         parts += [
             (by["error"] + first)[joints.learned],
             by["seconds"][joints.learned].sum(keepdims=True),
         ]
-    return np.concatenate([*parts, _scale_slopes(linear, beliefs), _group_slopes(linear, beliefs)])
+    parts += [_measure_scale_slopes(linear, beliefs), _measure_group_slopes(linear, beliefs)]
+    return np.concatenate(parts)
 
 
 def _expect_moments(linear: Linearised, beliefs: Smoothed) -> Expected:
@@ -223,7 +221,7 @@ def _expect_moments(linear: Linearised, beliefs: Smoothed) -> Expected:
     columns = np.outer(c, c)
     columns[1:, 1:] += sizes_cov
     shared = beliefs.shared[:, : m * p].reshape(len(beliefs.mean), m, p, len(sizes))
-    mean = beliefs.mean[:, : m * p].reshape(-1, m, p)
+    mean = beliefs.split_joints(linear.noise.joints)
     own, next_to = (
         np.einsum("kapaq->kapq", cov[:, : m * p, : m * p].reshape(-1, m, p, m, p))
         for cov in (beliefs.cov, beliefs.between)
@@ -239,36 +237,39 @@ def _expect_moments(linear: Linearised, beliefs: Smoothed) -> Expected:
     return Expected(pairs, with_columns, columns)
 
 
-def _knot_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+def _measure_knot_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
     """Slopes (M,) by the logarithms of the variance of readings, of those at knots."""
     readings = linear.readings
     joints = linear.noise.joints
-    rows = np.tile(joints.reads(beliefs.mean.shape[1]), (len(readings.t), 1, 1))
-    mean, cov = beliefs.of_rows(rows, np.arange(len(readings.t)), readings.at_knot[..., 1:])
+    knots = np.arange(len(readings.t))
+    rows = joints.build_reading_rows(np.zeros(len(knots)))
+    rows = joints.place_rows_on_knots(rows, beliefs.mean.shape[1])
+    mean, cov = beliefs.project_rows(rows, knots, readings.at_knot[..., 1:])
     square = np.square(readings.at_knot[..., 0] - mean) + np.einsum("kmm->km", cov)
     slopes = readings.knot_believed - readings.knot_weight / joints.white * square
     return np.asarray(0.5 * slopes.sum(axis=0))
 
 
-def _group_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+def _measure_group_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
     """Slopes by the logarithms of the groups' standard deviations."""
     columns = linear.problem.columns
     means = np.array([column.mean for column in columns])
     square = np.square(beliefs.sizes[0] - means) + np.diag(beliefs.sizes_cov[0])
     slopes = np.zeros(len(linear.noise.groups))
-    for column, one in zip(columns, square / linear.noise.column_stds(columns) ** 2, strict=True):
+    shares = square / linear.noise.list_column_stds(columns) ** 2
+    for column, one in zip(columns, shares, strict=True):
         if column.group is not None:
             slopes[column.group] += 1.0 - one
     return slopes
 
 
-def _scale_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
+def _measure_scale_slopes(linear: Linearised, beliefs: Smoothed) -> Array:
     """Slopes by the logarithms of the factors on images' variances."""
     found = []
     for images, rows, scale in zip(
         linear.problem.images, linear.rows, linear.noise.scales, strict=True
     ):
-        mean, cov = beliefs.of_rows(rows.slopes, images.knots, rows.right[..., 1:])
+        mean, cov = beliefs.project_rows(rows.slopes, images.knots, rows.right[..., 1:])
         square = np.square(rows.right[..., 0] - mean) + np.einsum("fdd->fd", cov)
         share = images.believed[:, None]
         found.append(0.5 * float((share * (1.0 - square / (scale * rows.var))).sum()))

@@ -14,8 +14,10 @@ import numpy as np
 
 from ...types import Array
 from ..faults.threshold import PRIOR_STD_RAD
+from ..measurements.long_arrays import median_step
 from ..measurements.track import group_tracks_by_camera
 from .columns import Column, ImageShift, Path
+from .elimination import Eliminated, compute_column_nats, eliminate_states
 from .factor_problem import (
     FactorProblem,
     Linearised,
@@ -25,7 +27,6 @@ from .factor_problem import (
     linearise_problem,
 )
 from .load import TAKEN_S, WIDE_BEND, Load
-from .solve import Eliminated, column_nats, eliminate
 
 SEARCHED = 6
 """Windows that are narrowed: a moment that is off by a tenth of a second costs tens of nats, so the
@@ -77,7 +78,7 @@ def list_timed_loads(
     """
     yield loads, 0.0
     linear = linearise_problem(problem, path, noise)
-    eliminated = eliminate(build_system(linear))
+    eliminated = eliminate_states(build_system(linear))
     rival = _weigh_shifts(linear, eliminated)
     leads = tuple({one.group: one for one in reversed(loads)}.values())
 
@@ -105,7 +106,7 @@ def list_displaced_images(
     is more probable with that, and −ln p of that window before the log.
     """
     linear = linearise_problem(problem, path, noise)
-    eliminated = eliminate(build_system(linear))
+    eliminated = eliminate_states(build_system(linear))
     sightings = [one.sighting for one in problem.images]
     for camera, tracks in group_tracks_by_camera(sightings).items():
         own = [sightings[number].values for number in tracks]
@@ -132,7 +133,7 @@ def weigh_displacements(
     """Nats by which a log is more probable with each displacement, of unknown size, by this
     noise."""
     linear = linearise_problem(problem, path, noise)
-    eliminated = eliminate(build_system(linear))
+    eliminated = eliminate_states(build_system(linear))
     without = eliminated.nats - eliminated.logs
     gains = []
     for shifts in tried:
@@ -167,7 +168,7 @@ def _change_moments(
     windows = [(a, b) for a, b in every if b - a > max(least, 0.5 * step)]
     cost = float(np.log(len(windows)))
     apart = _list_separate(windows, weigh_windows(windows), 1.5 * step)
-    finest = float(np.median(np.diff(knots)))
+    finest = median_step(knots)
     narrow = sorted(_narrow_window(one, step, finest, least, weigh_windows) for one in apart)
     (without,) = _weigh_moments(linear, eliminated, begin, std, [before or (-np.inf,)])
     seen = _list_image_times(linear.problem)
@@ -265,7 +266,7 @@ def _weigh_shifts(linear: Linearised, eliminated: Eliminated) -> float:
     kinds = list(product(range(len(linear.problem.start)), moments, rises))
     cost = float(np.log(len(kinds)))
     nats = _weigh_each_shift(linear, eliminated, kinds)
-    while step > np.median(np.diff(knots)):
+    while step > median_step(knots):
         joint, since, rise = kinds[int(np.argmin(nats))]
         step /= 4.0
         near = since + step * np.arange(-4, 5)
@@ -300,7 +301,7 @@ def _weigh_columns(
     turns[:, np.arange(known), np.arange(known)] = 1.0
     turns[:, known:, known:] = mixes
     precision = np.r_[eliminated.precision, np.full(count, std**-2)]
-    return column_nats(turns @ schur @ turns.swapaxes(1, 2), precision)
+    return compute_column_nats(turns @ schur @ turns.swapaxes(1, 2), precision)
 
 
 def _extend_schur(linear: Linearised, eliminated: Eliminated, more: tuple[Column, ...]) -> Array:

@@ -16,7 +16,7 @@ from ...body_model import BodyModel
 from ...types import Array, Fault, FaultKind, Finding, Hypothesis
 from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.records import Encoders, Evidence
-from ..noise.quantisation import fault_in_units
+from ..noise.quantisation import convert_fault_to_units
 from .jumping import find_jumps, find_level_shifts, unwrap_turns
 from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, motion_nats
 from .threshold import EVIDENCE_THRESHOLD_NATS
@@ -53,15 +53,17 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
         for name, own in zip(body.joints, turned.T, strict=True)
         if own.any()
     ]
-    in_units = replace(encoders, values=encoders.values / size)
+    convert_estimate_to_units = replace(encoders, values=encoders.values / size)
     complete = angles and np.isfinite(encoders.values).any(axis=0).all()
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
     found = {
-        name: _screen_encoder(name, encoders.t, y, partial(motion_nats, in_units, images, joint))
+        name: _screen_encoder(
+            name, encoders.t, y, partial(motion_nats, convert_estimate_to_units, images, joint)
+        )
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))
     }
     faults = [
-        fault_in_units(fault, evidence.unit, 1.0 / size)
+        convert_fault_to_units(fault, evidence.unit, 1.0 / size)
         for one in found.values()
         for fault in one.faults
     ]

@@ -31,7 +31,7 @@ from ..measurements.records import Evidence
 from ..measurements.timeline import list_span_starts
 from ..noise.correlated_noise import count_effective_frames
 from ..noise.encoder_noise import MAX_MEMORY_S
-from ..noise.quantisation import step_size
+from ..noise.quantisation import find_reading_step
 from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
 
@@ -570,7 +570,7 @@ def smallest_fault(evidence: Evidence) -> Array | float:
     if encoders is None:
         return least
     columns = [column[np.isfinite(column)] for column in encoders.values.T]
-    steps = [step_size(y) for y in columns]
+    steps = [find_reading_step(y) for y in columns]
     steps_shown = [
         step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, columns, strict=True)
     ]

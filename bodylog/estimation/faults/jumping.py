@@ -7,7 +7,7 @@ import numpy as np
 from ...types import Array
 from ..inference.tangents import OFFSET_STD
 from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_step
-from ..noise.quantisation import step_size
+from ..noise.quantisation import find_reading_step
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 MAX_ACCELERATION_RAD_S2 = 1000.0
@@ -61,7 +61,7 @@ def _estimate_reading_noise(v: Array) -> float:
     bends = np.abs(np.diff(v, 2))
     # a normal scatter σ has second differences of √6 σ, whose median size is 0.67 of that
     scatter = float(np.median(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
-    rounding = step_size(v) / 12.0**0.5
+    rounding = find_reading_step(v) / 12.0**0.5
     return float(max(scatter, rounding))
 
 

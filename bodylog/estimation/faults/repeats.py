@@ -25,7 +25,7 @@ from ..inference.tangents import OFFSET_STD
 from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..noise.encoder_noise import MAX_MEMORY_S
-from ..noise.quantisation import step_size
+from ..noise.quantisation import find_reading_step
 from .jumping import find_level_shifts
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
@@ -67,7 +67,8 @@ def _joint_motion_nats(
     found = [_explain_by_joint_motion(sighting, place, noise, middle, k) for k in range(x.shape[1])]
     (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
     least = max(
-        OFFSET_STD, 2.0 * step_size(encoders.values[np.isfinite(encoders.values[:, joint]), joint])
+        OFFSET_STD,
+        2.0 * find_reading_step(encoders.values[np.isfinite(encoders.values[:, joint]), joint]),
     )
     # better than rest, and better than motion of any other joint
     won = min(gain - len(parts), gain - max(others, default=0.0))
@@ -266,4 +267,4 @@ def has_steady_scatter(y: Array) -> bool:
     usual = float(np.median(scatter))
     # a quiet window is rest; rounding alone scatters bends by
     # √(6/12) = 0.7 of a step, noise of one step by √6.5 = 2.5
-    return bool(scatter.min() > 0.2 * usual) and usual > 1.35 * step_size(y)
+    return bool(scatter.min() > 0.2 * usual) and usual > 1.35 * find_reading_step(y)

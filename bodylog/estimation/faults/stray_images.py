@@ -20,7 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ...types import Array, Finding
 from ...wording import list_in_words
-from ..factors.robust import OUTLIERS, image_span
+from ..factors.robust import OUTLIER_SHARE, measure_image_span
 from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
 from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
@@ -158,8 +158,8 @@ def _weigh_run(problem: FilterProblem, run: StrayRun) -> float:
     begins = np.linspace(0, len(sound) - run.images, SOUND_RUNS).astype(int).tolist()
     each = [measure_surprise(sound[one : one + run.images]) for one in begins]
     usual = float(np.quantile(each, MORE_SURPRISING))
-    span = image_span(sighting.values[seen], sighting.var[seen])
-    begin = np.log(span).sum() - np.log(OUTLIERS)
+    span = measure_image_span(sighting.values[seen], sighting.var[seen])
+    begin = np.log(span).sum() - np.log(OUTLIER_SHARE)
     lasts = run.images * np.log(2.0) + usual * (run.images - 1) / run.images
     return float(measure_surprise(seen[own]) - begin - lasts)
 

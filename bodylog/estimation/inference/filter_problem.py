@@ -78,13 +78,13 @@ class FilterProblem:
         Beside a silence it is that of the silent joints, as this determines how well rates and
         accelerations are known at both ends; a smoother's own is that of least error in the angles.
         """
-        fewer = self.precision.fewer
+        fewer = self.precision.process_by_view
         usual = self.precision.process
         held = self.left_open
         if (
             self.stationary is not None
             and held is not None
-            and self.precision.likeliest is not None
+            and self.precision.filter_process is not None
         ):
             return np.where(
                 extend_open_silence(self.timeline.t, held), self.stationary.process / usual, 1.0
@@ -212,4 +212,4 @@ def build_encoder_rows(problem: FilterProblem, until: int | None = None) -> tupl
         var[at[:rows]] *= encoders.relative[:rows]
     if problem.posture_prior is None:
         return values, var
-    return problem.posture_prior.fill(t, values, var)
+    return problem.posture_prior.fill_encoder_rows(t, values, var)

@@ -204,7 +204,7 @@ def _agrees_with_frame(
     back = np.hstack([np.eye(m), -age * np.eye(m), 0.5 * age**2 * np.eye(m)])[:, :states]
     x = back @ z[:states]
     cov = back @ p[:states, :states] @ back.T
-    mean, jac, model = sight.predicted(x)
+    mean, jac, model = sight.predict_single(x)
     nu = sight.value - mean
     s = jac @ cov @ jac.T + np.diag(model + sight.var)
     return float(nu @ np.linalg.solve(s, nu)) <= GATE_SIGMA**2

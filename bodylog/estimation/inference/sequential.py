@@ -169,7 +169,7 @@ def standardise_innovations(x: Array, cov: Array, sights: Sequence[PendingFrame]
     """
     found = []
     for sight in sights:
-        mean, jac, model = sight.predicted(x)
+        mean, jac, model = sight.predict_single(x)
         var = ((jac @ cov) * jac).sum(axis=1) + sight.var + model
         found.append((sight.value - mean) / np.sqrt(var))
     return found
@@ -206,7 +206,7 @@ def find_tangent_point(
 
 def _linearise_frame(sight: PendingFrame, x: Array) -> Line:
     """The tangent of a frame at angles x (M,)."""
-    mean, jac, _, var, memory = sight.at(x)
+    mean, jac, _, var, memory = sight.predict_inflated(x)
     return Line(jac, sight.value - mean + jac @ x, var, memory)
 
 
@@ -256,7 +256,7 @@ def linearise_over_belief(sight: PendingFrame, x: Array, cov: Array, count: floa
     of cov, by Gauss–Hermite quadrature, `count` times. Rows are rotated such that their noise is
     independent.
     """
-    *_, own, memory = sight.at(x)
+    *_, own, memory = sight.predict_inflated(x)
     var, axes = _decompose_covariance(cov)
     steps = np.sqrt(var)[:, None] * axes.T
     points = x + NODES[:, None, None] * steps
@@ -354,7 +354,7 @@ class SequentialFilter:
                 self._dynamics.order,
             )
         if self._posture is not None and dt > 0.0:
-            readings, var = self._posture.read(np.array(readings), np.array(var), dt)
+            readings, var = self._posture.add_pseudo_readings(np.array(readings), np.array(var), dt)
         step = partial(step, readings, var, lost=lost, held=held)
         after = State(t, before.z, before.p, [], before.seen, lost=lost, held=held)
         belief = step()

@@ -13,10 +13,10 @@ from ..measurements.long_arrays import find_finite_rows, index_true_rows
 from ..measurements.records import Sighting, interpolate_values, mix_rows
 from ..noise.correlated_noise import (
     ErrorCorrelation,
-    correlation_length,
+    compute_shared_model_factors,
     count_directions,
     inflate_variances,
-    shared_model_factors,
+    read_correlation_length,
 )
 from ..noise.noise_model import NoiseModel
 from .filter_problem import FilterProblem, Fold
@@ -61,7 +61,7 @@ class Tangents:
         distinct = (
             count_directions(models, np.median(np.concatenate(points), axis=0)) if models else 1
         )
-        self._repeated = shared_model_factors(counted, common, distinct)
+        self._repeated = compute_shared_model_factors(counted, common, distinct)
 
     def write_stale_tangents(
         self, problem: FilterProblem, fold: Fold, readings: FilterReadings
@@ -188,9 +188,9 @@ def correlate_errors(
     precision: NoiseModel, name: str, model: ForwardModel, whole: bool = False
 ) -> ErrorCorrelation:
     """When errors of a track's frames correlate, for a filter or the smoother of a `whole` log."""
-    near = precision.near.get(name, 0.0)
+    near = precision.correlation_px.get(name, 0.0)
     return ErrorCorrelation(
-        precision.process, correlation_length(model), near, whole, precision.order
+        precision.process, read_correlation_length(model), near, whole, precision.order
     )
 
 

@@ -11,7 +11,7 @@ from ...body_model import BodyModel
 from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import EstimationSettings
 from ...types import Array, Features, Finding, Health, Series
-from ..noise.quantisation import unit_of
+from ..noise.quantisation import find_joint_unit
 from . import posture, touch, track
 from .long_arrays import index_true_rows
 from .records import Encoders, Evidence, Sense, build_health
@@ -43,7 +43,7 @@ def gather_measurements(
     measured = {name: one for _, found in groups for name, one in found.items() if name in wanted}
     used |= {name: one.health for name, one in measured.items()}
     sightings = tuple(one.sighting for one in measured.values())
-    unit, size = unit_of(joints) if "encoders" not in body.senses else ("rad", 1.0)
+    unit, size = find_joint_unit(joints) if "encoders" not in body.senses else ("rad", 1.0)
     return Evidence(
         encoders, sightings, used, (), read=read, joints=body.joints, unit=unit, rad_per_unit=size
     )

@@ -74,8 +74,8 @@ def inflate_lasting_errors(t: Array, cov: Array, process: Array) -> Array:
     root = np.linalg.cholesky(cov)
     white = np.linalg.inv(root)
     # how quickly motion outgrows the error, along the axes of its own
-    drift, axes = np.linalg.eigh(white * like.wander @ white.swapaxes(1, 2))
-    span = np.maximum(drift, 1e-12) ** -like.power
+    drift, axes = np.linalg.eigh(white * like.scaled_process @ white.swapaxes(1, 2))
+    span = np.maximum(drift, 1e-12) ** -like.span_exponent
     kept = np.exp(-steps[:, None] * (2.0 / span + 1.0 / LASTS_S))
     spread = root @ axes
     factor = (1.0 + kept) / (1.0 - kept)

@@ -12,7 +12,7 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
 from ...types import TRACK_AXES, Array, Fault, Features, Finding, Health, Hypothesis
-from ..noise.quantisation import quantisation_variance
+from ..noise.quantisation import compute_quantisation_variance
 from .long_arrays import index_true_rows, noise_variance
 
 
@@ -45,7 +45,7 @@ class Encoders:
     @cached_property
     def count_variance(self) -> Array:
         """Variance (M,) rad² of readings that comes from whole counts; 0 where none are seen."""
-        return np.array([quantisation_variance(y[np.isfinite(y)]) for y in self.values.T])
+        return np.array([compute_quantisation_variance(y[np.isfinite(y)]) for y in self.values.T])
 
     @cached_property
     def variance(self) -> Array:

@@ -12,10 +12,10 @@ from ...body_model import BodyModel
 from ...fault_kinds import OFF_FROM_START_S
 from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
-from ..factors.columns import ImageShift, Play, displacement_sentence
+from ..factors.columns import ImageShift, Play, describe_displacement
 from ..factors.factor_problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from ..factors.hypotheses import DRIFTS_S, Explanation
-from ..factors.load import FIRST_BEND, Load, bend_under_load, load_columns, load_sentence
+from ..factors.load import FIRST_BEND, Load, bend_under_load, build_load_columns, describe_load
 from ..factors.whole_log import (
     ExplainedLog,
     Instants,
@@ -138,7 +138,7 @@ def _explain_estimate(
     if why is not None:
         return why
     assert problem.evidence.encoders is not None  # or bars are widened
-    loads = load_columns(body, problem.evidence.encoders.values)
+    loads = build_load_columns(body, problem.evidence.encoders.values)
     simpler_ones = _drop_faults(problem, first)
     if is_white and not any(resembles_load(problem, one, loads) for one in simpler_ones):
         return "white noise explains the log as well"
@@ -412,7 +412,7 @@ def _error_sentences(errors: Mapping[str, Any]) -> Iterator[str]:
     for joint, one in errors["play"].items():
         width, std = np.rad2deg([one["rad"], one["std"]])
         yield f"{joint}: {width:.2f} ± {std:.2f}° of play"
-    yield from map(displacement_sentence, errors["displaced"])
+    yield from map(describe_displacement, errors["displaced"])
     if errors["lasting"]:
         one = errors["lasting"]
         yield (
@@ -421,4 +421,4 @@ def _error_sentences(errors: Mapping[str, Any]) -> Iterator[str]:
             f"({one['nats']:.0f} nats)"
         )
     if errors["load"]:
-        yield load_sentence(errors["load"])
+        yield describe_load(errors["load"])

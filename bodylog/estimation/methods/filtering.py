@@ -71,14 +71,16 @@ def estimate_by_filter(
     beliefs = Beliefs(
         select_reported_states(unfold(trace.z), problem),
         with_repairs(
-            precision.of(unfold(trace.cov[:, :m, :m]), problem.left_open), problem, solution
+            precision.stated_covariance(unfold(trace.cov[:, :m, :m]), problem.left_open),
+            problem,
+            solution,
         ),
         unfold(trace.nats),
         unfold(trace.prior),
         unfold(trace.prior_cov),
         unfold(trace.encoder_d),
         precision.scale,
-        precision.plain(),
+        precision.plain_numbers(),
         find_offset_faults(problem, solution),
         tuple(warn_of_lost_belief(problem, body.joints, solution)),
     )
@@ -241,7 +243,7 @@ def relearn_noise(
         joints, precision.encoder, precision.process, precision.order, known
     ).process
     held = noise_model.with_typed_noise(
-        precision.held(evident, encoders), settings, problem.evidence.joints
+        precision.with_memory_bound(evident, encoders), settings, problem.evidence.joints
     )
     return tune_noise(replace(problem, precision=held), settings)
 

@@ -132,7 +132,7 @@ def build_grid_problem(
             t,
             noise.scale.get(s.name, 1.0),
             width,
-            noise_model.typed_track_variance(settings, s.name),
+            noise_model.find_typed_variance(settings, s.name),
         )
         for s in seen
     ]

@@ -82,7 +82,7 @@ def _smooth_log(
     m = len(problem.start)
     precision = problem.precision
     z = unfold(smooth.z)
-    cov = precision.of(unfold(smooth.cov)[:, :m, :m], problem.left_open)
+    cov = precision.stated_covariance(unfold(smooth.cov)[:, :m, :m], problem.left_open)
     cov = with_repairs(cov, problem, smooth)
     errors = np.full((*problem.timeline.t.shape, m), np.nan)
     errors[problem.timeline.encoders] = found.encoders
@@ -94,7 +94,7 @@ def _smooth_log(
         cov,
         errors,
         precision.scale,
-        precision.plain(),
+        precision.plain_numbers(),
         find_offset_faults(problem, smooth),
         tuple(warn_of_lost_belief(problem, body.joints, smooth)),
         found.places,

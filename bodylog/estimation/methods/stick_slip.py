@@ -18,7 +18,7 @@ from ...body_model import BodyModel
 from ...motion import START_STD
 from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, Array, Estimate, Finding
-from ..factors.robust import OUTLIERS, image_span
+from ..factors.robust import OUTLIER_SHARE, measure_image_span
 from ..factors.whole_log import LEARNED_S
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.filter_problem import FilterProblem
@@ -199,11 +199,16 @@ def _most_evident(read: tuple[Array, Array, Array], tried: Array) -> Array:
         slips = -np.expm1(-rate * gap)
         known = np.isfinite(value)
         off = np.where(known, value, 0.0) - mean
-        parts = [(np.full(white.shape, OUTLIERS / tau), 0.0, var + slips * square)]
+        parts = [(np.full(white.shape, OUTLIER_SHARE / tau), 0.0, var + slips * square)]
         for share, part in ((1.0 - slips, 0.0), (slips, square)):
             sums = var + part + more * white
             gain = (var + part) / sums
-            dense = (1.0 - OUTLIERS) * share * np.exp(-0.5 * off * off / sums) / np.sqrt(tau * sums)
+            dense = (
+                (1.0 - OUTLIER_SHARE)
+                * share
+                * np.exp(-0.5 * off * off / sums)
+                / np.sqrt(tau * sums)
+            )
             parts.append((np.where(known, dense, 0.0), gain * off, gain * more * white))
         total = sum(dense for dense, _, _ in parts)
         nats -= np.where(known, np.log(total), 0.0)
@@ -257,7 +262,7 @@ def follow_slips(
         for row in rows.tolist():
             frames[at[row]].append((number, row))
         if len(rows):
-            spans[number] = image_span(sighting.values[rows], sighting.var[rows])
+            spans[number] = measure_image_span(sighting.values[rows], sighting.var[rows])
     found = StuckBelief(
         np.empty((count, m)),
         np.empty((count, m, m)),
@@ -321,11 +326,13 @@ def _weigh_reading(
         gain = row / total
         after = cov - np.outer(gain, row)
         after[j, j] += more
-        dense = (1.0 - OUTLIERS) * share * np.exp(-0.5 * off * off / total) / np.sqrt(tau * total)
+        dense = (
+            (1.0 - OUTLIER_SHARE) * share * np.exp(-0.5 * off * off / total) / np.sqrt(tau * total)
+        )
         parts.append((dense, gain * off, after))
     after = cov.copy()
     after[j, j] += likely * square
-    parts.append((OUTLIERS / tau, np.zeros(len(mean)), after))
+    parts.append((OUTLIER_SHARE / tau, np.zeros(len(mean)), after))
     return _merge_parts(mean, parts)
 
 
@@ -361,9 +368,11 @@ def _weigh_image(
         gain = np.linalg.solve(total, seen).T
         far = float(off @ np.linalg.solve(total, off))
         log = -0.5 * (far + np.linalg.slogdet(total)[1] + len(off) * np.log(tau))
-        parts.append((share * np.exp(log) * (1.0 - OUTLIERS), gain @ off, before - gain @ seen))
+        parts.append(
+            (share * np.exp(log) * (1.0 - OUTLIER_SHARE), gain @ off, before - gain @ seen)
+        )
     open_cov = cov + np.diag(likely * squares)
-    parts.append((OUTLIERS / float(np.prod(span)), np.zeros(len(mean)), open_cov))
+    parts.append((OUTLIER_SHARE / float(np.prod(span)), np.zeros(len(mean)), open_cov))
     return _merge_parts(mean, parts)
 
 

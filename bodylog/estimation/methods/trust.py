@@ -16,7 +16,7 @@ from ...settings import EstimationSettings
 from ...types import Array
 from ..factors.hypotheses import Explanation
 from ..factors.load import Load, bend_under_load
-from ..factors.robust import image_span, mixture_nats
+from ..factors.robust import compute_mixture_nats, measure_image_span
 from ..factors.whole_log import (
     ExplainedLog,
     SolvedLog,
@@ -177,10 +177,10 @@ def measure_rough_motion(
     cov = beliefs.before_cov
     read = beliefs.encoder_errors
     nats = beliefs.nats
-    if not causal and problem.precision.likeliest is not None:
+    if not causal and problem.precision.filter_process is not None:
         # a smoother's own process is smaller:
         # a filter with it lags, and its innovations have colour
-        process = problem.precision.likeliest
+        process = problem.precision.filter_process
         problem = replace(problem, precision=replace(problem.precision, process=process))
     if not causal:
         solution = filter_roughly(replace(problem, path=(problem.timeline.t, x)), rest=1.0)
@@ -231,7 +231,9 @@ def _compare_images_with_readings(
         mean, jac, model_var = sighting.model.predict(there)
         total = project_covariance(jac, near)
         np.einsum("fdd->fd", total)[:] += model_var + var
-        nats = mixture_nats(seen - mean, total, image_span(seen, sighting.var[usable]))
+        nats = compute_mixture_nats(
+            seen - mean, total, measure_image_span(seen, sighting.var[usable])
+        )
         found.append((product, weight, nats, rows))
     product, weight, nats, rows = map(np.concatenate, zip(*found, strict=True))
     known = np.isfinite(product).all(axis=1)

@@ -24,6 +24,11 @@ Number = TypeVar("Number", float, Array)
 
 PIXEL_CORRELATION_PX = 0.5
 """px: correlation length of perception's error, which has the period of the pixels."""
+INTERPOLATED_WEIGHT = 0.5
+"""Weight of a lasting error in a smoother beyond that of an independent one. Interpolated between
+two frames, (1 − x) e₀ + x e₁, a lasting error keeps its variance, and independent ones get the mean
+of (1 − x)² + x², 2/3 of theirs: the lasting one weighs 3/2 as much.
+"""
 EXTRAPOLATED_WEIGHT = -0.5
 """Weight of a lasting error in a filter beyond that of an
 independent one, on average over the time to the next frame.
@@ -34,7 +39,7 @@ drawn explorations and reaches, NEES is nearest to 1 with −1/2.
 """
 
 
-def steady_variance(density: Array, process: Array, order: int) -> Array:
+def compute_steady_variance(density: Array, process: Array, order: int) -> Array:
     """Variance (M,) rad² of the filtered angle, for
     readings of density R (M,) rad² s and process q (M,).
     """
@@ -53,55 +58,55 @@ class ErrorCorrelation:
 
     process: Array
     reach: Array
-    near: float
+    correlation_px: float
     whole: bool = False
     order: int = 2
 
     @cached_property
-    def wander(self) -> Array:
+    def scaled_process(self) -> Array:
         """Process variance (M,) times c²ⁿ."""
-        steady = steady_variance(np.ones(()), np.ones(()), self.order) / (
-            2 * self.order if self.whole else 1
-        )
+        steady = compute_steady_variance(np.ones(()), np.ones(()), self.order)
+        if self.whole:
+            steady = steady / (2 * self.order)
         return np.asarray(steady ** (2 * self.order) * self.process)
 
     @property
-    def power(self) -> float:
+    def span_exponent(self) -> float:
         """Power of error over process variance that a span is."""
         return 1.0 / (2 * self.order - 1)
 
-    def postures(self, step: Array) -> Array:
+    def correlate_posture_steps(self, step: Array) -> Array:
         """Correlation (…,) of the model's errors for a step (…,M) rad of the joints."""
         return np.asarray(np.exp(-0.5 * np.square(step / self.reach).sum(axis=-1)))
 
-    def spots(self, step: Array) -> Array:
+    def correlate_place_steps(self, step: Array) -> Array:
         """Correlation (…,) of perception's errors for a step (…,D) px."""
-        return np.asarray(
-            (self.near > 0) * np.exp(-np.sqrt(np.square(step).sum(axis=-1)) / (self.near or 1.0))
-        )
+        if self.correlation_px <= 0:
+            return np.zeros(step.shape[:-1])
+        return np.asarray(np.exp(-np.sqrt(np.square(step).sum(axis=-1)) / self.correlation_px))
 
-    def fade(self, dt: Array, lasting: Array, jac: Array) -> Array:
+    def compute_kept_share(self, dt: Array, lasting: Array, jac: Array) -> Array:
         """Share κ (F,) of frames dt (F,) s before that still
         counts, for common variances `lasting` (F,D) px².
 
         (1 + κ) / (1 − κ) is span/dt for much shorter dt.
         """
         error = np.einsum("fd->f", lasting)
-        drift = np.einsum("fdm,m->f", np.square(jac), self.wander)
-        span = (error / np.maximum(drift, 1e-9)) ** self.power
+        drift = np.einsum("fdm,m->f", np.square(jac), self.scaled_process)
+        span = (error / np.maximum(drift, 1e-9)) ** self.span_exponent
         return np.asarray(np.exp(-2.0 * dt / np.maximum(span, 1e-9)))
 
-    def times(self, count: Number, like: Number) -> Number:
+    def compute_variance_factor(self, count: Number, similarity: Number) -> Number:
         """Factor on the variance of a frame that counts as
-        one of `count`; `like`: correlation with the last.
+        one of `count`; similarity: correlation with the last.
 
-        A lasting error keeps its variance. Interpolated between two frames, (1 − x) e₀ + x e₁,
-        independent ones get 2/3 of theirs, so that in a smoother it weighs ½ more.
+        A lasting error keeps its variance.
         """
-        return 2.0 * count - 1.0 + (0.5 if self.whole else EXTRAPOLATED_WEIGHT) * like / count
+        weight = INTERPOLATED_WEIGHT if self.whole else EXTRAPOLATED_WEIGHT
+        return 2.0 * count - 1.0 + weight * similarity / count
 
 
-def correlation_length(model: ForwardModel) -> Array:
+def read_correlation_length(model: ForwardModel) -> Array:
     """Correlation length (M,) or () rad of the model's errors; infinite if the model has none."""
     return np.asarray(getattr(model, "reach", np.inf))
 
@@ -110,7 +115,7 @@ def correlate_postures(model: ForwardModel, x: Array) -> Array:
     """Correlation (F,F) of the model's errors at angles x (F,M) rad, by its own covariance; 1
     where it has none.
 
-    `correlation_length` is a mean over postures: beyond what a body was learned from, errors last
+    `read_correlation_length` is a mean over postures: beyond what a body was learned from, errors last
     for much longer steps than beside it.
     """
     covariance = getattr(model, "covariance", None)
@@ -130,27 +135,28 @@ def inflate_variances(
     jac: Array,
     pixel: Array,
     model: Array,
-    often: float = 1.0,
+    duplication: float = 1.0,
 ) -> Array:
     """Variances (F,D) px² of frames at t (F,) s, inflated
     such that correlated frames do not count too much.
 
-    places (F,D) px · points (F,M) rad and jac (F,D,M) there
-    · pixel and model variance (F,D) · often: factor on it.
+    places (F,D) px · points (F,M) rad and jac (F,D,M) there · pixel and model variance (F,D) ·
+    duplication: factor on the model's.
     """
     if not len(t):
         return pixel + model
-    similarity = like.spots(np.diff(places, axis=0)), like.postures(np.diff(points, axis=0))
-    lasting = pixel[1:] * similarity[0][:, None] + model[1:] * similarity[1][:, None]
-    fade = like.fade(np.diff(t), lasting, jac[1:])
+    by_place = like.correlate_place_steps(np.diff(places, axis=0))
+    by_posture = like.correlate_posture_steps(np.diff(points, axis=0))
+    lasting = pixel[1:] * by_place[:, None] + model[1:] * by_posture[:, None]
+    kept = like.compute_kept_share(np.diff(t), lasting, jac[1:])
     spots, postures = (
-        like.times(count_effective_frames(fade * one), np.append(0.0, one))[:, None]
-        for one in similarity
+        like.compute_variance_factor(count_effective_frames(kept * one), np.append(0.0, one))
+        for one in (by_place, by_posture)
     )
-    return np.asarray(pixel * spots + often * model * postures)
+    return np.asarray(pixel * spots[:, None] + duplication * model * postures[:, None])
 
 
-def shared_model_factors(
+def compute_shared_model_factors(
     frames: Sequence[int], common: Sequence[float], distinct: float
 ) -> tuple[float, ...]:
     """Factor on each track's model variance, for the
@@ -225,7 +231,7 @@ class PendingFrame:
         """Mean (N,D), Jacobian (N,D,M) and model variance (N,D) at angles x (N,M)."""
         return mix_rows(self.mix, self.model.predict(x))
 
-    def predicted(self, x: Array) -> tuple[Array, Array, Array]:
+    def predict_single(self, x: Array) -> tuple[Array, Array, Array]:
         """Mean (D,), Jacobian (D,M) and model variance (D,) at angles x (M,)."""
         one = getattr(self.model, "predict_one", None)
         if one is not None and self.mix is None:
@@ -233,15 +239,17 @@ class PendingFrame:
         mean, jac, model = self.predict(x[None])
         return mean[0], jac[0], model[0]
 
-    def at(self, x: Array) -> tuple[Array, Array, Array, Array, LastFrame]:
+    def predict_inflated(self, x: Array) -> tuple[Array, Array, Array, Array, LastFrame]:
         """Mean (D,), Jacobian (D,M), model variance (D,), total one as in `inflate_variances`,
         memory, at angles x (M,).
         """
-        mean, jac, model = self.predicted(x)
-        spots, postures, memory = self._inflation(x, jac, model)
+        mean, jac, model = self.predict_single(x)
+        spots, postures, memory = self._compute_inflation(x, jac, model)
         return mean, jac, model, self.var * spots + model * postures, memory
 
-    def _inflation(self, x: Array, jac: Array, model: Array) -> tuple[float, float, LastFrame]:
+    def _compute_inflation(
+        self, x: Array, jac: Array, model: Array
+    ) -> tuple[float, float, LastFrame]:
         """Factors on perception's and the model's variance, and the memory afterwards."""
         last = self.memory
         like = self.like
@@ -249,15 +257,18 @@ class PendingFrame:
             return 1.0, 1.0, LastFrame(self.t, self.value, x, np.ones(2))
         step = (self.value - last.place).tolist()
         away = ((x - last.point) / like.reach).tolist()
-        spot = math.exp(-math.hypot(*step) / like.near) if like.near > 0 else 0.0
+        spot = (
+            math.exp(-math.hypot(*step) / like.correlation_px) if like.correlation_px > 0 else 0.0
+        )
         posture = math.exp(-0.5 * math.hypot(*away) ** 2)
         # a sum of so few numbers takes NumPy 2 µs, and Python 0.3
         error = spot * sum(self.var.tolist()) + posture * sum(model.tolist())
-        drift = sum((np.square(jac) @ like.wander).tolist())
-        span = max((error / max(drift, 1e-9)) ** like.power, 1e-9)
+        drift = sum((np.square(jac) @ like.scaled_process).tolist())
+        span = max((error / max(drift, 1e-9)) ** like.span_exponent, 1e-9)
         fade = math.exp(-2.0 * (self.t - last.t) / span)
         by_spot, by_posture = last.count.tolist()
-        counts = 1.0 + fade * spot * by_spot, 1.0 + fade * posture * by_posture
-        spots = like.times(counts[0], spot)
-        postures = like.times(counts[1], posture)
-        return spots, postures, LastFrame(self.t, self.value, x, np.array(counts))
+        by_spot = 1.0 + fade * spot * by_spot
+        by_posture = 1.0 + fade * posture * by_posture
+        spots = like.compute_variance_factor(by_spot, spot)
+        postures = like.compute_variance_factor(by_posture, posture)
+        return spots, postures, LastFrame(self.t, self.value, x, np.array([by_spot, by_posture]))

@@ -1,8 +1,7 @@
 """Encoder noise and process noise of each joint, for white
 acceleration or jerk, by the evidence of its readings.
 
-Evidence of one joint's encoder readings alone, for
-many ratios of process to noise (kernels.py).
+Evidence of one joint's encoder readings alone, for many ratios of process to noise (kernels.py).
 """
 
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from ..inference.scan import GATE_SIGMA
 from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_step
 from ..measurements.records import Encoders
 from ..measurements.timeline import GAP_STEPS, MAX_OUTPUT_RATE_HZ
-from .quantisation import dither_readings, shared_variance
+from .quantisation import compute_repeat_factor, dither_readings
 
 SKIPPED_READINGS = 10
 """Readings that do not count at the start, as a vague start costs white jerk more, nor
@@ -73,11 +72,8 @@ def compute_encoder_evidence(
     prior = np.log(usual)
     squares = np.maximum(squares, np.finfo(float).tiny)
     # the logarithm u of greatest −½ (n u + squares e^(−u) + ½ (u − prior)²)
-    log = (
-        prior - n + wrightomega(np.log(squares) + n - prior)
-        if known is None
-        else np.full(len(ratios), np.log(known))
-    )
+    most_probable = prior - n + wrightomega(np.log(squares) + n - prior)
+    log = most_probable if known is None else np.full(len(ratios), np.log(known))
     # a noise of 1 µrad, a twentieth of the step of a
     # 19-bit encoder, keeps that of exact readings finite
     log = np.maximum(log, np.log(1e-12))
@@ -92,10 +88,9 @@ middle of the log: these tell a variance to √(2/N), 2 %.
 TRIED_MEMORIES = 2.0 ** np.linspace(7.7, -4.7, 48)
 """Averages: memories tried; a parabola through the best three is exact to .05 in the logarithm of
 the density. With 64 as the longest, of 180 joints at rest for 12 to 60 s 39 % got a process density
-above the `least_process_density`; with 128, 4 %; logs of motion have the same errors with both."""
+above the `compute_least_process`; with 128, 4 %; logs of motion have the same errors with both."""
 MAX_MEMORY_S = 1.0
 """s: longest memory of a filter for a joint at rest."""
-
 
 Averages = tuple[Array, Array, Array]
 """Times (N,) s and values (N,) rad of means of readings, and where filters restart (N,) bool."""
@@ -103,11 +98,12 @@ Averages = tuple[Array, Array, Array]
 
 @dataclass(frozen=True, eq=False)
 class LearnedEncoderNoise:
-    """encoder (M,) rad², also of readings dithered · process
-    (M,) for motion of an order · evidence (nats) of all.
+    """Noise of encoders and of motion of one order.
+
+    encoder (M,) rad²: of readings · dithered (M,) rad²: of these with a dither over their step ·
+    process (M,) rad²/s³ or rad²/s⁵ · evidence (nats) of all joints.
     """
 
-    order: int
     encoder: Array
     dithered: Array
     process: Array
@@ -139,12 +135,13 @@ def average_joint_readings(encoders: Encoders) -> list[AveragedReadings]:
 
 
 def _average_one_joint(t: Array, y: Array) -> AveragedReadings:
-    most = MAX_INSTANTS * readings_per_average(t)
+    """The averages of one joint's readings (N,) rad at t (N,) s, in the middle of the log."""
+    most = MAX_INSTANTS * count_readings_per_average(t)
     begin = max(0, (len(t) - most) // 2)
     t = t[begin : begin + most]
     y = y[begin : begin + most]
-    if len(t) // readings_per_average(t) <= SKIPPED_READINGS or np.ptp(y) == 0.0:
-        return AveragedReadings(None, repeated=shared_variance(t, y) if len(t) else 1.0)
+    if len(t) // count_readings_per_average(t) <= SKIPPED_READINGS or np.ptp(y) == 0.0:
+        return AveragedReadings(None, repeated=compute_repeat_factor(t, y) if len(t) else 1.0)
     spread, added, least = dither_readings(t, y)
     return AveragedReadings(*_average_between_breaks(t, spread), added, least)
 
@@ -163,18 +160,22 @@ def learn_encoder_noise(
     dithered over their step, whose variance is the least. known (M,) rad²: variances of the
     dithered readings, for which only process densities are learned.
     """
-    encoder, found, process, nats = encoder.copy(), encoder.copy(), process.copy(), 0.0
+    encoder = encoder.copy()
+    dithered = encoder.copy()
+    process = process.copy()
+    nats = 0.0
     for joint, one in enumerate(joints):
-        if one.averages is not None:
-            usual = encoder[joint] + one.added
-            given = None if known is None else known[joint] / one.each
-            found[joint], process[joint], own = find_likeliest_noise(
-                one.averages, one.each, usual, order, given
-            )
-            encoder[joint], nats = max(found[joint] - one.added, one.least), nats + own
-        else:
+        if one.averages is None:
             encoder[joint] *= one.repeated
-    return LearnedEncoderNoise(order, encoder, found, process, nats)
+            continue
+        usual = encoder[joint] + one.added
+        given = None if known is None else known[joint] / one.each
+        dithered[joint], process[joint], own = find_likeliest_noise(
+            one.averages, one.each, usual, order, given
+        )
+        encoder[joint] = max(dithered[joint] - one.added, one.least)
+        nats += own
+    return LearnedEncoderNoise(encoder, dithered, process, nats)
 
 
 def find_followable_process(
@@ -188,18 +189,16 @@ def find_followable_process(
     process = process.copy()
     for joint, column in enumerate(encoders.values.T):
         known = np.isfinite(column)
-        if known.sum() // readings_per_average(encoders.t[known]) > SKIPPED_READINGS:
-            (averages, each), noise = (
-                _average_between_breaks(encoders.t[known], column[known]),
-                encoder[joint],
-            )
+        if known.sum() // count_readings_per_average(encoders.t[known]) > SKIPPED_READINGS:
+            averages, each = _average_between_breaks(encoders.t[known], column[known])
+            noise = encoder[joint]
             process[joint] = noise * _raise_until_followed(
                 averages, process[joint] / noise, noise / each, order
             )
     return process
 
 
-def least_process_density(t: Array, encoder: Array, order: int) -> Array:
+def compute_least_process(t: Array, encoder: Array, order: int) -> Array:
     """Least density (M,), which bounds a filter's memory, (R
     Δt / q)^(1/2p), by MAX_MEMORY_S; p is the motion's order.
     """
@@ -241,9 +240,11 @@ def _fit_evidence_peak(ratios: Array, score: Array, noise: Array) -> tuple[float
     return float(np.exp(ratio)), float(np.exp(variance)), float(peak)
 
 
-def readings_per_average(t: Array) -> int:
-    """Readings per average."""
-    return max(1, round(1.0 / MAX_OUTPUT_RATE_HZ / max(median_step(t), 1e-9))) if len(t) > 1 else 1
+def count_readings_per_average(t: Array) -> int:
+    """Readings at t (N,) s within one step of the fastest output."""
+    if len(t) < 2:
+        return 1
+    return max(1, round(1.0 / MAX_OUTPUT_RATE_HZ / max(median_step(t), 1e-9)))
 
 
 def average_close_readings(found: Encoders) -> Encoders:
@@ -253,16 +254,16 @@ def average_close_readings(found: Encoders) -> Encoders:
     for column in known.T[~known.all(axis=0)]:
         which = np.unique(2 * which + column, return_inverse=True)[1]
     parts = np.split(np.argsort(which, kind="stable"), np.cumsum(np.bincount(which))[:-1])
-    return _merge_encoders([_row_means(found, part) for part in parts])
+    return _merge_encoders([_average_rows(found, part) for part in parts])
 
 
-def _row_means(found: Encoders, part: Array) -> Encoders:
+def _average_rows(found: Encoders, part: Array) -> Encoders:
     """Means of close rows among `part` (P,), which are of the same encoders."""
-    each = readings_per_average(found.t[part])
+    each = count_readings_per_average(found.t[part])
     joints = found.values.shape[1]
     part = part[: len(part) // each * each]
-    weights = 1.0 / found.relative[part]
-    weights, values = (a.reshape(-1, each, joints) for a in (weights, found.values[part]))
+    weights = (1.0 / found.relative[part]).reshape(-1, each, joints)
+    values = found.values[part].reshape(-1, each, joints)
     total = weights.sum(axis=1)
     t = found.t[part].reshape(-1, each).mean(axis=1)
     return Encoders(
@@ -285,7 +286,8 @@ def _merge_encoders(parts: list[Encoders]) -> Encoders:
     for part in parts:
         at = np.searchsorted(t, part.t)
         read = np.isfinite(part.values[0])
-        values[np.ix_(at, read)], source[at] = part.values[:, read], part.source_ns
+        values[np.ix_(at, read)] = part.values[:, read]
+        source[at] = part.source_ns
         relative[np.ix_(at, read)] = part.relative[:, read]
     return Encoders(t, values, source, relative)
 
@@ -296,10 +298,11 @@ def _average_between_breaks(t: Array, y: Array) -> tuple[Averages, int]:
 
     Readings are averaged as far as a short stretch shows no acceleration.
     """
-    each = readings_per_average(t)
+    each = count_readings_per_average(t)
     whole = len(t) // each * each
     broken = _find_breaks(t, y)
-    t, y = (a[:whole].reshape(-1, each).mean(axis=1) for a in (t, y))
+    t = t[:whole].reshape(-1, each).mean(axis=1)
+    y = y[:whole].reshape(-1, each).mean(axis=1)
     if each > 1:
         broken = np.asarray(broken[:whole].reshape(-1, each).any(axis=1))
         broken[1:] |= broken[:-1]
@@ -327,13 +330,11 @@ def _find_far_bends(bend: Array) -> Array:
     """
     moved = bend[bend > 0.0]
     # where most readings repeat, the others are typical
-    typical = (
-        np.median(bend)
-        if 2 * len(moved) > len(bend)
-        else np.median(moved)
-        if len(moved)
-        else np.inf
-    )
+    typical = np.inf
+    if 2 * len(moved) > len(bend):
+        typical = np.median(bend)
+    elif len(moved):
+        typical = np.median(moved)
     return np.asarray(bend > GATE_SIGMA * 1.4826 * typical)
 
 
@@ -344,16 +345,13 @@ def _find_lasting_motion(steps: Array, at: Array) -> Array:
     The larger step beside it has a neighbour in its direction of at least a quarter, as innovations
     that lag have. After a false reading the next step leads back; a shift is one step.
     """
-    around = np.pad(steps, LEVEL_READINGS, constant_values=np.nan)[
-        at[:, None] + np.arange(1, 2 * LEVEL_READINGS + 1)
-    ]
+    padded = np.pad(steps, LEVEL_READINGS, constant_values=np.nan)
+    around = padded[at[:, None] + np.arange(1, 2 * LEVEL_READINGS + 1)]
     # as many steps before as after: where one speed follows another, the median is between them
-    off = (around - np.nanmedian(around, axis=1, keepdims=True))[
-        :, LEVEL_READINGS - 2 : LEVEL_READINGS + 2
-    ]
+    off = around - np.nanmedian(around, axis=1, keepdims=True)
+    off = off[:, LEVEL_READINGS - 2 : LEVEL_READINGS + 2]
     second = np.abs(off[:, 2]) > np.abs(off[:, 1])
     large = np.where(second, off[:, 2], off[:, 1])
     beside = np.where(second[:, None], off[:, [1, 3]], off[:, [0, 2]])
-    return np.asarray(
-        (4.0 * np.sign(large)[:, None] * beside >= np.abs(large)[:, None]).any(axis=1)
-    )
+    follows = 4.0 * np.sign(large)[:, None] * beside >= np.abs(large)[:, None]
+    return np.asarray(follows.any(axis=1))

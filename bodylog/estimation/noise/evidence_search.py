@@ -46,19 +46,19 @@ from ..measurements.timeline import (
     list_track_sets,
     select_visual_sightings,
 )
-from .correlated_noise import steady_variance
+from .correlated_noise import compute_steady_variance
 from .encoder_noise import (
     MAX_INSTANTS,
     SKIPPED_READINGS,
     average_close_readings,
+    compute_least_process,
+    count_readings_per_average,
     find_followable_process,
-    least_process_density,
-    readings_per_average,
 )
 from .noise_model import NoiseModel
 
 
-def least_error_process(part: FilterProblem, solved: Solution) -> tuple[Array, float]:
+def find_least_error_process(part: FilterProblem, solved: Solution) -> tuple[Array, float]:
     """Process variances (M,) of least error, as one
     factor on the problem's, and this error's share of V.
 
@@ -67,22 +67,22 @@ def least_error_process(part: FilterProblem, solved: Solution) -> tuple[Array, f
     order = part.precision.order
     step = 2.0 ** (0.5 * order)  # moves the cut-off by 2^¼
     factors = step ** np.arange(-6.0, 5.0)
-    present = _without_gaps(part, part.timeline.t)
-    moved = np.square(np.diff(_smooth_candidates(part, solved, factors), axis=0))[:, present].mean(
-        axis=1
-    )
+    present = _find_times_outside_gaps(part, part.timeline.t)
+    paths = _smooth_candidates(part, solved, factors)
+    moved = np.square(np.diff(paths, axis=0))[:, present].mean(axis=1)
     # noise's share of it grows as q^(1/2n)
     noise = moved[-1] * (factors[:-1] / factors[-2])[:, None] ** (0.5 / order)
     ratios = (moved / np.maximum(noise, np.finfo(float).tiny)).mean(axis=1)
     power = _fit_motion_power(ratios, step, order)
-    over = np.log(np.maximum(ratios, np.finfo(float).tiny) / move_at_least(power, order))
+    over = np.log(np.maximum(ratios, np.finfo(float).tiny) / compute_least_move(power, order))
     last = int(np.flatnonzero(over > 0.0).max(initial=-1))
     beyond = 0.5 + over[last] / (over[last] - over[last + 1]) if last >= 0 else 0.0
     factor = factors[max(last, 0)] * step**beyond
-    return np.asarray(part.precision.process * factor), _noise_share(part) * power / (power - 1.0)
+    share = _compute_noise_share(part) * power / (power - 1.0)
+    return np.asarray(part.precision.process * factor), share
 
 
-def move_at_least(power: float, order: int) -> float:
+def compute_least_move(power: float, order: int) -> float:
     """How far the path moves with ln q at the least error,
     squared, over that by noise; motion's spectrum is ω^−power.
 
@@ -92,17 +92,15 @@ def move_at_least(power: float, order: int) -> float:
     return (min(power, 2.0 * order + 2.0) + 4.0 * order) / (2.0 * order + 1.0)
 
 
-def _noise_share(part: FilterProblem) -> float:
+def _compute_noise_share(part: FilterProblem) -> float:
     """Share of V that noise makes."""
     return 1.0 - 0.5 / part.precision.order
 
 
-def _without_gaps(part: FilterProblem, t: Array) -> Array:
+def _find_times_outside_gaps(part: FilterProblem, t: Array) -> Array:
     """Times t (E,) s outside long silences of an encoder, in which a path moves far with q."""
     encoders = part.evidence.encoders
-    known = (
-        np.empty(0) if encoders is None else encoders.t[np.isfinite(encoders.values).all(axis=1)]
-    )
+    known = np.empty(0) if encoders is None else encoders.t[find_finite_rows(encoders.values)]
     if len(known) < 2:
         return np.ones(len(t), bool)
     steps = np.diff(known)
@@ -114,7 +112,8 @@ def _fit_motion_power(ratios: Array, step: float, order: int) -> float:
     """p, from the rate at which moves over those of noise,
     1 + b q^(−p/2n), fall; ratios (10,), a step of q apart.
     """
-    last = max(int(np.flatnonzero(ratios > move_at_least(2.0 * order, order)).max(initial=0)), 2)
+    large = np.flatnonzero(ratios > compute_least_move(2.0 * order, order))
+    last = max(int(large.max(initial=0)), 2)
     before, after = ratios[[last - 2, last]] - 1.0
     if after <= 0.0 or before <= after:
         return 2.0 * order + 4.0
@@ -131,10 +130,8 @@ def _smooth_candidates(part: FilterProblem, solved: Solution, factors: Array) ->
     trace = None
     paths = []
     for process in factors[:, None] * part.precision.process:
-        posed = replace(
-            part, precision=replace(part.precision, process=process, stated=_noise_share(part))
-        )
-        path, trace = _smooth_path(posed, solved, trace)
+        precision = replace(part.precision, process=process, stated=_compute_noise_share(part))
+        path, trace = _smooth_path(replace(part, precision=precision), solved, trace)
         paths.append(path)
     return np.stack(paths)
 
@@ -220,7 +217,8 @@ def with_motion(problem: FilterProblem, name: str) -> FilterProblem:
     encoders = problem.evidence.encoders
     if encoders is not None and precision.learned is not None:
         learned = precision.learned[precision.order - 2]
-        precision = replace(precision, encoder=learned.encoder).held(learned.process, encoders)
+        precision = replace(precision, encoder=learned.encoder)
+        precision = precision.with_memory_bound(learned.process, encoders)
     return replace(problem, precision=precision)
 
 
@@ -228,13 +226,10 @@ def tune_by_evidence(problem: FilterProblem, whole: bool) -> tuple[NoiseModel, S
     """Process variances and pixel factors from (the middle
     of) the log, for a smoother (`whole`) or a filter.
 
-    Rounds of steps to the greatest evidence end when all are within a standard deviation of it; a
-    parabola is as wide as before until its minimum is near. Also the last solution as a warm start,
-    if it covers the whole log.
+    Also the last solution as a warm start, if it covers the whole log.
     """
-    log = cut_to_middle(
-        drop_undetermined_images(replace(problem, precision=replace(problem.precision, fewer={})))
-    )
+    one_process = replace(problem, precision=replace(problem.precision, process_by_view={}))
+    log = cut_to_middle(drop_undetermined_images(one_process))
     part = thin_encoder_readings(log)
     names = [
         s.name
@@ -243,28 +238,38 @@ def tune_by_evidence(problem: FilterProblem, whole: bool) -> tuple[NoiseModel, S
     ]
     if not names and not whole:
         return problem.precision, None
+    part, solved = _maximise_evidence(part, names)
+    warm = solved if part.timeline is problem.timeline else None
+    own = _tune_filter_noise(problem, part, solved)
+    if whole:
+        precision = _tune_smoother_noise(part, solved, log.evidence.encoders)
+        return replace(precision, filter_process=own.process), warm
+    process_by_view = {
+        view: _tune_filter_noise(problem, *_restrict_to_view(part, view)).process
+        for view in _list_partial_views(problem)
+    }
+    return replace(own, process_by_view=process_by_view), warm
+
+
+def _maximise_evidence(part: FilterProblem, names: list[str]) -> tuple[FilterProblem, Solution]:
+    """The problem with the process variances and the named tracks' pixel factors of most evidence,
+    and the filter's last solution.
+
+    Rounds of steps to the greatest evidence end when all are within a standard deviation of it; a
+    parabola is as wide as before until its minimum is near.
+    """
     solved = filter_roughly(part)
     half = np.ones(len(part.start) + len(names))
     for _ in range(MAX_SWEEPS if names else 0):
-        logs = _log_parameters(part, names)
+        logs = _take_log_parameters(part, names)
         candidates = np.concatenate([logs[None], logs + np.diag(half), logs - np.diag(half)])
         nats, solved = compute_candidate_costs(part, solved, np.exp(candidates), names)
-        step, std = _parabola_step(nats, half)
-        part = replace(part, precision=_noise_with_values(part, np.exp(logs + step), names))
-        if (np.abs(_log_parameters(part, names) - logs) <= std).all():
+        step, std = _step_to_parabola_minimum(nats, half)
+        part = replace(part, precision=_set_noise_values(part, np.exp(logs + step), names))
+        if (np.abs(_take_log_parameters(part, names) - logs) <= std).all():
             break
         half = np.where(np.abs(step) < 2.0 * half, np.minimum(half, std), half)
-    warm = solved if part.timeline is problem.timeline else None
-    if whole:
-        likeliest = _tune_filter_noise(problem, part, solved).process
-        return replace(
-            _tune_smoother_noise(part, solved, log.evidence.encoders), likeliest=likeliest
-        ), warm
-    fewer = {
-        view: _tune_filter_noise(problem, *_with_view(part, view)).process
-        for view in _list_partial_views(problem)
-    }
-    return replace(_tune_filter_noise(problem, part, solved), fewer=fewer), warm
+    return part, solved
 
 
 def _list_partial_views(problem: FilterProblem) -> list[View]:
@@ -277,9 +282,9 @@ def _list_partial_views(problem: FilterProblem) -> list[View]:
     ]
 
 
-def _with_view(part: FilterProblem, view: View) -> tuple[FilterProblem, Solution]:
+def _restrict_to_view(part: FilterProblem, view: View) -> tuple[FilterProblem, Solution]:
     """The part with only these of its tracks, and its solution."""
-    less = _with_measurements(
+    less = _replace_measurements(
         part, part.evidence.encoders, [s for s in part.evidence.sightings if s.name in view]
     )
     return less, filter_roughly(less)
@@ -292,14 +297,12 @@ def _tune_smoother_noise(
     within the gate, with the share of its covariance to state.
     """
     precision = part.precision
-    low = (
-        0.0
-        if encoders is None
-        else least_process_density(encoders.t, precision.encoder, precision.order)
-    )
-    held = replace(precision, process=np.maximum(precision.process, low))
-    process, stated = least_error_process(replace(part, precision=held), solved)
-    process = np.maximum(process, low)
+    least: Array | float = 0.0
+    if encoders is not None:
+        least = compute_least_process(encoders.t, precision.encoder, precision.order)
+    bounded = replace(precision, process=np.maximum(precision.process, least))
+    process, stated = find_least_error_process(replace(part, precision=bounded), solved)
+    process = np.maximum(process, least)
     if encoders is not None:
         process = find_followable_process(encoders, precision.encoder, process, precision.order)
     return replace(precision, process=process, stated=stated)
@@ -317,14 +320,14 @@ def _tune_filter_noise(problem: FilterProblem, part: FilterProblem, solved: Solu
     encoders = problem.evidence.encoders
     precision = problem.precision
     m = len(problem.start)
-    alone = precision.process if precision.evident is None else precision.evident
+    alone = precision.process if precision.evidence_process is None else precision.evidence_process
     if encoders is None or len(encoders.t) < 2:
         return replace(part.precision, process=0.5 * (alone + part.precision.process))
     density = precision.encoder * median_step(encoders.t)
     var = solved.fold.unfold_events(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))
     together = np.sqrt(var).mean(axis=0)
     unknown, white = (
-        np.minimum(together**2 / steady_variance(density, process, precision.order), 1.0)
+        np.minimum(together**2 / compute_steady_variance(density, process, precision.order), 1.0)
         for process in (precision.process, part.precision.process)
     )
     taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
@@ -332,24 +335,25 @@ def _tune_filter_noise(problem: FilterProblem, part: FilterProblem, solved: Solu
     share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
     # encoders alone may find no motion where images find some
     more = share * np.maximum(alone - part.precision.process, 0.0)
-    return part.precision.held(part.precision.process + more, encoders, white)
+    return part.precision.with_memory_bound(part.precision.process + more, encoders, white)
 
 
-def _log_parameters(part: FilterProblem, names: list[str]) -> Array:
+def _take_log_parameters(part: FilterProblem, names: list[str]) -> Array:
     """Natural logarithms (M + tracks) of process variances, then of pixel factors."""
     return np.asarray(
         np.log([*part.precision.process, *(part.precision.scale[name] for name in names)])
     )
 
 
-def _noise_with_values(part: FilterProblem, values: Array, names: list[str]) -> NoiseModel:
+def _set_noise_values(part: FilterProblem, values: Array, names: list[str]) -> NoiseModel:
+    """The noise model with process variances, then pixel factors, of values (M + tracks,)."""
     m = len(part.start)
     # correlated frames predict each other well, which is no evidence of lower pixel noise
     found = dict(zip(names, np.maximum(values[m:], 1.0).tolist(), strict=True))
     return replace(part.precision, process=values[:m], scale={**part.precision.scale, **found})
 
 
-def _parabola_step(nats: Array, half: Array) -> tuple[Array, Array]:
+def _step_to_parabola_minimum(nats: Array, half: Array) -> tuple[Array, Array]:
     """Step to the minimum of the parabola through (−half,
     0, half) along each axis, at most 2 half; its std.
 
@@ -404,13 +408,11 @@ def cut_to_middle(problem: FilterProblem) -> FilterProblem:
     """The problem with only the images and encoder readings
     nearest to the middle of the images, if there are many.
     """
-    evidence = problem.evidence
     found = problem.evidence.encoders
-    seen_at = max((sighting.t for sighting in evidence.sightings), key=len, default=np.empty(0))
-    low, high = span = _find_middle_span(seen_at, np.empty(0) if found is None else found.t)
-    if span == (-np.inf, np.inf):
-        return problem
-    return cut_problem(problem, low, high)
+    times = (sighting.t for sighting in problem.evidence.sightings)
+    seen_at = max(times, key=len, default=np.empty(0))
+    span = _find_middle_span(seen_at, np.empty(0) if found is None else found.t)
+    return problem if span is None else cut_problem(problem, *span)
 
 
 def cut_problem(problem: FilterProblem, low: float, high: float) -> FilterProblem:
@@ -419,24 +421,24 @@ def cut_problem(problem: FilterProblem, low: float, high: float) -> FilterProble
     found = evidence.encoders
     sightings = [s.select_rows((s.t >= low) & (s.t <= high)) for s in evidence.sightings]
     if found is None:
-        return _with_measurements(problem, None, sightings)
+        return _replace_measurements(problem, None, sightings)
     part = found.select_rows((found.t >= low) & (found.t <= high))
     start = found.at(np.array([low]))[0]
     return replace(
-        _with_measurements(problem, part, sightings),
+        _replace_measurements(problem, part, sightings),
         start=np.where(np.isfinite(start), start, problem.start),
     )
 
 
-def _find_middle_span(seen_at: Array, read_at: Array) -> tuple[float, float]:
+def _find_middle_span(seen_at: Array, read_at: Array) -> tuple[float, float] | None:
     """First and last time (s) of the MAX_INSTANTS images and
     averages nearest to the middle of the images among readings.
 
-    Nearest to the middle of the readings if none are among these; infinite if the log has no more.
+    Nearest to the middle of the readings if none are among these; None if the log has no more.
     """
-    every = np.concatenate([seen_at, read_at[:: readings_per_average(read_at)]])
+    every = np.concatenate([seen_at, read_at[:: count_readings_per_average(read_at)]])
     if len(every) <= MAX_INSTANTS:
-        return -np.inf, np.inf
+        return None
     low, high = (read_at[0], read_at[-1]) if len(read_at) else (-np.inf, np.inf)
     among = seen_at[(seen_at >= low) & (seen_at <= high)]
     centre = np.median(among if len(among) else read_at)
@@ -447,28 +449,25 @@ def _find_middle_span(seen_at: Array, read_at: Array) -> tuple[float, float]:
 def thin_encoder_readings(problem: FilterProblem) -> FilterProblem:
     """The problem with close encoder readings averaged."""
     found = problem.evidence.encoders
-    if found is None or readings_per_average(found.t) == 1:
+    if found is None or count_readings_per_average(found.t) == 1:
         return problem
-    return _with_measurements(problem, average_close_readings(found), problem.evidence.sightings)
+    return _replace_measurements(problem, average_close_readings(found), problem.evidence.sightings)
 
 
 def drop_undetermined_images(problem: FilterProblem) -> FilterProblem:
     """The problem without images at times when no more numbers
     than encoders are silent must determine these joints.
     """
-    held = problem.left_open
-    if held is None:
+    undetermined = problem.left_open
+    if undetermined is None or not undetermined.any():
         return problem
-    sure = np.asarray(~held.any(axis=1))
-    line = problem.timeline
-    pairs = zip(problem.evidence.sightings, line.sightings, strict=True)
+    sure = np.asarray(~undetermined.any(axis=1))
+    pairs = zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
     sightings = [sighting.select_rows(sure[at]) for sighting, at in pairs]
-    return (
-        problem if sure.all() else _with_measurements(problem, problem.evidence.encoders, sightings)
-    )
+    return _replace_measurements(problem, problem.evidence.encoders, sightings)
 
 
-def _with_measurements(
+def _replace_measurements(
     problem: FilterProblem, encoders: Encoders | None, sightings: Sequence[Sighting]
 ) -> FilterProblem:
     """The problem with only these measurements."""

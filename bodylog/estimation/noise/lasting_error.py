@@ -22,7 +22,7 @@ import numpy as np
 from ...linear_algebra import forward_substituted
 from ...types import Array
 from ..faults.threshold import SIGNIFICANT_SIGMA
-from ..measurements.long_arrays import MIN_READINGS
+from ..measurements.long_arrays import MIN_READINGS, find_finite_rows, median_step
 from ..measurements.records import Encoders, Sighting, mix_rows
 from .correlated_noise import PIXEL_CORRELATION_PX, correlate_postures
 
@@ -58,6 +58,7 @@ and of the difference of its first row from its last.
 UNREAD_RAD = 0.03
 """rad: how far a joint without readings may be from its belief."""
 _JITTER = 1e-6
+"""Share of the mean variance that is added to each, so that a covariance has a Cholesky factor."""
 _STATED = np.array([1.0, 1.0, 0.01])
 """Factors on the noise of images, of readings, and alike, with which the search begins."""
 _LIMITS = np.log([[1e-6, 1e6], [1e-6, 1e6], [1e-6, 1e6], [1e-7, 1.0], [SHORTEST_S, LONGEST_S]])
@@ -94,7 +95,7 @@ class Residuals:
     slopes: Array
     t: Array
 
-    def sound_covariance(self, factors: Array) -> Array:
+    def compute_sound_covariance(self, factors: Array) -> Array:
         """Covariance (R,R) without a lasting error, for factors
         (3,) on the noise of images, of readings, and alike.
         """
@@ -104,7 +105,7 @@ class Residuals:
         np.einsum("rr->r", cov)[:] += factors[0] * self.image
         return np.asarray(cov)
 
-    def lasting(self, seconds: float) -> Array:
+    def compute_lasting_covariance(self, seconds: float) -> Array:
         """Covariance (R,R) by encoder errors of variance 1 rad² with this time constant."""
         rows = len(self.residual) // len(self.t)
         decay = np.exp(-self._apart_s / seconds)
@@ -153,7 +154,7 @@ def find_lasting_error(
         for sighting, belief in zip(sightings, beliefs, strict=True)
         # errors of a posture by the robot's surface last, too
         if sighting.name != "touch" and sighting.cov is None
-        for piece in _stretch_residuals(encoders, sighting, belief, variance)
+        for piece in _list_stretch_residuals(encoders, sighting, belief, variance)
     ]
     lasting = _fit_lasting_error(pieces) if pieces else None
     if lasting is None or lasting.std**2 < MOST_COUNTS * encoders.count_variance.max():
@@ -161,7 +162,7 @@ def find_lasting_error(
     return lasting
 
 
-def _stretch_residuals(
+def _list_stretch_residuals(
     encoders: Encoders, sighting: Sighting, belief: FrameBelief, variance: Array
 ) -> Iterator[Residuals]:
     """Yield the residuals of a track's images from the readings, stretch by stretch."""
@@ -173,20 +174,16 @@ def _stretch_residuals(
     has_reading = np.isfinite(read) & tells
     angles = np.where(has_reading, read, belief.angles)
     values, var, mix = sighting.independent
-    usable = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(angles).all(axis=1))
+    usable = np.flatnonzero(find_finite_rows(values) & find_finite_rows(angles))
     if len(usable) < MIN_READINGS or not has_reading.any():
         return
-    mean, jac, model_var = mix_rows(
-        None if mix is None else mix[usable], sighting.model.predict(angles[usable])
-    )
+    own_mix = None if mix is None else mix[usable]
+    mean, jac, model_var = mix_rows(own_mix, sighting.model.predict(angles[usable]))
     residual = values[usable] - mean
-    inlying = _find_inliers(residual)
     width = max(ROWS_PER_STRETCH // values.shape[1], 1)
-    frames = np.arange(len(usable))[inlying]
-    counts = encoders.count_variance
-    for start in np.unique(
-        np.linspace(0, max(len(frames) - width, 0), STRETCHES_PER_LOG).astype(int)
-    ):
+    frames = np.flatnonzero(_find_inliers(residual))
+    starts = np.linspace(0, max(len(frames) - width, 0), STRETCHES_PER_LOG).astype(int)
+    for start in np.unique(starts):
         part = frames[start : start + width]
         rows = usable[part]
         shown = has_reading[rows][:, None, :]
@@ -202,7 +199,7 @@ def _stretch_residuals(
             late,
             sighting.t[rows],
             variance,
-            counts,
+            encoders.count_variance,
             correlate_postures(sighting.model, angles[rows]),
         )
 
@@ -212,10 +209,11 @@ def _interpolate_readings(encoders: Encoders, t: Array) -> Array:
     beside each; NaN where one of them is missing.
     """
     after = np.clip(np.searchsorted(encoders.t, t), 1, len(encoders.t) - 1)
-    begin, end = encoders.t[after - 1], encoders.t[after]
+    begin = encoders.t[after - 1]
+    end = encoders.t[after]
     share = ((t - begin) / (end - begin))[:, None]
     read = (1.0 - share) * encoders.values[after - 1] + share * encoders.values[after]
-    usual = (t >= begin) & (t <= end) & (end - begin <= MOST_STEPS * np.median(np.diff(encoders.t)))
+    usual = (t >= begin) & (t <= end) & (end - begin <= MOST_STEPS * median_step(encoders.t))
     return np.asarray(np.where(usual[:, None], read, np.nan))
 
 
@@ -252,11 +250,11 @@ def _build_piece_residuals(
     same_count = np.exp(-0.5 * np.square(step) / np.maximum(12.0 * counts / 16.0, 1e-30))
     rows = np.eye(residual.shape[1])
     single = np.eye(len(q))
-    model = _image_error_covariance(near_posture, np.sqrt(model_var), rows)
+    model = _correlate_image_errors(near_posture, np.sqrt(model_var), rows)
     # images tell where a joint without readings is: along its slope they contradict nothing
     model += _project_joint_errors(unread, UNREAD_RAD**2 * single[..., None])
     reading = _project_joint_errors(jac, variance * single[..., None])
-    shared = _image_error_covariance(
+    shared = _correlate_image_errors(
         np.exp(-apart / PIXEL_CORRELATION_PX), np.sqrt(var), rows
     ) + _project_joint_errors(jac, variance * same_count)
     # a camera that exposes its rows one by one is later by a linear function of the row
@@ -283,7 +281,7 @@ def _project_joint_errors(jac: Array, near: Array) -> Array:
     return np.asarray(np.einsum("fdm,gem,fgm->fdge", jac, jac, near).reshape(rows, rows))
 
 
-def _image_error_covariance(near: Array, std: Array, rows: Array) -> Array:
+def _correlate_image_errors(near: Array, std: Array, rows: Array) -> Array:
     """Covariance (R,R) of errors (F,D) whose images
     correlate by near (F,F), and whose rows are independent.
     """
@@ -301,11 +299,11 @@ def _score_lasting_error(pieces: Sequence[Residuals], factors: Array) -> tuple[f
     """
     scores = np.zeros((2, len(TIMES_S)))
     for piece in pieces:
-        root = np.linalg.cholesky(_stabilise(piece.sound_covariance(factors)))
+        root = np.linalg.cholesky(_stabilise_covariance(piece.compute_sound_covariance(factors)))
         white = forward_substituted(root, piece.residual[:, None])[:, 0]
         white = white / max(float(np.sqrt(np.mean(white * white))), 1e-12)
         for k, seconds in enumerate(TIMES_S):
-            shape = forward_substituted(root, piece.lasting(seconds))
+            shape = forward_substituted(root, piece.compute_lasting_covariance(seconds))
             shape = forward_substituted(root, shape.T)
             shape -= np.trace(shape) / len(shape) * np.eye(len(shape))
             scores[:, k] += white @ shape @ white, 2.0 * np.square(shape).sum()
@@ -319,22 +317,22 @@ def _fit_lasting_error(pieces: Sequence[Residuals]) -> LastingError | None:
     if score < SIGNIFICANT_SIGMA:
         return None
     factors, none = _minimise_cost(
-        lambda p: _residual_nats(pieces, np.exp(p)), np.log(_STATED), _LIMITS[:3]
+        lambda p: _compute_residual_nats(pieces, np.exp(p)), np.log(_STATED), _LIMITS[:3]
     )
-    start = np.array([*factors, np.log(_encoder_error_size(pieces)), np.log(seconds)])
+    start = np.array([*factors, np.log(_bound_error_size(pieces)), np.log(seconds)])
     found, nats = _minimise_cost(
-        lambda p: _residual_nats(pieces, *_split_parameters(p)), start, _LIMITS
+        lambda p: _compute_residual_nats(pieces, *_split_parameters(p)), start, _LIMITS
     )
     if none - nats <= EVIDENCE_NATS:
         return None
     # play looks like a delay in part: what decides allows for one, the size of the error does not
     timely = [replace(piece, delayed=np.zeros_like(piece.delayed)) for piece in pieces]
     (*_, std, tau), _ = _minimise_cost(
-        lambda p: _residual_nats(timely, *_split_parameters(p)), found, _LIMITS
+        lambda p: _compute_residual_nats(timely, *_split_parameters(p)), found, _LIMITS
     )
     # a process that outlasts the log may be larger than any error in it, which the residuals bound
     return LastingError(
-        min(float(np.exp(std)), _encoder_error_size(pieces)), float(np.exp(tau)), none - nats
+        min(float(np.exp(std)), _bound_error_size(pieces)), float(np.exp(tau)), none - nats
     )
 
 
@@ -356,7 +354,7 @@ def _minimise_cost(
     return np.asarray(found.x), float(found.fun)
 
 
-def _residual_nats(
+def _compute_residual_nats(
     pieces: Sequence[Residuals], factors: Array, std: float = 0.0, seconds: float = 1.0
 ) -> float:
     """−ln p of all residuals, for factors (3,) on noise, and a lasting error (rad, s)."""
@@ -364,11 +362,11 @@ def _residual_nats(
 
     total = 0.0
     for piece in pieces:
-        cov = piece.sound_covariance(factors)
+        cov = piece.compute_sound_covariance(factors)
         if std:
-            cov += std**2 * piece.lasting(seconds)
+            cov += std**2 * piece.compute_lasting_covariance(seconds)
         # LAPACK has columns first: of a symmetric matrix the same one, without a copy
-        root, failed = dpotrf(_stabilise(cov).T, lower=1, clean=0, overwrite_a=1)
+        root, failed = dpotrf(_stabilise_covariance(cov).T, lower=1, clean=0, overwrite_a=1)
         if failed:
             raise np.linalg.LinAlgError("the covariance of an image's residuals is singular")
         white, _ = dtrtrs(root, piece.residual, lower=1)
@@ -376,7 +374,7 @@ def _residual_nats(
     return total
 
 
-def _stabilise(cov: Array) -> Array:
+def _stabilise_covariance(cov: Array) -> Array:
     """A covariance (R,R) with as much white noise as the rounding of its Cholesky factor needs,
     in place.
     """
@@ -384,7 +382,7 @@ def _stabilise(cov: Array) -> Array:
     return cov
 
 
-def _encoder_error_size(pieces: Sequence[Residuals]) -> float:
+def _bound_error_size(pieces: Sequence[Residuals]) -> float:
     """The size (rad) that encoder errors have if they make all residuals."""
     squares = sum(float(np.square(piece.residual).sum()) for piece in pieces)
     slopes = sum(float(np.square(piece.slopes).sum()) for piece in pieces)

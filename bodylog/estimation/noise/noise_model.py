@@ -19,32 +19,32 @@ from ..measurements.records import Encoders, Evidence, Sighting
 from . import encoder_noise
 from .correlated_noise import PIXEL_CORRELATION_PX
 from .encoder_noise import LearnedEncoderNoise
-from .quantisation import relative_variances
+from .quantisation import compute_relative_variances
 
 
 @dataclass(frozen=True, eq=False)
 class NoiseModel:
-    """encoder (M,) rad² · process (M,) · drift (M,) rad²/s
-    or None · scale {sighting: factor on its variance}.
+    """Variances of encoders, motion and images.
 
-    motion: name of the joints' motion model, process in rad²/s³ or rad²/s⁵ · near
-    {sighting: px} correlation length of its errors; other sightings have white errors ·
-    stated: share of the covariance that is stated, () or (M,) · fewer {tracks in view:
-    process (M,)} where these are not all · likeliest: process (M,) of a filter, where a
-    smoother's differs · evident: process (M,) before `held` · learned: from encoders,
-    for white acceleration and white jerk · moments (O,M): mean squares of the angles,
-    from their explored mean, and of their derivatives, if one is silent.
+    encoder (M,) rad² of a reading · process (M,) of the motion, rad²/s³ or rad²/s⁵ · drift (M,)
+    rad²/s or None · scale {sighting: factor on its variance} · correlation_px {sighting: px},
+    correlation length of its errors; other sightings have white errors · stated: share of the
+    covariance that is stated, () or (M,) · process_by_view {tracks in view: process (M,)} where
+    these are not all · filter_process (M,): of a filter, where a smoother's differs ·
+    evidence_process (M,): before `with_memory_bound` · learned: from encoders, for white
+    acceleration and white jerk · motion: name of the joints' motion model · moments (O,M): mean
+    squares of the angles, from their explored mean, and of their derivatives, if one is silent.
     """
 
     encoder: Array
     process: Array
     drift: Array | None
     scale: Mapping[str, float]
-    near: Mapping[str, float] = field(default_factory=dict)
+    correlation_px: Mapping[str, float] = field(default_factory=dict)
     stated: Array | float = 1.0
-    fewer: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
-    likeliest: Array | None = None
-    evident: Array | None = None
+    process_by_view: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
+    filter_process: Array | None = None
+    evidence_process: Array | None = None
     learned: tuple[LearnedEncoderNoise, LearnedEncoderNoise] | None = None
     motion: str = WHITE_ACCELERATION
     moments: Array | None = None
@@ -54,45 +54,44 @@ class NoiseModel:
         """Order of the motion model."""
         return MOTION_MODELS[self.motion].order
 
-    def plain(self) -> dict[str, Any]:
+    def plain_numbers(self) -> dict[str, Any]:
         """The model as plain numbers, for the estimate's settings."""
-        drift = None if self.drift is None else [float(v) for v in self.drift]
-        encoder = [float(v) for v in self.encoder]
-        process = [float(v) for v in self.process]
-        plain: dict[str, Any] = {
+        numbers: dict[str, Any] = {
             "motion": self.motion,
-            "encoder": encoder,
-            "process": process,
-            "drift": drift,
+            "encoder": [float(v) for v in self.encoder],
+            "process": [float(v) for v in self.process],
+            "drift": None if self.drift is None else [float(v) for v in self.drift],
+            "scale": dict(self.scale),
+            "near": dict(self.correlation_px),
+            "stated": np.broadcast_to(self.stated, self.process.shape).tolist(),
         }
-        plain["scale"] = dict(self.scale)
-        fewer = {
-            " ".join(view) or "none": [float(v) for v in process]
-            for view, process in self.fewer.items()
-        }
-        plain["near"], plain["stated"] = (
-            dict(self.near),
-            np.broadcast_to(self.stated, self.process.shape).tolist(),
-        )
-        moments = {} if self.moments is None else {"moments": self.moments.tolist()}
-        likeliest = {} if self.likeliest is None else {"likeliest": self.likeliest.tolist()}
-        return {**plain, **likeliest, **moments, **({"process_in_view": fewer} if fewer else {})}
+        if self.filter_process is not None:
+            numbers["likeliest"] = self.filter_process.tolist()
+        if self.moments is not None:
+            numbers["moments"] = self.moments.tolist()
+        if self.process_by_view:
+            numbers["process_in_view"] = {
+                " ".join(view) or "none": [float(v) for v in process]
+                for view, process in self.process_by_view.items()
+            }
+        return numbers
 
-    def held(self, evident: Array, encoders: Encoders, white: Array | float = 1.0) -> "NoiseModel":
-        """With processes (M,) by evidence, but at least
-        those that bound a filter's memory by MEMORY.
+    def with_memory_bound(
+        self, evident: Array, encoders: Encoders, white: Array | float = 1.0
+    ) -> "NoiseModel":
+        """The model with processes (M,) by evidence, but at least those that bound a filter's
+        memory by MAX_MEMORY_S.
 
-        Under white noise in derivative p, 1/2p of a steady variance is
-        motion, which is stated only as far as there is any. `white`:
-        share of the variance from encoders, whose errors are independent.
+        Under white noise in derivative p, 1/2p of a steady variance is motion, which is stated only
+        as far as there is any. white: share of the variance from encoders, whose errors are
+        independent.
         """
-        process = np.maximum(
-            evident, encoder_noise.least_process_density(encoders.t, self.encoder, self.order)
-        )
+        least = encoder_noise.compute_least_process(encoders.t, self.encoder, self.order)
+        process = np.maximum(evident, least)
         stated = 1.0 - white / (2 * self.order) * (1.0 - np.minimum(evident / process, 1.0))
-        return replace(self, process=process, stated=stated, evident=evident)
+        return replace(self, process=process, stated=stated, evidence_process=evident)
 
-    def of(self, cov: Array, held: Array | None = None) -> Array:
+    def stated_covariance(self, cov: Array, held: Array | None = None) -> Array:
         """Stated covariance (…,M,M) for the covariance `cov`
         of the filter or smoother, whole for joints held (…,M).
         """
@@ -137,10 +136,8 @@ def resolve_noise_model(
     joints = encoder_noise.average_joint_readings(evidence.encoders)
     jerk = encoder_noise.learn_encoder_noise(joints, encoder, process, 3)
     white = encoder_noise.learn_encoder_noise(joints, encoder, process, 2, jerk.dithered)
-    held = NoiseModel(white.encoder, process, None, scale, near).held(
-        white.process, evidence.encoders
-    )
-    return replace(held, learned=(white, jerk))
+    learned = NoiseModel(white.encoder, process, None, scale, near, learned=(white, jerk))
+    return learned.with_memory_bound(white.process, evidence.encoders)
 
 
 def weigh_repeated_readings(
@@ -158,20 +155,20 @@ def weigh_repeated_readings(
         return evidence
     found = np.ones(encoders.values.shape)
     for own, column, variance in zip(found.T, encoders.values.T, precision.encoder, strict=True):
-        if (known := np.isfinite(column)).any():
-            own[known] = relative_variances(encoders.t[known], column[known], variance)
+        known = np.isfinite(column)
+        if known.any():
+            own[known] = compute_relative_variances(encoders.t[known], column[known], variance)
     return replace(evidence, encoders=replace(encoders, own_variance=found))
 
 
 def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:
-    """A filter's noise model from the body, or from an estimate's settings (`NoiseModel.plain`).
+    """A filter's noise model from the body, or from an estimate's settings (`NoiseModel.plain_numbers`).
 
     UsageError if these are not of this body.
     """
     if found is None:
-        return NoiseModel(
-            np.array(body.noise.encoder, float), np.array(body.noise.process, float), None, {}
-        )
+        encoder = np.array(body.noise.encoder, float)
+        return NoiseModel(encoder, np.array(body.noise.process, float), None, {})
     motion = found.get("motion", WHITE_ACCELERATION)
     require_motion_model(motion, "learned")
     order = MOTION_MODELS[motion].order
@@ -181,9 +178,9 @@ def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> Noise
     encoder, process, stated = (
         _parse_positive_array(found, name, shape) for name in ("encoder", "process", "stated")
     )
-    moments = (
-        _parse_positive_array(found, "moments", (order, *shape)) if "moments" in found else None
-    )
+    moments = None
+    if "moments" in found:
+        moments = _parse_positive_array(found, "moments", (order, *shape))
     scale = dict(found.get("scale", {}))
     near = dict(found.get("near", {}))
     return NoiseModel(encoder, process, None, scale, near, stated, motion=motion, moments=moments)
@@ -248,16 +245,14 @@ def check_typed_variances(
     """UsageError for a table that names an unknown joint or track."""
     for key, names in (("sigma_encoders", joints), ("process", joints), ("sigma_vision", tracks)):
         given = getattr(settings, key)
-        unknown = (
-            [name for name in given if name not in names] if isinstance(given, Mapping) else []
-        )
-        if unknown:
-            raise UsageError(
-                f"estimate.{key}: {unknown[0]!r} is not one of {', '.join(names) or 'none'}"
-            )
+        for name in given if isinstance(given, Mapping) else ():
+            if name not in names:
+                raise UsageError(
+                    f"estimate.{key}: {name!r} is not one of {', '.join(names) or 'none'}"
+                )
 
 
-def typed_joint_variances(
+def fill_joint_variances(
     given: float | Mapping[str, float] | None, joints: Sequence[str], learned: Array
 ) -> Array:
     """Variances (M,): given for all joints or by joint, else the learned ones."""
@@ -269,7 +264,7 @@ def typed_joint_variances(
     )
 
 
-def typed_track_variance(settings: EstimationSettings, name: str) -> float | None:
+def find_typed_variance(settings: EstimationSettings, name: str) -> float | None:
     """The variance (px²) given for a track, or for touch."""
     if name == "touch":
         return settings.sigma_touch
@@ -281,7 +276,7 @@ def with_typed_variances(
     found: Sequence[Sighting], settings: EstimationSettings
 ) -> tuple[Sighting, ...]:
     """The sightings with the variances set for them."""
-    given = [(one, typed_track_variance(settings, one.name)) for one in found]
+    given = [(one, find_typed_variance(settings, one.name)) for one in found]
     return tuple(
         one if v is None else replace(one, var=np.full_like(one.var, v), cov=None)
         for one, v in given
@@ -295,18 +290,18 @@ def with_typed_noise(
     with a process set, the full covariance is stated.
     """
 
-    def given(learned: Array) -> Array:
-        return typed_joint_variances(settings.process, joints, learned)
+    def fill_process(learned: Array) -> Array:
+        return fill_joint_variances(settings.process, joints, learned)
 
     return replace(
         found,
-        encoder=typed_joint_variances(settings.sigma_encoders, joints, found.encoder),
-        process=given(found.process),
-        likeliest=None if found.likeliest is None else given(found.likeliest),
-        fewer={view: given(one) for view, one in found.fewer.items()},
-        stated=np.where(np.isnan(given(np.full(len(joints), np.nan))), found.stated, 1.0),
+        encoder=fill_joint_variances(settings.sigma_encoders, joints, found.encoder),
+        process=fill_process(found.process),
+        filter_process=None if found.filter_process is None else fill_process(found.filter_process),
+        process_by_view={view: fill_process(one) for view, one in found.process_by_view.items()},
+        stated=np.where(np.isnan(fill_process(np.full(len(joints), np.nan))), found.stated, 1.0),
         scale={
-            name: factor if typed_track_variance(settings, name) is None else 1.0
+            name: factor if find_typed_variance(settings, name) is None else 1.0
             for name, factor in found.scale.items()
         },
     )
@@ -333,8 +328,6 @@ def remark_on_precision(
 
 
 def _list_variances(values: Array) -> str:
-    return (
-        f"{values[0]:.3g}"
-        if np.ptp(values) == 0.0
-        else " ".join(f"{value:.3g}" for value in values)
-    )
+    """Variances (M,) in words: one for all where they are the same."""
+    distinct = values[:1] if np.ptp(values) == 0.0 else values
+    return " ".join(f"{value:.3g}" for value in distinct)

@@ -1,6 +1,4 @@
-"""A weak posture prior for joints without encoder
-readings, which images alone may not determine.
-"""
+"""A weak posture prior for joints without encoder readings, which images alone may not determine."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,20 +22,22 @@ class PosturePrior:
     mean: Array
     density: Array
 
-    def fill(self, t: Array, encoders: Array, var: Array) -> tuple[Array, Array]:
+    def fill_encoder_rows(self, t: Array, encoders: Array, var: Array) -> tuple[Array, Array]:
         """Encoder rows (E,M) and variances with a pseudo-reading
         at each instant, weighted by the time step.
         """
         encoders = encoders.copy()
         var = var.copy()
-        encoders[1:], var[1:] = self.read(encoders[1:], var[1:], np.diff(t)[:, None])
+        steps = np.diff(t)[:, None]
+        encoders[1:], var[1:] = self.add_pseudo_readings(encoders[1:], var[1:], steps)
         return encoders, var
 
-    def read(self, encoders: Array, var: Array, dt: Array | float) -> tuple[Array, Array]:
+    def add_pseudo_readings(
+        self, encoders: Array, var: Array, dt: Array | float
+    ) -> tuple[Array, Array]:
         """Encoder rows (…,M) and variances with a pseudo-reading after dt (…,1) s."""
-        return np.where(self.joints, self.mean, encoders), np.where(
-            self.joints, self.density / dt, var
-        )
+        filled = np.where(self.joints, self.mean, encoders)
+        return filled, np.where(self.joints, self.density / dt, var)
 
 
 def learn_posture_prior(
@@ -46,14 +46,12 @@ def learn_posture_prior(
     """The prior of joints without encoder readings
     in a log, from the samples of its tracks' models.
     """
-    read = (
-        np.zeros(len(process))
-        if evidence.encoders is None
-        else np.isfinite(evidence.encoders.values).any(axis=0)
-    )
-    return build_posture_prior(
-        read == 0, {s.name: s.model for s in evidence.sightings}, process, start, order
-    )
+    encoders = evidence.encoders
+    read: Array = np.zeros(len(process), bool)
+    if encoders is not None:
+        read = np.asarray(np.isfinite(encoders.values).any(axis=0))
+    models = {one.name: one.model for one in evidence.sightings}
+    return build_posture_prior(~read, models, process, start, order)
 
 
 def build_posture_prior(
@@ -61,17 +59,21 @@ def build_posture_prior(
 ) -> PosturePrior | None:
     """The prior of the `silent` joints (M,) bool; None if there are none or no model has samples.
 
-    The density of pseudo-readings is such that a filter's `steady_variance`
+    The density of pseudo-readings is such that a filter's `compute_steady_variance`
     equals the variance of the explored angles. The mean is that of the
     explored angles, or the start if only touch was measured.
     """
-    known = _sample_statistics(models)
+    known = _measure_sample_statistics(models)
     if not silent.any() or known is None:
         return None
-    (mean, std), seen, power = known, any(name != "touch" for name in models), 1.0 / (2 * order)
+    mean, std = known
+    power = 1.0 / (2 * order)
     density = (np.square(std) * np.sin(np.pi * power) / process**power) ** (1.0 / (1.0 - power))
     silent = silent & (density > 0)
-    return PosturePrior(silent, mean if seen else start, density) if silent.any() else None
+    if not silent.any():
+        return None
+    seen = any(name != "touch" for name in models)
+    return PosturePrior(silent, mean if seen else start, density)
 
 
 def build_stationary_motion(
@@ -82,12 +84,11 @@ def build_stationary_motion(
     Derivatives have the log's own mean squares, if known, or a belief's prior ones. Angles have
     those of the explored angles, or more: the log's own, or those that the derivatives need.
     """
-    known = _sample_statistics(models)
+    known = _measure_sample_statistics(models)
     order = precision.order
     mean, std = (start, np.full(len(start), START_STD[0])) if known is None else known
-    var = np.stack(
-        [np.square(std), *np.repeat(np.square(START_STD[1:order])[:, None], len(start), axis=1)]
-    )
+    rest = np.repeat(np.square(START_STD[1:order])[:, None], len(start), axis=1)
+    var = np.stack([np.square(std), *rest])
     if precision.moments is not None:
         var = np.concatenate([np.maximum(var[:1], precision.moments[:1]), precision.moments[1:]])
     if order == 3:
@@ -97,14 +98,12 @@ def build_stationary_motion(
     return Stationary(mean, var, precision.process)
 
 
-def _sample_statistics(models: Mapping[str, ForwardModel]) -> tuple[Array, Array] | None:
+def _measure_sample_statistics(models: Mapping[str, ForwardModel]) -> tuple[Array, Array] | None:
     """Mean and standard deviation (M,) rad of the models' samples, or None without any."""
-    distinct = {id(model): model for model in models.values()}
-    known = [
-        model.samples
-        for model in distinct.values()
-        if hasattr(model, "samples") and len(model.samples) > 1
-    ]
-    return (
-        (np.concatenate(known).mean(axis=0), np.concatenate(known).std(axis=0)) if known else None
-    )
+    distinct = {id(model): model for model in models.values()}.values()
+    samples: list[Array] = [getattr(model, "samples", np.empty(0)) for model in distinct]
+    known = [one for one in samples if len(one) > 1]
+    if not known:
+        return None
+    explored = np.concatenate(known)
+    return explored.mean(axis=0), explored.std(axis=0)

@@ -18,7 +18,7 @@ JOINT_UNIT_KEY = "joint_unit"
 """The key of an estimate's settings that names the joints' unit, where that is not rad."""
 
 
-def unit_of(joints: Series | None) -> tuple[str, float]:
+def find_joint_unit(joints: Series | None) -> tuple[str, float]:
     """The unit of joint readings, and its size in rad, 1 where they are angles.
 
     The size of undeclared units is a guess: of a turn of the least power
@@ -29,13 +29,11 @@ def unit_of(joints: Series | None) -> tuple[str, float]:
         return "rad", 1.0
     span = _measure_reading_span(joints.values)
     if joints.unit != "rad":
-        return joints.unit, _rad_per_unit(span)
+        return joints.unit, _guess_rad_per_unit(span)
     known = joints.values[np.isfinite(joints.values)]
-    return (
-        ("counts", _rad_per_unit(span))
-        if span > tau and (known == np.round(known)).all()
-        else ("rad", 1.0)
-    )
+    if span > tau and (known == np.round(known)).all():
+        return "counts", _guess_rad_per_unit(span)
+    return "rad", 1.0
 
 
 def _measure_reading_span(values: Array) -> float:
@@ -45,11 +43,12 @@ def _measure_reading_span(values: Array) -> float:
     return max(float(np.nanmax(values)), 0.0) - min(float(np.nanmin(values)), 0.0)
 
 
-def _rad_per_unit(span: float) -> float:
+def _guess_rad_per_unit(span: float) -> float:
+    """The size (rad) of a unit, if a turn has the least power of two that holds the span."""
     return tau / 2.0 ** np.ceil(np.log2(span)) if span > tau else 1.0
 
 
-def as_angles(features: Features, rad_per_unit: float) -> Features:
+def scale_to_angles(features: Features, rad_per_unit: float) -> Features:
     """The features with joint readings as angles, rad."""
     joints = features.joints
     assert joints is not None
@@ -58,7 +57,7 @@ def as_angles(features: Features, rad_per_unit: float) -> Features:
     )
 
 
-def in_units(found: Estimate, unit: str, rad_per_unit: float) -> Estimate:
+def convert_estimate_to_units(found: Estimate, unit: str, rad_per_unit: float) -> Estimate:
     """An estimate of angles, by encoders alone, in the unit that their readings have."""
     scale = 1.0 / rad_per_unit
     bias = None if found.bias is None else replace(found.bias, values=scale * found.bias.values)
@@ -68,26 +67,24 @@ def in_units(found: Estimate, unit: str, rad_per_unit: float) -> Estimate:
         rate=replace(found.rate, values=scale * found.rate.values),
         cov=scale**2 * found.cov,
         bias=bias,
-        faults=tuple(fault_in_units(fault, unit, scale) for fault in found.faults),
-        settings=_settings_in_units(found.settings, scale),
+        faults=tuple(convert_fault_to_units(fault, unit, scale) for fault in found.faults),
+        settings=_convert_settings_to_units(found.settings, scale),
     )
 
 
-def fault_in_units(fault: Fault, unit: str, scale: float) -> Fault:
+def convert_fault_to_units(fault: Fault, unit: str, scale: float) -> Fault:
     """A fault of angles in a unit, of which a rad has `scale`."""
     std = None if fault.std is None else scale * fault.std
     return replace(fault, size=scale * fault.size, std=std, unit=unit)
 
 
-def _settings_in_units(settings: Mapping[str, Any], scale: float) -> dict[str, Any]:
+def _convert_settings_to_units(settings: Mapping[str, Any], scale: float) -> dict[str, Any]:
     """The settings with variances of encoders and of motion in the readings' unit."""
-    variances = ("encoder", "process", "drift")
-    return {
-        name: [scale**2 * each for each in value]
-        if name in variances and isinstance(value, list)
-        else value
-        for name, value in settings.items()
-    }
+    converted = dict(settings)
+    for name in ("encoder", "process", "drift"):
+        if isinstance(converted.get(name), list):
+            converted[name] = [scale**2 * each for each in converted[name]]
+    return converted
 
 
 MULTIPLE_TOLERANCE = 0.02
@@ -123,22 +120,19 @@ def _mark_changes(y: Array) -> Array:
     return np.asarray(np.abs(np.diff(y)) > SAME_READING)
 
 
-def step_size(y: Array) -> float:
+def find_reading_step(y: Array) -> float:
     """The step (rad) of which all differences of readings (N,) are multiples; 0 without one."""
     steps = np.abs(np.diff(y))
     steps = steps[steps > SAME_READING]
     if not len(steps):
         return 0.0
-    counts = steps / steps.min()
-    return (
-        float(steps.min()) if np.abs(counts - np.round(counts)).mean() < MULTIPLE_TOLERANCE else 0.0
-    )
+    least = float(steps.min())
+    counts = steps / least
+    return least if np.abs(counts - np.round(counts)).mean() < MULTIPLE_TOLERANCE else 0.0
 
 
-def shared_variance(t: Array, y: Array) -> float:
-    """Factor on the variance of readings (N,) for
-    the errors that repeats share; 1 without repeats.
-    """
+def compute_repeat_factor(t: Array, y: Array) -> float:
+    """Factor on the variance of readings (N,) for the errors that repeats share; 1 without repeats."""
     runs = 1 + np.count_nonzero(_mark_changes(y))
     return float(_count_sharing(np.array((t[-1] - t[0]) / runs), np.array(len(y) / runs)))
 
@@ -147,19 +141,20 @@ def dither_readings(t: Array, y: Array) -> tuple[Array, float, float]:
     """Readings (N,) dithered over their step, the
     variance (rad²) of the dither, and the least variance.
     """
-    step = step_size(y)
-    least = quantisation_variance(y) * shared_variance(t, y)
+    step = find_reading_step(y)
+    least = compute_quantisation_variance(y) * compute_repeat_factor(t, y)
     if step == 0.0:
         return y, 0.0, least
-    return y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y)), step * step / 12.0, least
+    dithered = y + step * np.random.default_rng(0).uniform(-0.5, 0.5, len(y))
+    return dithered, step * step / 12.0, least
 
 
-def relative_variances(t: Array, y: Array, variance: float) -> Array:
+def compute_relative_variances(t: Array, y: Array, variance: float) -> Array:
     """Variance of each reading (N,) over the encoder's
     `variance` (rad²); repeats at rest count as few readings.
     """
-    own = quantisation_variance(y) or variance / shared_variance(t, y)
-    beside = max(variance - own * (shared_variance(t, y) - 1.0), own)
+    own = compute_quantisation_variance(y) or variance / compute_repeat_factor(t, y)
+    beside = max(variance - own * (compute_repeat_factor(t, y) - 1.0), own)
     stays = _find_stays(t, y)
     more = own * stays.share * (_count_sharing(stays.lasting, stays.counts) - 1.0)
     return np.asarray(np.repeat(beside + more, stays.counts) / variance)
@@ -192,7 +187,7 @@ class Stays(NamedTuple):
 
 def _find_stays(t: Array, y: Array) -> Stays:
     """The stays among readings (N,): runs of repeats where these are no whole counts."""
-    step = step_size(y)
+    step = find_reading_step(y)
     begins = np.flatnonzero(np.append(True, _mark_changes(y)))
     if step > 0.0:
         begins = _index_moves(_average_nearby(t, np.round((y - y[0]) / step)))
@@ -243,11 +238,11 @@ def _share_in_common(scatter: float) -> float:
     return float(np.interp(scatter, v + (1.0 - shares) / 12.0, shares))
 
 
-def quantisation_variance(y: Array) -> float:
+def compute_quantisation_variance(y: Array) -> float:
     """Variance (rad²) of quantisation by the step, or by
     the least change if readings repeat; 0 if neither.
     """
     steps = np.abs(np.diff(y))
     moved = steps[steps > SAME_READING]
-    step = step_size(y) or (float(moved.min()) if 0 < len(moved) < len(steps) else 0.0)
+    step = find_reading_step(y) or (float(moved.min()) if 0 < len(moved) < len(steps) else 0.0)
     return step * step / 12.0

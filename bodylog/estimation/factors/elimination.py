@@ -18,6 +18,7 @@ from ...linear_algebra import selected_inverse
 from ...motion import band_storage
 from ...types import Array
 from .condensing import PairFactors
+from .encoder_error import JointNoise
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +46,7 @@ class System:
     joints: PairFactors
     settled: Array | None = None
 
-    def about_means(self) -> "System":
+    def subtract_means(self) -> "System":
         """The same with the means of the columns' sizes in the
         first right-hand side, which is given without them.
         """
@@ -66,7 +67,7 @@ class System:
         """Number S of states at a knot."""
         return int(self.info.shape[1])
 
-    def blocks(self) -> tuple[Array, Array, Array]:
+    def assemble_blocks(self) -> tuple[Array, Array, Array]:
         """Diagonal (K,S,S) and upper (K-1,S,S) blocks of A, and U (K,S,R)."""
         s = self.states
         diagonal = self.info.copy()
@@ -96,14 +97,14 @@ class Eliminated:
     @property
     def nats(self) -> float:
         """−ln p of all measurements, with the columns' sizes integrated out."""
-        return self.logs + float(column_nats(self.schur[None], self.precision)[0])
+        return self.logs + float(compute_column_nats(self.schur[None], self.precision)[0])
 
 
-def eliminate(system: System) -> Eliminated:
+def eliminate_states(system: System) -> Eliminated:
     """Eliminate all states; LinAlgError if A is not positive definite."""
     from scipy.linalg.lapack import dpbtrf, dtbtrs
 
-    diagonal, upper, right = system.blocks()
+    diagonal, upper, right = system.assemble_blocks()
     count, s, r = right.shape
     band, failed = dpbtrf(band_storage(diagonal, upper), lower=0)
     if failed:
@@ -118,7 +119,7 @@ def eliminate(system: System) -> Eliminated:
     return Eliminated(band, factors, solved.reshape(count, s, r), schur, logs, system.precision)
 
 
-def column_nats(schur: Array, precision: Array) -> Array:
+def compute_column_nats(schur: Array, precision: Array) -> Array:
     """−ln p (K,) of what is left of c (K,R,R), with g integrated out."""
     square = 0.5 * schur[:, 0, 0]
     if not len(precision):
@@ -146,7 +147,17 @@ class Marginals:
     shared: Array
     nats: Array | float
 
-    def of_rows(self, rows: Array, knots: Array, columns: Array) -> tuple[Array, Array]:
+    def split_joints(self, joints: JointNoise) -> Array:
+        """Each joint's state (K,M,p) at the knots."""
+        width = len(joints.white) * joints.states
+        return self.mean[:, :width].reshape(len(self.mean), -1, joints.states)
+
+    def list_angle_variances(self, joints: JointNoise) -> Array:
+        """Variances (K,M) rad² of the joints' angles at the knots, the columns' sizes known."""
+        width = len(joints.white) * joints.states
+        return np.asarray(np.einsum("kss->ks", self.cov)[:, : width : joints.states])
+
+    def project_rows(self, rows: Array, knots: Array, columns: Array) -> tuple[Array, Array]:
         """Mean (F,D) and covariance (F,D,D) of rows (F,D,S)
         on the states at knots (F,), and columns (F,D,C).
         """
@@ -154,7 +165,7 @@ class Marginals:
         return mean, own + by_sizes
 
     def split_rows(self, rows: Array, knots: Array, columns: Array) -> tuple[Array, Array, Array]:
-        """As of `of_rows`, the covariance with the columns' sizes known, and that by these."""
+        """As of `project_rows`, the covariance with the columns' sizes known, and that by these."""
         mean = np.einsum("fds,fs->fd", rows, self.mean[knots])
         mean = mean + np.einsum("fdc,fc->fd", columns, self.sizes[knots])
         # x = X₀ − X₁ g: a size moves the states as well
@@ -172,14 +183,14 @@ class Smoothed(Marginals):
     between: Array
 
 
-def smoothed(system: System, eliminated: Eliminated) -> Smoothed:
+def smooth_knots(system: System, eliminated: Eliminated) -> Smoothed:
     """What the whole log says at each knot; `cov` is that with the columns' sizes known."""
     from scipy.linalg.lapack import dtbtrs
 
     count, s, r = eliminated.right.shape
     paths, _ = dtbtrs(eliminated.band, eliminated.right.reshape(-1, r), uplo="U")
     paths = paths.reshape(count, s, r)
-    diagonal, upper, _ = system.blocks()
+    diagonal, upper, _ = system.assemble_blocks()
     cov, between = selected_inverse(diagonal, upper)
     if system.settled is None:
         sizes_cov = np.linalg.inv(eliminated.schur[1:, 1:] + np.diag(system.precision))
@@ -199,21 +210,21 @@ def smoothed(system: System, eliminated: Eliminated) -> Smoothed:
     )
 
 
-def filtered(system: System, eliminated: Eliminated) -> Marginals:
+def filter_knots(system: System, eliminated: Eliminated) -> Marginals:
     """What all measurements up to each knot say there."""
-    return _forward(system, eliminated, system.info, system.right, system.square, system.logs)
+    return _solve_forward(system, eliminated, system.info, system.right, system.square, system.logs)
 
 
-def predicted(system: System, eliminated: Eliminated) -> Marginals:
+def predict_knots(system: System, eliminated: Eliminated) -> Marginals:
     """What all measurements before each knot say there;
     at the first, the prior that its first factor holds.
     """
     own = (system.info, system.right, system.square, system.logs)
     first = (np.concatenate([part[:1], np.zeros_like(part[1:])]) for part in own)
-    return _forward(system, eliminated, *first)
+    return _solve_forward(system, eliminated, *first)
 
 
-def _forward(
+def _solve_forward(
     system: System, eliminated: Eliminated, info: Array, right: Array, square: Array, logs: Array
 ) -> Marginals:
     """The forward Schur blocks with the knots' own factors
@@ -221,7 +232,7 @@ def _forward(
     """
     count, s, r = eliminated.right.shape
     factors = eliminated.factors
-    diagonal, _, whole_right = system.blocks()
+    diagonal, _, whole_right = system.assemble_blocks()
     # what is eliminated before a knot changes its block from the one in A to the one in the factor
     behind = factors.swapaxes(1, 2) @ factors - diagonal
     behind[1:] += system.pair_info[:, s:, s:]
@@ -229,7 +240,7 @@ def _forward(
     behind_right[1:] += system.pair_right[:, s:]
     own_info = info + behind
     own_right = right + behind_right
-    inverse, log_det = _inverse_of_posdef(own_info)
+    inverse, log_det = _invert_scaled(own_info)
     paths = inverse @ own_right
     done = np.einsum("ksr,ksq->krq", eliminated.right, eliminated.right)
     passed = np.zeros((count, r, r))
@@ -240,7 +251,7 @@ def _forward(
     gone[1:] = np.cumsum(system.logs[:-1] + system.pair_logs + pivots[:-1])
     nats = gone + logs + 0.5 * log_det
     if system.settled is None:
-        nats = nats + column_nats(schur, system.precision)
+        nats = nats + compute_column_nats(schur, system.precision)
         sizes_cov = np.linalg.inv(schur[:, 1:, 1:] + np.diag(system.precision))
         sizes = (sizes_cov @ schur[:, 1:, :1])[..., 0]
     else:
@@ -251,7 +262,7 @@ def _forward(
     return Marginals(mean, inverse, sizes + system.means, sizes_cov, paths[..., 1:], nats)
 
 
-def _inverse_of_posdef(info: Array) -> tuple[Array, Array]:
+def _invert_scaled(info: Array) -> tuple[Array, Array]:
     """Inverses (K,S,S) and ln determinants (K,), scaled to a unit diagonal first."""
     scale = 1.0 / np.sqrt(np.einsum("kss->ks", info))
     scaled = info * scale[:, :, None] * scale[:, None, :]
