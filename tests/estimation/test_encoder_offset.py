@@ -48,7 +48,7 @@ def solved(features, body, **settings):
 def test_offset_score_is_the_evidence_with_an_offset(world, seed, size):
     drawn = world(seed, duration=14.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     problem, found = solved(lying(drawn, size), drawn.body)
-    cost = partial(filtering.filter_free_energy, warm=found)
+    cost = partial(encoder_offset.measure_free_energy, warm=found)
     wins = [
         cost(problem) - cost(encoder_offset.with_drift(problem, WALK * row)) for row in np.eye(3)
     ]
@@ -265,7 +265,7 @@ def test_a_change_is_worth_no_more_than_the_log_with_it(monkeypatch, world):
         return 1e3 * np.hypot(1.0, (size - 0.03) / 5e-3)
 
     monkeypatch.setattr(encoder_offset, "filter_roughly", lambda posed, warm: posed)
-    monkeypatch.setattr(encoder_offset, "total_free_energy", find_cost)
+    monkeypatch.setattr(encoder_offset, "sum_free_energy", find_cost)
     for first in (0.0, 0.028, 0.032, 0.1):
         found = encoder_offset._size_likeliest_change(problem, 1, None, {2.0: first}, grows=False)
         assert found is None or found.nats - found.prior >= 1e3 - 1.0

@@ -1,17 +1,17 @@
 """Encoder offsets: whether the log needs one, which encoder has it, and since when it drifts.
 
-An encoder whose offset steps: from one reading on, all its readings are off by a constant.
+`find_suspected_encoders` scores an offset of each encoder to first order, from one filtered log.
+`choose_encoder_offsets` filters the log with each hypothesis: an offset that walks at random, a
+step, from which on all readings are off by a constant, or a steady drift.
 
-Time and size are those of greatest evidence of the whole filter. A size N(0, FAR²) with standard
-error σ, and a time at any of N readings after the start, cost ½ ln(1 + FAR²/σ²) + ln N nats of it.
+Score. In a short span, innovations are those of one error e of the belief and of one offset b of
+the encoders: ν = e + b in an encoder, J e in an image. Least squares, e integrated out, give b:
+with W the sum of the encoders' S⁻¹, V of the images' JᵀS⁻¹J, and s = (W + V)⁻¹ W, its information
+is W − W s. A filter that lags behind the arm has an e, but no b.
 
-Score test for encoder offsets: the evidence an
-offset would win, to first order, without another pass.
-
-In a short span, innovations are those of one error e of the belief and of one offset b of the
-encoders: ν = e + b in an encoder, J e in an image. Least squares, e integrated out, give b: with W
-the sum of the encoders' S⁻¹, V of the images' JᵀS⁻¹J, and s = (W + V)⁻¹ W, its information is W − W
-s. A filter that lags behind the arm has an e, but no b.
+Steps and drifts. Time and size b are those of greatest evidence of the whole filter. A size that is
+N(0, P²) a priori, P being PRIOR_STD_RAD, with standard error σ, and a time at any of N readings
+after the start, cost ½ ln(1 + P²/σ²) + ½ b²/P² + ln N nats of it.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -34,6 +34,19 @@ from ..noise.encoder_noise import MAX_MEMORY_S
 from ..noise.quantisation import step_size
 from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
+RAMPS = 64
+"""Times tried at which a steady drift may begin."""
+SIZE_ROUNDS = 4
+"""Parabolas by which the size of a change is found: one holds near its points alone, and a minimum
+far from them promised 1,700 nats for a drift of 5 rad, which hid a step of 2°.
+"""
+TRAILING_S = (0.0, 0.25, 0.5, 1.0, 1.5)
+"""s by which a filter may show a drift late."""
+RANDOM_WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
+"""rad²/s: random-walk variances tried; the last one
+is a constant offset, as of a joint homed differently.
+"""
+
 
 class OffsetHypothesis(NamedTuple):
     """A problem with one more offset, its cost (nats), and if it is a step or a steady drift the
@@ -49,9 +62,14 @@ class OffsetHypothesis(NamedTuple):
     name: str = "offset"
 
 
-def total_free_energy(solution: Solution) -> float:
+def sum_free_energy(solution: Solution) -> float:
     """Free energy (nats) of a whole filtered log."""
     return float(solution.fold.unfold(solution.trace.nats).sum())
+
+
+def measure_free_energy(problem: FilterProblem, warm: Solution) -> float:
+    """Free energy (nats) of the whole log, filtered from where `warm` ended."""
+    return sum_free_energy(filter_roughly(problem, warm))
 
 
 def find_likeliest_changes(
@@ -107,17 +125,17 @@ def _size_likeliest_change(
     y = encoders.values[:, joint]
     t = encoders.t
 
-    def without(since: float, size: float) -> FilterProblem:
+    def remove_change(since: float, size: float) -> FilterProblem:
         return _with_readings(problem, joint, y - size * shape_change(t, since, grows))
 
-    def nats(since: float, size: float) -> float:
-        return total_free_energy(filter_roughly(without(since, size), solved))
+    def measure_cost(since: float, size: float) -> float:
+        return measure_free_energy(remove_change(since, size), solved)
 
-    since = min(tried, key=lambda one: nats(one, tried[one]))
+    since = min(tried, key=lambda one: measure_cost(one, tried[one]))
     size = tried[since]
     for _ in range(SIZE_ROUNDS):
         lowest = _fit_parabola_minimum(
-            [nats(since, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
+            [measure_cost(since, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
         )
         if lowest is None:
             return None
@@ -128,12 +146,12 @@ def _size_likeliest_change(
     else:
         return None
     prior = _price_size_and_time(size, std, len(t) if since > t[0] else 1)
-    steps = since > t[0] and not grows
-    kind = FaultKind.JUMPING if steps else FaultKind.DRIFTING
+    is_step = since > t[0] and not grows
+    kind = FaultKind.JUMPING if is_step else FaultKind.DRIFTING
     name = problem.evidence.joints[joint]
     fault = Fault("encoders", name, kind, since, size, problem.evidence.unit, std)
     form = "drift" if grows else "step"
-    return OffsetHypothesis(without(since, size), cost + prior, fault, prior, form)
+    return OffsetHypothesis(remove_change(since, size), cost + prior, fault, prior, form)
 
 
 def shape_change(t: Array, since: Array | float, grows: bool) -> Array:
@@ -189,20 +207,6 @@ def _with_readings(problem: FilterProblem, joint: int, y: Array) -> FilterProble
     return replace(
         problem, evidence=replace(problem.evidence, encoders=replace(encoders, values=values))
     )
-
-
-RAMPS = 64
-"""Times tried at which a steady drift may begin."""
-SIZE_ROUNDS = 4
-"""Parabolas by which the size of a change is found: one holds near its points alone, and a minimum
-far from them promised 1,700 nats for a drift of 5 rad, which hid a step of 2°.
-"""
-TRAILING_S = (0.0, 0.25, 0.5, 1.0, 1.5)
-"""s by which a filter may show a drift late."""
-RANDOM_WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
-"""rad²/s: random-walk variances tried; the last one
-is a constant offset, as of a joint homed differently.
-"""
 
 
 def offset_score(
@@ -334,22 +338,21 @@ def choose_encoder_offsets(
     problem: FilterProblem,
     solved: Solution,
     suspected: Array,
-    cost: Callable[[FilterProblem], float],
-    tuned: Callable[[FilterProblem], FilterProblem],
+    relearn: Callable[[FilterProblem], FilterProblem],
 ) -> FilterProblem:
     """Add one offset after the other while each wins
     EVIDENCE_THRESHOLD_NATS, and the hypotheses compared.
 
-    suspected (M,) bool: the encoders tried first, at least one. `cost` gives nats, `tuned` a
-    problem with noise of its own evidence. Steps are taken out of the readings, and are faults of
-    the evidence. Joints with an offset are keys of the problem's `alternatives`.
+    solved: a solution of the problem, from which each hypothesis is filtered · suspected (M,) bool:
+    the encoders tried first, at least one · relearn: gives a problem noise by its own evidence.
+    Steps are taken out of the readings, and are faults of the evidence. Joints with an offset are
+    keys of the problem's `alternatives`.
     """
-    first = cost(problem)
     found = problem
-    nats = total_free_energy(solved) if np.isinf(first) else first
+    nats = measure_free_energy(problem, solved)
     while suspected.any():
         walks = {
-            j: cost(_with_walk(found, j, RANDOM_WALKS[0]))
+            j: measure_free_energy(_with_walk(found, j, RANDOM_WALKS[0]), solved)
             for j in np.flatnonzero(suspected).tolist()
         }
         found = _add_hypotheses(
@@ -363,7 +366,7 @@ def choose_encoder_offsets(
         near = _list_near_optimal_joints(walks) if wins else list(walks)
         # the kind of offset is chosen before a further one
         # is tried: one that wanders too freely hides others
-        ways = {j: _best_offset_hypothesis(found, j, solved, cost, tuned) for j in near}
+        ways = {j: _best_offset_hypothesis(found, j, solved, relearn) for j in near}
         if min(way.nats for way in ways.values()) > nats - EVIDENCE_THRESHOLD_NATS:
             break
         # among indistinguishable joints take the smallest
@@ -379,7 +382,7 @@ def choose_encoder_offsets(
         )
     if len(found.alternatives) < 2:
         return found
-    return _reconsider_offsets(problem, found, nats, solved, cost, tuned)
+    return _reconsider_offsets(problem, found, nats, solved, relearn)
 
 
 def _reconsider_offsets(
@@ -387,8 +390,7 @@ def _reconsider_offsets(
     found: FilterProblem,
     nats: float,
     solved: Solution,
-    cost: Callable[[FilterProblem], float],
-    tuned: Callable[[FilterProblem], FilterProblem],
+    relearn: Callable[[FilterProblem], FilterProblem],
 ) -> FilterProblem:
     """Each of several offsets again, given the others, if all of them together then cost less.
 
@@ -398,7 +400,7 @@ def _reconsider_offsets(
     again_nats = nats
     for joint, others in found.alternatives.items():
         way = _best_offset_hypothesis(
-            _remove_joint_offset(problem, again, joint), joint, solved, cost, tuned
+            _remove_joint_offset(problem, again, joint), joint, solved, relearn
         )
         again = _with_offset_hypothesis(way, joint, [joint, *others])
         again_nats = way.nats
@@ -473,18 +475,18 @@ def _best_offset_hypothesis(
     problem: FilterProblem,
     joint: int,
     solved: Solution,
-    cost: Callable[[FilterProblem], float],
-    tuned: Callable[[FilterProblem], FilterProblem],
+    relearn: Callable[[FilterProblem], FilterProblem],
 ) -> OffsetHypothesis:
     """The best random walk of one joint's offset, or its step or steady drift if that costs less.
 
-    These are compared with noise `tuned` with the offset: the problem's own has absorbed it.
+    These are compared with noise learned again with the offset: the problem's own has absorbed it.
     """
     allowed = with_drift(
-        tuned(_with_walk(problem, joint, RANDOM_WALKS[0])), _list_random_walks(problem)
+        relearn(_with_walk(problem, joint, RANDOM_WALKS[0])), _list_random_walks(problem)
     )
     walks = (_with_walk(allowed, joint, walk) for walk in RANDOM_WALKS)
-    best = min((OffsetHypothesis(one, cost(one)) for one in walks), key=lambda way: way.nats)
+    hypotheses = (OffsetHypothesis(one, measure_free_energy(one, solved)) for one in walks)
+    best = min(hypotheses, key=lambda way: way.nats)
     changes = find_likeliest_changes(allowed, best.problem, joint, solved)
     way = min((best, *changes), key=lambda one: one.nats)
     # against no offset it counts with the problem's noise:
@@ -492,7 +494,7 @@ def _best_offset_hypothesis(
     found = replace(
         way.problem, precision=replace(problem.precision, drift=way.problem.precision.drift)
     )
-    return way._replace(problem=found, nats=cost(found) + way.prior)
+    return way._replace(problem=found, nats=measure_free_energy(found, solved) + way.prior)
 
 
 def _list_random_walks(problem: FilterProblem) -> Array:

@@ -25,7 +25,7 @@ from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
 from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..noise.evidence_search import cut_problem
-from .encoder_offset import total_free_energy
+from .encoder_offset import measure_free_energy, sum_free_energy
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 JUMP_MEDIANS = 4.0
@@ -152,8 +152,8 @@ def _weigh_run(problem: FilterProblem, run: StrayRun) -> float:
     whole = filter_roughly(part)
 
     def measure_surprise(rows: Array) -> float:
-        less = filter_roughly(_without_images(part, run.number, rows), whole)
-        return total_free_energy(whole) - total_free_energy(less)
+        less = _without_images(part, run.number, rows)
+        return sum_free_energy(whole) - measure_free_energy(less, whole)
 
     begins = np.linspace(0, len(sound) - run.images, SOUND_RUNS).astype(int).tolist()
     each = [measure_surprise(sound[one : one + run.images]) for one in begins]

@@ -15,7 +15,6 @@ from ...motion import MAX_ORDER, PROCESS_UNITS
 from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
-from ..faults.encoder_offset import total_free_energy
 from ..faults.screening import screen_measurements
 from ..faults.stray_images import StrayRun, find_stray_runs, list_possible_runs, remove_stray_runs
 from ..inference.filter_log import (
@@ -215,9 +214,8 @@ def solve_with_offsets(
         again, begin = tune_noise(find_initial_path(problem, lost=True), settings)
         return solve_with_offsets(again, begin, settings, lambda posed, _: patient(posed), patient)
     if suspected.any():
-        known = partial(filter_free_energy, warm=solved)
         found = encoder_offset.choose_encoder_offsets(
-            found, solved, suspected, known, lambda posed: relearn_noise(posed, settings)[0]
+            found, solved, suspected, lambda posed: relearn_noise(posed, settings)[0]
         )
     if not found.alternatives:
         return found, solved
@@ -244,11 +242,6 @@ def relearn_noise(
         precision.held(evident, encoders), settings, problem.evidence.joints
     )
     return tune_noise(replace(problem, precision=held), settings)
-
-
-def filter_free_energy(problem: FilterProblem, warm: Solution | None = None) -> float:
-    """Free energy (nats) of the whole log, filtered from where `warm` ended."""
-    return total_free_energy(filter_roughly(problem, warm))
 
 
 def select_reported_states(z: Array, problem: FilterProblem) -> Array:
