@@ -24,8 +24,8 @@ from .faults.encoder_offset import RANDOM_WALKS
 from .inference.reacquisition import LONG_SILENCE_S
 from .inference.scan import FilterDynamics
 from .inference.sequential import SequentialFilter, State
-from .measurements.gather import choose_senses, given_start
-from .measurements.track import pixel_variance
+from .measurements.gather import choose_senses, read_given_start
+from .measurements.track import choose_pixel_variance
 from .methods.table import METHODS
 from .noise import noise_model
 from .noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame, correlation_length
@@ -117,7 +117,7 @@ class Inputs:
             return place, np.full(count, given_var)
         if name == "touch" and std is not None:
             return place, np.square(std)
-        return place, pixel_variance(
+        return place, choose_pixel_variance(
             std, self.models[name], np.array(self._noise.get(name, (1.0,) * count), float)
         )
 
@@ -322,7 +322,7 @@ class LiveEstimator:
         }
         self._first, self._given = (
             np.full(len(body.joints), np.nan),
-            given_start(settings, body.joints),
+            read_given_start(settings, body.joints),
         )
         self._buffer: ReplayBuffer | None = None
         self._waiting: list[tuple[float, Observation]] = []

@@ -87,7 +87,7 @@ def test_errors_are_looked_for_where_every_joint_turns_far_beyond_them(turn, set
         evidence=SimpleNamespace(encoders=SimpleNamespace(values=angles)),
         precision=SimpleNamespace(encoder=np.full(2, 1e-6)),
     )
-    found = trust.reason_to_widen(problem, ("pan", "lift"), 2e-3, EstimationSettings(**setting))
+    found = trust.find_reason_to_widen(problem, ("pan", "lift"), 2e-3, EstimationSettings(**setting))
     assert found is None if reason is None else reason in found
 
 
@@ -98,7 +98,7 @@ def test_no_joint_of_an_arm_at_rest_is_singled_out():
         evidence=SimpleNamespace(encoders=SimpleNamespace(values=angles)),
         precision=SimpleNamespace(encoder=np.full(2, 1e-6)),
     )
-    found = trust.reason_to_widen(problem, ("pan", "lift"), 2e-3, EstimationSettings())
+    found = trust.find_reason_to_widen(problem, ("pan", "lift"), 2e-3, EstimationSettings())
     assert found is not None and found.startswith("pan turns by")
     assert not trust.find_resting_joints(problem).any()
 

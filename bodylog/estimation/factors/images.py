@@ -55,7 +55,7 @@ def place_images(sighting: Sighting, knots: Array, nearest: bool) -> Images:
     """The images of a sense that show it, at the knots (K,)
     s: the nearest, or the first that is not before them.
     """
-    values, var, mix = sighting.independent
+    values, var, mix = sighting.independent_rows
     frames = np.flatnonzero(np.isfinite(values).all(axis=1) & (sighting.t <= knots[-1] + 1e-9))
     t = sighting.t[frames]
     after = np.minimum(np.searchsorted(knots, t - 1e-9), len(knots) - 1)

@@ -242,7 +242,7 @@ def _posed(
         knots,
         encoders.t,
         encoders.values,
-        encoders.relative,
+        encoders.relative_variance,
         problem.start,
         sightings,
         tuple(_repaired_steps(problem)),

@@ -18,7 +18,7 @@ from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.records import Encoders, Evidence
 from ..noise.quantisation import fault_in_units
 from .jumping import find_jumps, find_level_shifts, unwrap_turns
-from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, motion_nats
+from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, measure_motion_nats
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 
@@ -57,7 +57,9 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
     complete = angles and np.isfinite(encoders.values).any(axis=0).all()
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
     found = {
-        name: _screen_encoder(name, encoders.t, y, partial(motion_nats, in_units, images, joint))
+        name: _screen_encoder(
+            name, encoders.t, y, partial(measure_motion_nats, in_units, images, joint)
+        )
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))
     }
     faults = [

@@ -209,7 +209,7 @@ def _with_readings(problem: FilterProblem, joint: int, y: Array) -> FilterProble
     )
 
 
-def offset_score(
+def score_encoder_offsets(
     problem: FilterProblem, solved: Solution, walk: float
 ) -> tuple[Array, Array, Array]:
     """Nats (M,) that an offset of each encoder with
@@ -227,9 +227,9 @@ def offset_score(
     # in a span an offset walks by less than the least fault: by two standard deviations
     begins = np.unique(np.searchsorted(t, list_span_starts(t, (0.5 * OFFSET_STD) ** 2 / walk)))
     bounds = np.append(begins, len(t))
-    pull, weight = _encoder_sums(solved, bounds)
-    seen = np.sum([_track_sums(problem, solved, k, bounds) for k in visual], axis=0)
-    return _filtered_offsets(
+    pull, weight = _sum_encoder_innovations(solved, bounds)
+    seen = np.sum([_sum_track_information(problem, solved, k, bounds) for k in visual], axis=0)
+    return _filter_offset_score(
         np.diff(t[begins], append=t[-1]), *_score_offsets(pull, weight, seen), walk
     )
 
@@ -251,7 +251,7 @@ def _score_offsets(pull: Array, weight: Array, seen: Array) -> tuple[Array, Arra
     return score, weight * np.einsum("skj,sjk->sk", known, others)
 
 
-def _encoder_sums(solved: Solution, bounds: Array) -> tuple[Array, Array]:
+def _sum_encoder_innovations(solved: Solution, bounds: Array) -> tuple[Array, Array]:
     """Sums (S,M) of S⁻¹ν, clipped so that single blunders
     do not look like an offset, and of S⁻¹ over spans.
     """
@@ -263,7 +263,9 @@ def _encoder_sums(solved: Solution, bounds: Array) -> tuple[Array, Array]:
     return pull, weight
 
 
-def _track_sums(problem: FilterProblem, solved: Solution, track: int, bounds: Array) -> Array:
+def _sum_track_information(
+    problem: FilterProblem, solved: Solution, track: int, bounds: Array
+) -> Array:
     """Sums of a track's JᵀS⁻¹J, and of JᵀS⁻¹ν clipped alike, over spans: (S,M,M+1)."""
     readings = solved.readings
     trace = solved.trace
@@ -278,7 +280,7 @@ def _track_sums(problem: FilterProblem, solved: Solution, track: int, bounds: Ar
     )
     s = jac @ cov @ jac.swapaxes(1, 2)
     nu = y[..., None] - jac @ x[..., None]
-    s[:, size, size] += var + _correlated_error(solved, track, seen)
+    s[:, size, size] += var + _measure_correlated_error(solved, track, seen)
     white = np.linalg.solve(s, np.concatenate([jac, nu], axis=2))
     far = np.sqrt((nu[..., 0] * white[..., -1]).mean(axis=1))
     white[..., -1] /= np.maximum(far / CERTAIN_SIGMA, 1.0)[:, None]
@@ -286,7 +288,7 @@ def _track_sums(problem: FilterProblem, solved: Solution, track: int, bounds: Ar
     return np.diff(np.insert(each, 0, 0.0, axis=0)[np.searchsorted(events, bounds)], axis=0)
 
 
-def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
+def _measure_correlated_error(solved: Solution, track: int, seen: Array) -> Array:
     """Variance (F,D) added for correlated model error,
     so that frames of like postures count as one.
     """
@@ -299,11 +301,11 @@ def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
     return np.asarray(model * (2.0 * duplicates - 2.0)[:, None])
 
 
-def _filtered_offsets(
+def _filter_offset_score(
     steps: Array, score: Array, weight: Array, walk: float
 ) -> tuple[Array, Array, Array]:
     """Filter each offset over spans of `steps` (S,) s from
-    scores and weights (S,M); returns as `offset_score` does.
+    scores and weights (S,M); returns as `score_encoder_offsets` does.
     """
     offset = np.zeros(score.shape[1])
     var = np.full(score.shape[1], OFFSET_STD**2)
@@ -326,8 +328,8 @@ def find_suspected_encoders(
     """The problem with the hypotheses of an offset of each encoder, to first order, and which (M,)
     bool win EVIDENCE_THRESHOLD_NATS.
     """
-    gain, offset, var = offset_score(problem, solved, RANDOM_WALKS[0])
-    certain = _mark_significant_offsets(offset, var, smallest_fault(problem.evidence))
+    gain, offset, var = score_encoder_offsets(problem, solved, RANDOM_WALKS[0])
+    certain = _mark_significant_offsets(offset, var, find_smallest_fault(problem.evidence))
     found = (("offset", j, nats, False) for j, nats in enumerate(gain)) if gain.any() else ()
     return _add_hypotheses(problem, found), np.asarray(
         (gain > EVIDENCE_THRESHOLD_NATS) & certain.any(axis=0) & (_list_random_walks(problem) == 0)
@@ -519,7 +521,7 @@ def with_drift(problem: FilterProblem, drift: Array) -> FilterProblem:
     return replace(problem, precision=replace(problem.precision, drift=drift))
 
 
-def preset_walks(setting: str, evidence: Evidence) -> Array | None:
+def choose_preset_walks(setting: str, evidence: Evidence) -> Array | None:
     """Random walks (M,) rad²/s set beforehand: for all
     joints if `on`, for encoders that jumped if `auto`.
 
@@ -535,7 +537,7 @@ def preset_walks(setting: str, evidence: Evidence) -> Array | None:
     return None
 
 
-def repaired_variance(problem: FilterProblem, offset_var: Array | None) -> Array:
+def measure_repair_variance(problem: FilterProblem, offset_var: Array | None) -> Array:
     """Variance (E,M) rad² of angles by the sizes ± std
     of jumps that were taken out of earlier readings.
 
@@ -561,7 +563,7 @@ def repaired_variance(problem: FilterProblem, offset_var: Array | None) -> Array
     return added
 
 
-def smallest_fault(evidence: Evidence) -> Array | float:
+def find_smallest_fault(evidence: Evidence) -> Array | float:
     """Smallest offsets (M,) that count as faults, in the
     readings' unit: sound encoders are off by half a count.
 
@@ -581,7 +583,7 @@ def smallest_fault(evidence: Evidence) -> Array | float:
 
 def _mark_significant_offsets(offset: Array, var: Array, least: Array | float) -> Array:
     """Where offsets (N,M) with variances (N,M) are
-    significant and at least `smallest_fault` (M,) rad.
+    significant and at least the smallest fault, `least` (M,) rad.
     """
     return np.asarray(np.abs(offset) > np.maximum(least, CERTAIN_SIGMA * np.sqrt(var)))
 
@@ -595,7 +597,7 @@ def list_drifting_encoders(problem: FilterProblem, offset: Array, var: Array) ->
     walks = _list_random_walks(problem)
     names = problem.evidence.joints
     found = []
-    certain = _mark_significant_offsets(offset, var, smallest_fault(problem.evidence))
+    certain = _mark_significant_offsets(offset, var, find_smallest_fault(problem.evidence))
     stepped = [
         (joint, *others) for joint, others in problem.alternatives.items() if not walks[joint]
     ]

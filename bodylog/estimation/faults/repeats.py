@@ -30,7 +30,7 @@ from .jumping import find_level_shifts
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 
-def motion_nats(
+def measure_motion_nats(
     encoders: Encoders, images: Sequence[Sighting], joint: int, begin: int, end: int
 ) -> float:
     """Nats that motion of a joint wins in images while
@@ -38,14 +38,14 @@ def motion_nats(
     """
     return max(
         (
-            _joint_motion_nats(encoders, joint, s, encoders.t[begin], encoders.t[end - 1])
+            _measure_joint_motion_nats(encoders, joint, s, encoders.t[begin], encoders.t[end - 1])
             for s in images
         ),
         default=0.0,
     )
 
 
-def _joint_motion_nats(
+def _measure_joint_motion_nats(
     encoders: Encoders, joint: int, sighting: Sighting, begin: float, end: float
 ) -> float:
     """Nats that motion of this joint alone wins in images from begin to end (s); 0 if it leaves
@@ -55,7 +55,7 @@ def _joint_motion_nats(
     parts = split_stretch(sighting.t[rows])
     if len(parts) < 2:
         return 0.0
-    x = encoders.at(sighting.t[rows])
+    x = encoders.interpolate_at(sighting.t[rows])
     y = sighting.values[rows]
     var = sighting.var[rows]
     middle = np.stack([np.median(x[p], axis=0) for p in parts])
@@ -157,7 +157,7 @@ def _predict_largest_motion(
     the first part of a stretch on; 0 if not significant.
     """
     inside = (encoders.t >= begin) & (encoders.t <= end)
-    x = encoders.at(encoders.t[inside])
+    x = encoders.interpolate_at(encoders.t[inside])
     parts = split_stretch(encoders.t[inside])
     if not parts or not np.isfinite(x).all():
         return 0.0

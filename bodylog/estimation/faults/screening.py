@@ -112,7 +112,7 @@ def _range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
     if wide and all(
         _lies_in_explored_range(np.deg2rad(y), low, high) for _, y, low, high in ranges
     ):
-        text = "; ".join(_ranges_text(*one) for one in beyond)
+        text = "; ".join(_describe_ranges(*one) for one in beyond)
         raise ModelError(
             f'joints: {text}: these are degrees; type [body] unit = "deg" in robot.toml'
         )
@@ -121,7 +121,7 @@ def _range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
         off = turns and _lies_in_explored_range(y - turns * tau, low, high)
         why = f"{turns:+d} whole turns off, home it again" if off else "beyond that"
         text = (
-            f"joints: {_ranges_text(name, y, low, high)}: {why}, or fit a body from a log that "
+            f"joints: {_describe_ranges(name, y, low, high)}: {why}, or fit a body from a log that "
             "explores it"
         )
         yield Finding("warning", f"{text}; images are of little use there")
@@ -140,7 +140,7 @@ def _lies_in_explored_range(readings: Array, low: float, high: float) -> bool:
     )
 
 
-def _ranges_text(name: str, readings: Array, low: float, high: float) -> str:
+def _describe_ranges(name: str, readings: Array, low: float, high: float) -> str:
     least, most = np.nanpercentile(readings, [5, 95])
     return (
         f"{name} reads {least:.4g} to {most:.4g} rad, the body was learned from {low:.4g} to "

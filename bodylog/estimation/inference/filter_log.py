@@ -334,7 +334,7 @@ def frames_by_instant(
             whole,
             order=precision.order,
         )
-        values, var, mix = sighting.independent
+        values, var, mix = sighting.independent_rows
         for row in np.flatnonzero(
             np.isfinite(sighting.values[: np.searchsorted(events, before)]).all(axis=1)
         ):

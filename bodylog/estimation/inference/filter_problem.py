@@ -212,7 +212,7 @@ def encoder_rows(problem: FilterProblem, until: int | None = None) -> tuple[Arra
     if found is not None:
         rows = int(np.searchsorted(at, len(t)))
         encoders[at[:rows]] = found.values[:rows]
-        var[at[:rows]] *= found.relative[:rows]
+        var[at[:rows]] *= found.relative_variance[:rows]
     return (
         (encoders, var)
         if problem.posture_prior is None

@@ -82,7 +82,7 @@ def _left_out_encoders(
     read = x[at, :m] + (
         0.0 if problem.dynamics.offset is None else x[at, problem.dynamics.offset :]
     )
-    noise = problem.precision.encoder * found.relative
+    noise = problem.precision.encoder * found.relative_variance
     # rounding
     used = np.abs(d[at]) <= gate
     a = np.maximum(var[at, -m:], 0.0)
@@ -101,7 +101,7 @@ def _left_out_frames(
     sighting = problem.evidence.sightings[index]
     at = problem.timeline.sightings[index]
     m = len(problem.start)
-    values, _, mix = sighting.independent
+    values, _, mix = sighting.independent_rows
     pick = smooth.fold.pick
     x = pick(smooth.z[:, :m], at)
     removed = np.isnan(pick(smooth.readings.y, at)[:, index, 0])

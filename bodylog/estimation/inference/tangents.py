@@ -131,7 +131,7 @@ class Tangents:
 
     def _y(self, index: int) -> Array:
         """Readings (F,D) of the angles by one sighting's frames: s − g + J x°."""
-        return self._sightings[index].independent.values - self._intercept[index]
+        return self._sightings[index].independent_rows.values - self._intercept[index]
 
     def _variances(
         self, index: int, sighting: Sighting, precision: NoiseModel, whole: bool
@@ -139,7 +139,7 @@ class Tangents:
         """Variances (F,D), inflated such that correlated
         frames together do not count more than they inform.
         """
-        var = precision.scale.get(sighting.name, 1.0) * sighting.independent.var
+        var = precision.scale.get(sighting.name, 1.0) * sighting.independent_rows.var
         seen = self._seen[index]
         often = self._repeated[index] if whole else 1.0
         near = precision.near.get(sighting.name, 0.0)
@@ -199,7 +199,7 @@ def _independent_rows(sighting: Sighting, x: Array, some: Array) -> tuple[Array,
     """Mean, Jacobian and the model's variance of the
     independent rows of some (F,) bool of a sighting's frames.
     """
-    mix = sighting.independent.mix
+    mix = sighting.independent_rows.mix
     return mix_rows(mix if mix is None else mix[some], sighting.model.predict(x))
 
 

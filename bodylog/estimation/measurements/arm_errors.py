@@ -12,7 +12,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...errors import ModelError
 from ...types import Array, Features, Finding, Series
-from .long_arrays import find_finite_rows, median_step, noise_variance
+from .long_arrays import estimate_noise_variance, find_finite_rows, measure_median_step
 from .records import interpolate_values
 
 ARM_ERRORS = "arm_errors"
@@ -103,7 +103,7 @@ class ArmErrors:
             )
 
 
-def learned_arm_errors(body: BodyModel | None) -> ArmErrors:
+def read_arm_errors(body: BodyModel | None) -> ArmErrors:
     """The errors that a body was learned with; ModelError
     for anything else in its provenance.
     """
@@ -135,7 +135,7 @@ def shift_by_rows(track: Series, rows: RowExposure | None) -> Array:
     seen = find_finite_rows(track.values)
     if rows is None or seen.sum() < 2:
         return track.t
-    most = MOST_OF_STEP * median_step(track.t)
+    most = MOST_OF_STEP * measure_median_step(track.t)
     later = rows.seconds * (np.where(seen, track.values[:, -1], rows.row) - rows.row)
     return np.asarray(track.t + np.clip(later, -most, most))
 
@@ -171,10 +171,10 @@ def smooth_motors(t: Array, readings: Array) -> tuple[Array, Array]:
     averaged, and how far these are known (M,) rad.
     """
     motors = np.nan_to_num(interpolate_values(t, readings, t))
-    width = max(int(SMOOTH_S / median_step(t)) | 1, 1)
+    width = max(int(SMOOTH_S / measure_median_step(t)) | 1, 1)
     ends = ((width // 2, width // 2), (0, 0))
     sums = np.cumsum(np.pad(np.pad(motors, ends, "edge"), ((1, 0), (0, 0))), axis=0)
-    noise = NOISE_SIGMAS * np.sqrt(noise_variance(motors) / width)
+    noise = NOISE_SIGMAS * np.sqrt(estimate_noise_variance(motors) / width)
     return (sums[width:] - sums[:-width]) / width, noise
 
 

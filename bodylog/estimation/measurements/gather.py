@@ -38,7 +38,7 @@ def gather_measurements(
     used = {"encoders": Health(0, 0)}
     read = np.empty((0, len(body.joints)))
     if joints is not None:
-        read = joints.values[:, joint_columns(joints, body.joints)]
+        read = joints.values[:, find_joint_columns(joints, body.joints)]
         encoders, used["encoders"] = _select_encoder_rows(joints, read, body.joints, wanted)
     measured = {name: one for _, found in groups for name, one in found.items() if name in wanted}
     used |= {name: one.health for name, one in measured.items()}
@@ -122,10 +122,12 @@ def choose_senses(visual: Iterable[str], body: BodyModel, settings: EstimationSe
                 f"senses: {name!r} found, possible: {', '.join([*groups, *sorted(singles)])}"
             )
 
-    def spread(names: Iterable[str]) -> set[str]:
+    def expand_groups(names: Iterable[str]) -> set[str]:
         return {single for name in names for single in groups.get(name, [name])}
 
-    return spread(groups if settings.senses is None else settings.senses) - spread(settings.without)
+    return expand_groups(groups if settings.senses is None else settings.senses) - expand_groups(
+        settings.without
+    )
 
 
 def _select_encoder_rows(
@@ -155,7 +157,7 @@ def _select_encoder_rows(
     )
 
 
-def joint_columns(joints: Series, names: tuple[str, ...]) -> list[int]:
+def find_joint_columns(joints: Series, names: tuple[str, ...]) -> list[int]:
     """Column numbers of joints in a series; ModelError for a missing joint."""
     missing = [name for name in names if name not in joints.names]
     if missing:
@@ -180,7 +182,7 @@ def _describe_health(found: Health) -> str:
     )
 
 
-def given_start(settings: EstimationSettings, names: tuple[str, ...]) -> Array | None:
+def read_given_start(settings: EstimationSettings, names: tuple[str, ...]) -> Array | None:
     """Initial mean (M,) rad as set; UsageError for another number of angles."""
     if settings.start is not None and len(settings.start) != len(names):
         raise UsageError(
@@ -195,7 +197,7 @@ def choose_initial_angles(
     """Initial mean (M,) rad: as set, or each joint's
     first sound reading, else its first one, used or not.
     """
-    if (given := given_start(settings, names)) is not None:
+    if (given := read_given_start(settings, names)) is not None:
         return given
     known = np.isfinite(evidence.read)
     if unknown := [name for j, name in enumerate(names) if not known[:, j].any()]:

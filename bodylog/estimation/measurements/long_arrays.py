@@ -26,12 +26,12 @@ def index_true_rows(mask: Array) -> Array | slice:
     return slice(None) if mask.all() else np.flatnonzero(mask)
 
 
-def median_step(t: Array) -> float:
+def measure_median_step(t: Array) -> float:
     """Median difference of neighbours in t (N,), N > 1."""
     return float(np.median(np.diff(t)))
 
 
-def noise_variance(values: Array, most: int = 6000) -> Array:
+def estimate_noise_variance(values: Array, most: int = 6000) -> Array:
     """Variance (M,) of white noise in values (N,M), from
     third differences of `most` of them in the middle.
     """

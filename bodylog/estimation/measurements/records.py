@@ -13,7 +13,7 @@ import numpy as np
 from ...body_model import BodyModel, ForwardModel
 from ...types import TRACK_AXES, Array, Fault, Features, Finding, Health, Hypothesis
 from ..noise.quantisation import quantisation_variance
-from .long_arrays import index_true_rows, noise_variance
+from .long_arrays import estimate_noise_variance, index_true_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,16 +29,18 @@ class Encoders:
     source_ns: Array
     own_variance: Array | None = None
 
-    def at(self, t: Array) -> Array:
+    def interpolate_at(self, t: Array) -> Array:
         """Readings (F,M) rad at t (F,) s, as `interpolate_values`."""
         return interpolate_values(self.t, self.values, t)
 
     def select_rows(self, rows: Array | slice) -> "Encoders":
         """Some of the readings."""
-        return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], self.relative[rows])
+        return Encoders(
+            self.t[rows], self.values[rows], self.source_ns[rows], self.relative_variance[rows]
+        )
 
     @cached_property
-    def relative(self) -> Array:
+    def relative_variance(self) -> Array:
         """Variance (N,M) of each reading over its encoder's."""
         return np.ones(self.values.shape) if self.own_variance is None else self.own_variance
 
@@ -50,7 +52,7 @@ class Encoders:
     @cached_property
     def variance(self) -> Array:
         """Variance (M,) rad² of quantisation, or of noise where that is larger."""
-        return np.asarray(np.fmax(self.count_variance, noise_variance(self.values)))
+        return np.asarray(np.fmax(self.count_variance, estimate_noise_variance(self.values)))
 
 
 def interpolate_values(t: Array, values: Array, at: Array) -> Array:
@@ -94,7 +96,7 @@ class Sighting:
         """Whether it shows where a point is, in images or in space."""
         return self.name != "touch" and self.model.outputs in TRACKED
 
-    def cut(self, begin: float, end: float) -> "Sighting":
+    def select_span(self, begin: float, end: float) -> "Sighting":
         """The measurements from `begin` to before `end`, s."""
         return self.select_rows((self.t >= begin) & (self.t < end))
 
@@ -114,7 +116,7 @@ class Sighting:
         )
 
     @cached_property
-    def independent(self) -> "IndependentRows":
+    def independent_rows(self) -> "IndependentRows":
         """The values as independent rows: cov = L
         diag(var) Lᵀ, and mix = L⁻¹ has the determinant 1.
         """

@@ -15,7 +15,7 @@ import numpy as np
 from ...errors import EvidenceError, UsageError
 from ...types import Array
 from .long_arrays import find_finite_rows as seen_rows
-from .long_arrays import median_step
+from .long_arrays import measure_median_step
 from .records import Evidence, Sighting
 
 GAP_STEPS = 10
@@ -47,7 +47,7 @@ def _is_in_view(track: Sighting, t: Array) -> Array:
     around = np.concatenate([[min(t[0], seen[0])], seen, [max(t[-1], seen[-1])]])
     if len(track.t) < 2:
         return np.zeros(len(t), bool)
-    quick = np.diff(around) <= GAP_STEPS * median_step(track.t)
+    quick = np.diff(around) <= GAP_STEPS * measure_median_step(track.t)
     return np.asarray(quick[np.searchsorted(seen, t)])
 
 
@@ -76,18 +76,22 @@ def build_timeline(evidence: Evidence, rate: float | None) -> Timeline:
     are one instant, so simultaneous senses have no order.
     """
     clock = np.empty(0) if evidence.encoders is None else evidence.encoders.t
-    wanted = output_times(evidence, rate)
+    wanted = choose_output_times(evidence, rate)
     regular = np.array_equal(wanted, clock)
     t = merge_clocks(clock, *(s.t for s in evidence.sightings), wanted[:0] if regular else wanted)
     encoders = np.searchsorted(t, clock)
     sightings = tuple(np.searchsorted(t, s.t) for s in evidence.sightings)
     outputs = encoders if regular else np.searchsorted(t, wanted)
     return Timeline(
-        t, encoders, sightings, outputs, _latest_source(evidence, t, encoders, sightings)[outputs]
+        t,
+        encoders,
+        sightings,
+        outputs,
+        _find_latest_source(evidence, t, encoders, sightings)[outputs],
     )
 
 
-def output_times(evidence: Evidence, rate: float | None) -> Array:
+def choose_output_times(evidence: Evidence, rate: float | None) -> Array:
     """Times (O,) s: encoder stamps (frames without encoders)
     up to 100 Hz, else a 100 Hz grid; `rate` overrides.
     """
@@ -99,7 +103,7 @@ def output_times(evidence: Evidence, rate: float | None) -> Array:
     t = merge_clocks(*clocks)
     if len(t) == 0:
         raise EvidenceError("joints: no sound time stamp to estimate at")
-    if rate is None and (len(t) < 2 or median_step(t) > 0.99 / MAX_OUTPUT_RATE_HZ):
+    if rate is None and (len(t) < 2 or measure_median_step(t) > 0.99 / MAX_OUTPUT_RATE_HZ):
         return t
     rate = rate or MAX_OUTPUT_RATE_HZ
     _check_grid(rate, t)
@@ -141,7 +145,7 @@ def snap_to_stamps(grid: Array, t: Array) -> Array:
     return np.where(np.abs(t[near] - grid) < 1e-6, t[near], grid)
 
 
-def _latest_source(
+def _find_latest_source(
     evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]
 ) -> Array:
     """Log time (E,) of the last message up to each instant."""

@@ -60,7 +60,7 @@ def read_touch_sighting(features: Features, body: BodyModel) -> tuple[Sighting, 
     for number, pair in enumerate(features.synchrony):
         during = sound & (pairs == number)
         if has_weight(pair) and during.any():
-            u, v, spread = place_of_cell(body, touches[pair.touch].strongest)
+            u, v, spread = find_cell_place(body, touches[pair.touch].strongest)
             places[during] = hand.values[during] - (u, v)
             variance[during] = spread / pair.event_weight * during.sum()
             count += is_synchronous(pair) and has_common_cause(pair)
@@ -88,7 +88,7 @@ def has_common_cause(pair: Synchrony) -> bool:
     return pair.common_cause >= 0.5
 
 
-def place_of_cell(body: BodyModel, cell: int) -> tuple[float, float, float]:
+def find_cell_place(body: BodyModel, cell: int) -> tuple[float, float, float]:
     """A cell's position relative to the effector (u, v) px, and its variance px²."""
     if cell not in body.cells:
         return 0.0, 0.0, 1.0 / (2.0 * body.touch.b1)

@@ -31,7 +31,7 @@ class PaperTouch:
     hand: Array
     temporal: Array
 
-    def pull(self, k: int, x: Array) -> tuple[float, Array]:
+    def measure_touch_error(self, k: int, x: Array) -> tuple[float, Array]:
         """s_t − g_t, s_t being g_t's best value, NaN where
         nothing is felt; and ∂g_t/∂x (M,) at step k and x (M,).
         """
@@ -39,11 +39,15 @@ class PaperTouch:
             return float("nan"), np.zeros(len(x))
         mean, jac, _ = self.model.predict(x[None])
         best = np.array([self.constants.a1 * self.temporal[k]])
-        g, slope = spatial_coherence(mean - self.hand[k], jac, best, np.array([self.constants.b1]))
+        g, slope = evaluate_spatial_coherence(
+            mean - self.hand[k], jac, best, np.array([self.constants.b1])
+        )
         return float(best[0] - g[0]), slope[0]
 
 
-def spatial_coherence(apart: Array, jac: Array, best: Array, b1: Array) -> tuple[Array, Array]:
+def evaluate_spatial_coherence(
+    apart: Array, jac: Array, best: Array, b1: Array
+) -> tuple[Array, Array]:
     """g_t = best exp(−b₁ |g_v − o_v|²) (B,), best being
     a₁ f_t, and ∂g_t/∂x = −2 b₁ g_t (g_v − o_v)ᵀ J (B,M).
 
@@ -79,7 +83,7 @@ class SensedErrors:
     slope: Array
     sigma: Array
 
-    def present(self) -> "SensedErrors":
+    def zero_absent_readings(self) -> "SensedErrors":
         """The same with absent readings as rows of zeros, which contribute nothing."""
         here = np.isfinite(self.off)
         return SensedErrors(
@@ -137,7 +141,7 @@ def descend_free_energy(
     for k in range(count):
         sensed = sense(k, x)
         here = np.isfinite(sensed.off)
-        present = sensed.present()
+        present = sensed.zero_absent_readings()
         errors = np.where(here, errors, 0.0) if k else np.zeros(here.shape)
         prior_off = x - mu
         error = np.where(at_rest, present.off / present.sigma, errors)
@@ -146,7 +150,7 @@ def descend_free_energy(
         # corrected: μ̇ = λ e_x, and ė_x = x̂ − μ − σ_x e_x
         prior_move = dynamics.dt * rate * error_x
         if len(implicit):
-            hessian = gauss_newton_hessian(present, dynamics.sigma_x, implicit)
+            hessian = build_gauss_newton_hessian(present, dynamics.sigma_x, implicit)
             move[implicit] = _divide_by_hessian(hessian, move[implicit], dynamics.dt)
             reach = dynamics.dt * rate[implicit]
             ahead = prior_off[implicit] + move[implicit]
@@ -161,7 +165,7 @@ def descend_free_energy(
             return
 
 
-def gauss_newton_hessian(present: SensedErrors, sigma_x: Array, runs: Array) -> Array:
+def build_gauss_newton_hessian(present: SensedErrors, sigma_x: Array, runs: Array) -> Array:
     """H = 1/σ_x + Σ g′ᵀ g′/σ (K,M,M) of the free energy of `runs` (K,)."""
     slope = present.slope[runs]
     sigma = present.sigma[runs]

@@ -26,7 +26,7 @@ def require_finite_estimate(found: Estimate) -> Estimate:
         if not good.all():
             at = float(t[good.argmin()])
             bad = len(good) - np.count_nonzero(good)
-            raise _contradiction_error(
+            raise _make_contradiction_error(
                 f"{what} at {at:.3f} s is not a number by {found.method} ({bad} of {len(good)}):"
             )
     return found
@@ -38,10 +38,10 @@ def report_numerical_errors(method: str) -> Iterator[None]:
     try:
         yield
     except np.linalg.LinAlgError as problem:
-        raise _contradiction_error(f"no estimate by {method}: {problem};") from None
+        raise _make_contradiction_error(f"no estimate by {method}: {problem};") from None
 
 
-def _contradiction_error(what: str) -> EvidenceError:
+def _make_contradiction_error(what: str) -> EvidenceError:
     advice = "type --method kalman, or --without a sense"
     return EvidenceError(f"{what} the readings may contradict each other or the body; {advice}")
 
@@ -68,7 +68,7 @@ NOISY_STD_RAD = 0.1
 under load, and readings of two robots by turns differ by more."""
 
 
-def consistency_findings(
+def check_consistency(
     found: Estimate, settings: EstimationSettings, unit: str = "rad", rad_per_unit: float = 1.0
 ) -> Iterator[Finding]:
     """Yield a warning for each sense whose residuals

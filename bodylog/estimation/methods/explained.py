@@ -27,12 +27,23 @@ from ..factors.whole_log import (
 from ..faults.moved_camera import restore_displacements
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..inference.filter_problem import FilterProblem
-from ..measurements.arm_errors import LEAST_NEES, learned_arm_errors
+from ..measurements.arm_errors import LEAST_NEES, read_arm_errors
 from ..noise.lasting_error import LastingError
 from . import results
-from .results import Beliefs, find_evident_error, nees_if_white, predict_frames, with_lasting_error
+from .results import (
+    Beliefs,
+    estimate_white_nees,
+    find_evident_error,
+    predict_frames,
+    with_lasting_error,
+)
 from .stick_slip import estimate_stick_slip
-from .trust import measure_rough_motion, reason_of_disagreement, reason_of_misfit, reason_to_widen
+from .trust import (
+    find_reason_of_disagreement,
+    find_reason_of_misfit,
+    find_reason_to_widen,
+    measure_rough_motion,
+)
 
 Place = tuple[Array, Array, Array]
 """Of a sighting's frames: mean (F,D), covariance (F,D,D)
@@ -43,7 +54,7 @@ LIKE_OFFSETS = "offsets of encoders explain the log as well as a load does, or b
 """Why a load that a log resembles is not taken out of its angles."""
 
 
-def explained_estimate(
+def estimate_with_hardware_errors(
     method: str,
     body: BodyModel,
     problem: FilterProblem,
@@ -58,8 +69,8 @@ def explained_estimate(
     hardware explain, too, are no faults.
     """
     kept = results.build_estimate(method, body, problem.evidence, problem.timeline, beliefs)
-    halves = _known_halves(body)
-    prior = _known_lasting(body)
+    halves = _read_play_halves(body)
+    prior = _choose_lasting_prior(body)
     lasting = find_evident_error(kept, problem, beliefs.z, settings, kept.faults)
     if lasting is None and (halves.any() or prior.known) and settings.precision == "auto":
         square = float(np.mean(np.square(halves)))
@@ -85,7 +96,7 @@ def explained_estimate(
         if settings.precision != "auto":
             return kept
         rough = measure_rough_motion(problem, beliefs, settings.method != "smoother")
-        if rough is None or nees_if_white(kept, rough.variance) < LEAST_NEES:
+        if rough is None or estimate_white_nees(kept, rough.variance) < LEAST_NEES:
             return kept
         slipping = estimate_stick_slip(method, body, problem, beliefs, settings, rough)
         return results.with_rough_motion(kept, rough.variance) if slipping is None else slipping
@@ -134,7 +145,7 @@ def _explain_estimate(
     known: half of each joint's play (M,) rad in the exploration, and its encoders' errors ·
     is_white: encoders that are off are all that the log shows.
     """
-    why = reason_to_widen(problem, body.joints, std, settings)
+    why = find_reason_to_widen(problem, body.joints, std, settings)
     if why is not None:
         return why
     assert problem.evidence.encoders is not None  # or bars are widened
@@ -153,19 +164,19 @@ def _explain_estimate(
     elif is_white:
         return LIKE_OFFSETS
     else:
-        why = reason_of_disagreement(problem, beliefs, found, causal)
+        why = find_reason_of_disagreement(problem, beliefs, found, causal)
         if why is not None:
             return why
     if found.explanation.is_sound:
         return "white noise explains the log as well"
     solved = solve_log(problem, found, causal)
-    why = reason_of_misfit(problem, found, solved, causal)
+    why = find_reason_of_misfit(problem, found, solved, causal)
     if why is not None:
         return why
     explained = _with_explanation(problem, beliefs, found, solved)
     made = results.build_estimate(method, body, problem.evidence, problem.timeline, explained)
     errors = _describe_errors(found, problem.evidence.joints)
-    text = "; ".join(_error_sentences(errors)) or "encoders: errors last"
+    text = "; ".join(_describe_errors_in_words(errors)) or "encoders: errors last"
     finding = Finding(
         "warning", f'{text}: angles allow for it; see "What real arms do" in docs/validation.md'
     )
@@ -176,17 +187,17 @@ def _explain_estimate(
     )
 
 
-def _known_halves(body: BodyModel) -> Array:
+def _read_play_halves(body: BodyModel) -> Array:
     """Half of the play (M,) rad that each joint had in the exploration."""
-    play = learned_arm_errors(body).play
+    play = read_arm_errors(body).play
     return np.array([0.5 * play[name][0] if name in play else 0.0 for name in body.joints])
 
 
-def _known_lasting(body: BodyModel) -> LastingPrior:
+def _choose_lasting_prior(body: BodyModel) -> LastingPrior:
     """What is known of errors of encoders before a log: those of the
     exploration, if it had any, to about half of their size.
     """
-    found = learned_arm_errors(body).lasting
+    found = read_arm_errors(body).lasting
     if not found:
         return ANY_ERRORS
     each = [found[name] for name in body.joints if name in found]
@@ -211,7 +222,7 @@ def _explain_without_faults(
         simpler = explain_log(without, *known, loads)
         assert simpler is not None  # as the log with faults has one
         cameras = len(first.evidence.faults) - len(without.evidence.faults)
-        allowance = _allowance_for_faults(simpler, found, problem, faults, cameras)
+        allowance = _choose_fault_allowance(simpler, found, problem, faults, cameras)
         if simpler.nats - found.nats <= allowance and (best is None or simpler.nats < best[1].nats):
             best = (without, simpler)
     return best
@@ -230,7 +241,7 @@ def _drop_faults(problem: FilterProblem, first: FilterProblem) -> Iterator[Filte
         yield replace(plain, evidence=restore_displacements(evidence))
 
 
-def _allowance_for_faults(
+def _choose_fault_allowance(
     found: ExplainedLog,
     beside: ExplainedLog,
     problem: FilterProblem,
@@ -313,7 +324,7 @@ def _with_explanation(
     return replace(
         beliefs,
         z=np.concatenate(parts, axis=1),
-        cov=instants.cov + np.diag(_resting_variances(found.noise)),
+        cov=instants.cov + np.diag(_estimate_resting_variances(found.noise)),
         nats=instants.nats,
         before=instants.before,
         before_cov=instants.before_cov,
@@ -324,7 +335,7 @@ def _with_explanation(
     )
 
 
-def _resting_variances(noise: Noise) -> Array:
+def _estimate_resting_variances(noise: Noise) -> Array:
     """Variances (M,) of the errors of joints that rest, taken from the joints that turn."""
     joints = noise.joints
     found = np.zeros(len(joints.white))
@@ -407,7 +418,7 @@ def _describe_load(
     }
 
 
-def _error_sentences(errors: Mapping[str, Any]) -> Iterator[str]:
+def _describe_errors_in_words(errors: Mapping[str, Any]) -> Iterator[str]:
     """The errors in words."""
     for joint, one in errors["play"].items():
         width, std = np.rad2deg([one["rad"], one["std"]])

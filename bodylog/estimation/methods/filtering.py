@@ -35,7 +35,7 @@ from ..noise.evidence_search import tune_by_evidence, with_motion, with_preferre
 from ..noise.noise_model import resolve_noise_model, warn_of_few_readings, weigh_repeated_readings
 from ..noise.posture_prior import learn_posture_prior
 from .contract import Method
-from .explained import explained_estimate
+from .explained import estimate_with_hardware_errors
 from .results import Beliefs
 
 S = TypeVar("S", bound=Solution)
@@ -52,7 +52,7 @@ def estimate_by_filter(
     at = "prior" if settings.method == "ekf" else "posterior"
     start_problem = pose_filter_problem(features, body, settings)
 
-    def solved(problem: FilterProblem) -> tuple[FilterProblem, Solution]:
+    def solve_problem(problem: FilterProblem) -> tuple[FilterProblem, Solution]:
         problem, warm = tune_noise(problem, settings)
         stepwise = at == "posterior" and problem.stepwise
         solver = (
@@ -62,7 +62,7 @@ def estimate_by_filter(
         )
         return solve_with_offsets(problem, warm, settings, solver, filter_sequentially)
 
-    problem, solution = solve_with_reacquisition(start_problem, solved)
+    problem, solution = solve_with_reacquisition(start_problem, solve_problem)
     trace = solution.trace
     unfold = solution.fold.unfold
     m = len(problem.start)
@@ -81,7 +81,9 @@ def estimate_by_filter(
         find_offset_faults(problem, solution),
         tuple(warn_of_lost_belief(problem, body.joints, solution)),
     )
-    return explained_estimate(settings.method, body, problem, start_problem, beliefs, settings)
+    return estimate_with_hardware_errors(
+        settings.method, body, problem, start_problem, beliefs, settings
+    )
 
 
 def pose_filter_problem(
@@ -127,7 +129,7 @@ def build_filter_problem(
     problem = FilterProblem(
         evidence, build_timeline(evidence, settings.rate), first, precision, posture_prior=usual
     )
-    allowed = encoder_offset.preset_walks(settings.bias, evidence)
+    allowed = encoder_offset.choose_preset_walks(settings.bias, evidence)
     problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
     if settings.motion != "auto":
         problem = with_named_motion(problem, settings)
@@ -263,7 +265,7 @@ def warn_of_lost_belief(
     )
 
 
-def offset_variance(problem: FilterProblem, solved: Solution) -> Array:
+def unfold_offset_variance(problem: FilterProblem, solved: Solution) -> Array:
     """Variances (E,M) rad² of the encoder offsets in the filter's state."""
     m = len(problem.start)
     return np.asarray(solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, m:, m:])))
@@ -271,8 +273,10 @@ def offset_variance(problem: FilterProblem, solved: Solution) -> Array:
 
 def with_repairs(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
     """Covariances (E,M,M) rad² of angles and the variance that repaired jumps add."""
-    offset_var = None if problem.precision.drift is None else offset_variance(problem, solved)
-    added = encoder_offset.repaired_variance(problem, offset_var)
+    offset_var = (
+        None if problem.precision.drift is None else unfold_offset_variance(problem, solved)
+    )
+    added = encoder_offset.measure_repair_variance(problem, offset_var)
     return np.asarray(cov + added[:, :, None] * np.eye(added.shape[1]))
 
 
@@ -281,7 +285,7 @@ def find_offset_faults(problem: FilterProblem, solved: Solution) -> tuple[Fault,
     if problem.precision.drift is None:
         return ()
     unfold = solved.fold.unfold
-    var = offset_variance(problem, solved)
+    var = unfold_offset_variance(problem, solved)
     offsets = unfold(solved.trace.z[:, problem.dynamics.offset :])
     return encoder_offset.list_drifting_encoders(problem, offsets, var)
 

@@ -119,7 +119,7 @@ def build_grid_problem(
     )
     sigma_x, moved = _learn_static_variances(encoders, noise.encoder, gains)
     felt = settings.touch == "literal" and any(s.name == "touch" for s in evidence.sightings)
-    width = image_width(features, body) if paper else None
+    width = find_image_width(features, body) if paper else None
     seen = [
         s
         for s in noise_model.with_typed_variances(evidence.sightings, settings)
@@ -181,7 +181,7 @@ def find_nearest_index(t: Array, at: Array) -> Array:
     return np.asarray(np.searchsorted(0.5 * (t[1:] + t[:-1]), at))
 
 
-def beliefs_at_instants(
+def hold_beliefs_at_instants(
     line: Timeline,
     evidence: Evidence,
     encoders: GridSense | None,
@@ -216,7 +216,7 @@ def beliefs_at_instants(
     )
 
 
-def image_width(features: Features, body: BodyModel) -> float:
+def find_image_width(features: Features, body: BodyModel) -> float:
     """Pixels that count as 1: the image's width if
     the body stores it, else the largest coordinate.
     """

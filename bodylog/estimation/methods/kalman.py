@@ -16,7 +16,7 @@ from ..measurements.timeline import build_timeline
 from ..noise.noise_model import PAPER_VARIANCES
 from . import results
 from .contract import Method
-from .grid import GRID_RATE_HZ, GridSense, beliefs_at_instants, place_on_grid
+from .grid import GRID_RATE_HZ, GridSense, hold_beliefs_at_instants, place_on_grid
 
 STEP_VARIANCE_RAD2 = 0.001
 """rad² per step: motion, as printed."""
@@ -39,7 +39,7 @@ def estimate_by_kalman_filter(
     )
     cov, moved = (v[:, :, None] * np.eye(s.shape[1]) for v in (var, var + STEP_VARIANCE_RAD2))
     read = GridSense("encoders", s, None, np.full(s.shape, noise))
-    beliefs = beliefs_at_instants(
+    beliefs = hold_beliefs_at_instants(
         line, evidence, read, x, cov, moved, nats, {"process": STEP_VARIANCE_RAD2, "encoder": noise}
     )
     return results.build_estimate("kalman", body, evidence, line, beliefs)

@@ -19,12 +19,12 @@ from .algorithm1 import (
     DIVERGENCE_RAD,
     CodingDynamics,
     SensedErrors,
+    build_gauss_newton_hessian,
     descend_free_energy,
-    gauss_newton_hessian,
     measure_stable_step,
 )
 from .contract import Method
-from .grid import TRIED_GAINS, GridProblem, beliefs_at_instants, build_grid_problem
+from .grid import TRIED_GAINS, GridProblem, build_grid_problem, hold_beliefs_at_instants
 
 
 def estimate_by_predictive_coding(
@@ -34,11 +34,11 @@ def estimate_by_predictive_coding(
     plan, evidence, line = build_grid_problem(features, body, settings)
     explicit = settings.step == "explicit" or settings.preset == "paper"
     x, cov, nats = integrate_belief(plan, explicit)
-    findings = step_warning(plan) if explicit else ()
+    findings = warn_of_unstable_step(plan) if explicit else ()
     if not np.isfinite(x).all():
         why = findings[0].text if findings else "step: explicit; type --step implicit"
         raise UsageError(f"{why} (the belief left {DIVERGENCE_RAD:g} rad)")
-    findings = (*findings, *_without_encoders(plan, evidence, body.joints))
+    findings = (*findings, *_warn_of_unread_joints(plan, evidence, body.joints))
     steps = {
         "step": "explicit" if explicit else "implicit",
         "dt": plan.dt,
@@ -46,7 +46,7 @@ def estimate_by_predictive_coding(
     }
     used = steps | {f"sigma_{s.name}": np.median(s.sigma, axis=0).tolist() for s in plan.senses}
     moved = np.maximum(np.einsum("nii->ni", cov), plan.moved)[:, :, None] * np.eye(x.shape[1])
-    beliefs = beliefs_at_instants(
+    beliefs = hold_beliefs_at_instants(
         line, evidence, plan.encoders, x, cov, moved, nats, used, findings
     )
     return results.build_estimate("predictive-coding", body, evidence, line, beliefs)
@@ -69,10 +69,12 @@ def integrate_belief(plan: GridProblem, explicit: bool) -> tuple[Array, Array, A
     for k, step in enumerate(
         descend_free_energy(start, start, n, partial(_evaluate_senses, plan), dynamics)
     ):
-        present = step.sensed.present()
+        present = step.sensed.zero_absent_readings()
         here = np.isfinite(step.sensed.off[0])
         xs[k] = step.x[0]
-        cov[k] = np.linalg.inv(gauss_newton_hessian(present, dynamics.sigma_x, np.array([0]))[0])
+        cov[k] = np.linalg.inv(
+            build_gauss_newton_hessian(present, dynamics.sigma_x, np.array([0]))[0]
+        )
         # the prior is one more sense, which reads μ
         off = np.append(step.prior_off[0], step.sensed.off[0, here])
         sigma = np.append(plan.sigma_x, step.sensed.sigma[0, here])
@@ -87,7 +89,7 @@ def _evaluate_senses(plan: GridProblem, k: int, x: Array) -> SensedErrors:
     off = s[k] - g
     variance = sigma[k] + own
     if plan.touch is not None:
-        felt, slope = plan.touch.pull(k, x[0])
+        felt, slope = plan.touch.measure_touch_error(k, x[0])
         off = np.column_stack([off, [felt]])
         # σ_t is not printed: as σ_x and σ_p
         variance = np.column_stack([variance, [PAPER_VARIANCES[0]]])
@@ -95,15 +97,15 @@ def _evaluate_senses(plan: GridProblem, k: int, x: Array) -> SensedErrors:
     return SensedErrors(off, jac, variance)
 
 
-def step_warning(plan: GridProblem) -> tuple[Finding, ...]:
+def warn_of_unstable_step(plan: GridProblem) -> tuple[Finding, ...]:
     """A finding if Δt exceeds the stable step of Algorithm 1, with the slowest stable rate."""
-    if plan.dt <= stable_step(plan):
+    if plan.dt <= find_largest_stable_step(plan):
         return ()
     # a learned σ_x is smaller on a finer grid
     if plan.encoders is not None and not plan.encoders.printed:
         least = plan.encoders.sigma.min(axis=0) * TRIED_GAINS[0] / (1.0 - TRIED_GAINS[0])
         plan = replace(plan, sigma_x=np.minimum(plan.sigma_x, least))
-    rate = 1.0 / stable_step(plan)
+    rate = 1.0 / find_largest_stable_step(plan)
     unit = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
     rate = float(np.ceil(rate / unit) * unit)  # rounded up to two digits
     text = (
@@ -112,7 +114,7 @@ def step_warning(plan: GridProblem) -> tuple[Finding, ...]:
     return (Finding("warning", f"step: {text}; type --rate {rate:g} or --step implicit"),)
 
 
-def _without_encoders(
+def _warn_of_unread_joints(
     plan: GridProblem, evidence: Evidence, names: tuple[str, ...]
 ) -> tuple[Finding, ...]:
     """A finding for joints without encoder readings, because σ_x is learned from encoders."""
@@ -126,7 +128,7 @@ def _without_encoders(
     return (Finding("warning", f"predictive-coding: {text}"),)
 
 
-def stable_step(plan: GridProblem) -> float:
+def find_largest_stable_step(plan: GridProblem) -> float:
     """Largest stable Δt (s) at every posture of the log."""
     _, jac, own = plan.predict(plan.postures)
     return measure_stable_step(jac, plan.rows[1].min(axis=0) + own, plan.sigma_x, plan.learning)

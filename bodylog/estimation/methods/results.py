@@ -52,7 +52,7 @@ def build_estimate(
     t = line.t[at]
     z = beliefs.z[at]
 
-    def series(values: Array, unit: str) -> Series:
+    def make_series(values: Array, unit: str) -> Series:
         return Series(t, values, body.joints, unit, line.source_ns)
 
     both = zip(evidence.sightings, line.sightings, strict=True)
@@ -79,8 +79,8 @@ def build_estimate(
     )
     return Estimate(
         method,
-        series(z[:, :m], "rad"),
-        series(z[:, m : 2 * m], "rad/s"),
+        make_series(z[:, :m], "rad"),
+        make_series(z[:, m : 2 * m], "rad/s"),
         beliefs.cov[at],
         errors,
         np.diff(np.cumsum(beliefs.nats)[at], prepend=0.0),
@@ -88,7 +88,7 @@ def build_estimate(
         {name: predicted for name, (_, predicted, _) in sights.items() if name in in_images},
         {name: cov for name, (_, _, cov) in sights.items() if name in in_images},
         {**beliefs.settings, **hypotheses},
-        series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
+        make_series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
         (*evidence.faults, *beliefs.faults),
         (*evidence.findings, *beliefs.findings),
     )
@@ -119,12 +119,12 @@ def find_evident_error(
     lasting = find_lasting_error(
         evidence.encoders, evidence.sightings, beliefs, problem.precision.encoder
     )
-    if lasting is None or nees_if_white(found, lasting.std**2) < LEAST_NEES:
+    if lasting is None or estimate_white_nees(found, lasting.std**2) < LEAST_NEES:
         return None
     return lasting
 
 
-def nees_if_white(found: Estimate, more: Array | float) -> float:
+def estimate_white_nees(found: Estimate, more: Array | float) -> float:
     """Mean squared error over stated variance, with variance
     more (M,) rad² beside what is stated.
     """
@@ -137,7 +137,7 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
 
     kept_for: why the error is not taken out of the angles.
     """
-    nees = nees_if_white(found, lasting.std**2)
+    nees = estimate_white_nees(found, lasting.std**2)
     own = {LASTING_ERROR: {**asdict(lasting), "nees_if_white": nees}}
     seen = (
         f"errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "

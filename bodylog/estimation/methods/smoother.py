@@ -42,7 +42,7 @@ from ..inference.solution import (
 )
 from ..inference.tangents import hand_over_starts
 from .contract import Method
-from .explained import explained_estimate
+from .explained import estimate_with_hardware_errors
 from .filtering import (
     find_offset_faults,
     pose_filter_problem,
@@ -62,7 +62,9 @@ def estimate_by_smoother(
     """Smoothed belief at each output time, given the whole log."""
     start_problem = pose_filter_problem(features, body, settings)
     problem, beliefs = _smooth_log(start_problem, body, settings)
-    return explained_estimate("smoother", body, problem, start_problem, beliefs, settings)
+    return estimate_with_hardware_errors(
+        "smoother", body, problem, start_problem, beliefs, settings
+    )
 
 
 def _smooth_log(
@@ -70,7 +72,7 @@ def _smooth_log(
 ) -> tuple[FilterProblem, Beliefs]:
     """The smoothed beliefs; what they are made of, most of a log's memory, ends here."""
 
-    def solved(problem: FilterProblem) -> tuple[FilterProblem, SmoothedWithResiduals]:
+    def solve_problem(problem: FilterProblem) -> tuple[FilterProblem, SmoothedWithResiduals]:
         problem, warm = tune_noise(problem, settings)
         solver = (
             (lambda posed, _: smooth_across_silence(posed)) if problem.stepwise else solve_map_path
@@ -78,7 +80,7 @@ def _smooth_log(
         problem, smooth = solve_with_offsets(problem, warm, settings, solver, smooth_across_silence)
         return problem, remove_outliers(problem, smooth)
 
-    problem, smooth = solve_with_reacquisition(start_problem, solved)
+    problem, smooth = solve_with_reacquisition(start_problem, solve_problem)
     found = smooth.left_out
     unfold = smooth.fold.unfold
     m = len(problem.start)

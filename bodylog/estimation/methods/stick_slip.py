@@ -22,7 +22,7 @@ from ..factors.robust import OUTLIERS, image_span
 from ..factors.whole_log import LEARNED_S
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.filter_problem import FilterProblem
-from ..measurements.long_arrays import find_finite_rows, median_step
+from ..measurements.long_arrays import find_finite_rows, measure_median_step
 from ..measurements.records import Encoders, Sighting
 from . import results
 from .results import Beliefs
@@ -140,7 +140,7 @@ def _sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
     """Whether some joint stands still between slips: errors that last make other steps
     each time.
     """
-    slipping = -np.expm1(-slips.rate * median_step(encoders.t))
+    slipping = -np.expm1(-slips.rate * measure_median_step(encoders.t))
     return bool((slipping < MOST_SLIPPING).any())
 
 
@@ -150,18 +150,18 @@ def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
     """
     centre = 0.5 * (encoders.t[0] + encoders.t[-1])
     rows = np.abs(encoders.t - centre) <= 0.5 * LEARNED_S
-    read = (encoders.t[rows], encoders.values[rows], encoders.relative[rows])
+    read = (encoders.t[rows], encoders.values[rows], encoders.relative_variance[rows])
     std = np.sqrt(variance)
     grid = np.array(np.meshgrid(*GRID, indexing="ij")).reshape(3, -1)[..., None]
-    best = _most_evident(read, grid * np.stack([variance, std, np.ones(len(std))])[:, None])
+    best = _choose_most_evident(read, grid * np.stack([variance, std, np.ones(len(std))])[:, None])
     for factor in FINER:
         steps = np.array([1.0 / factor, 1.0, factor])
         grid = np.array(np.meshgrid(steps, steps, steps, indexing="ij")).reshape(3, -1)[..., None]
-        best = _most_evident(read, grid * best[:, None])
+        best = _choose_most_evident(read, grid * best[:, None])
     return StickSlip(*best)
 
 
-def _most_evident(read: tuple[Array, Array, Array], tried: Array) -> Array:
+def _choose_most_evident(read: tuple[Array, Array, Array], tried: Array) -> Array:
     """Of parameters (3,G,M), those (3,M) of most evidence by readings at t (N,), values (N,M), and
     relative variances (N,M).
     """
@@ -224,7 +224,7 @@ def follow_slips(
     readings = np.full((count, m), np.nan)
     readings[line.encoders] = encoders.values
     noise = np.tile(slips.white, (count, 1))
-    noise[line.encoders] *= encoders.relative
+    noise[line.encoders] *= encoders.relative_variance
     frames: list[list[tuple[int, int]]] = [[] for _ in range(count)]
     spans = {}
     for number, (sighting, at) in enumerate(

@@ -64,7 +64,7 @@ a microrad would be.
 """
 
 
-def reason_to_widen(
+def find_reason_to_widen(
     problem: FilterProblem, names: tuple[str, ...], std: float, settings: EstimationSettings
 ) -> str | None:
     """Why an error of std rad is not looked for in the log of these joints; None if it is."""
@@ -86,7 +86,7 @@ def reason_to_widen(
     return None
 
 
-def reason_of_disagreement(
+def find_reason_of_disagreement(
     problem: FilterProblem, beliefs: Beliefs, found: ExplainedLog, causal: bool
 ) -> str | None:
     """Why the solution with white noise is not that of the beliefs; None if it is.
@@ -122,19 +122,21 @@ def reason_of_disagreement(
 def _move_readings_to_links(problem: FilterProblem, explanation: Explanation) -> FilterProblem:
     """The problem with readings of the links, which bend under the load that explains the log."""
 
-    def move(t: Array, angles: Array) -> Array:
+    def bend_with_load(t: Array, angles: Array) -> Array:
         return angles + bend_under_load(explanation.columns, explanation.learned.sizes, t, angles)
 
     encoders = problem.evidence.encoders
     assert encoders is not None  # of what is explained
-    read = replace(encoders, values=move(encoders.t, encoders.values))
+    read = replace(encoders, values=bend_with_load(encoders.t, encoders.values))
     evidence = replace(problem.evidence, encoders=read)
     return replace(
-        problem, evidence=evidence, start=move(problem.timeline.t[:1], problem.start[None])[0]
+        problem,
+        evidence=evidence,
+        start=bend_with_load(problem.timeline.t[:1], problem.start[None])[0],
     )
 
 
-def reason_of_misfit(
+def find_reason_of_misfit(
     problem: FilterProblem, found: ExplainedLog, solved: SolvedLog, causal: bool
 ) -> str | None:
     """Why the explained log is not to be trusted by what it leaves unexplained; None if it is."""
@@ -189,7 +191,7 @@ def measure_rough_motion(
         x, cov, read, nats = map(solution.fold.unfold, found)
     products, weights, image_nats, at = _compare_images_with_readings(problem, x, cov, read)
     noise = problem.precision.encoder
-    coloured = _find_coloured(read[problem.timeline.encoders], encoders, noise)
+    coloured = _find_coloured_joints(read[problem.timeline.encoders], encoders, noise)
     variance = np.maximum(np.where(coloured, noise, 0.0), _measure_shared_motion(products, weights))
     if not variance.any():
         return None
@@ -227,7 +229,7 @@ def _compare_images_with_readings(
         pull = np.einsum("fdm,fd->fm", jac, off / np.sqrt(size))
         product = pull * stated * np.clip(read[earlier], -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
         weight = np.einsum("fdm,fd->fm", np.square(jac), 1.0 / size)
-        there, near = _with_readings_there(x[rows], cov[rows], read[rows], noise)
+        there, near = _weigh_readings_there(x[rows], cov[rows], read[rows], noise)
         mean, jac, model_var = sighting.model.predict(there)
         total = project_covariance(jac, near)
         np.einsum("fdd->fd", total)[:] += model_var + var
@@ -254,7 +256,7 @@ def _measure_shared_motion(products: Array, weights: Array) -> Array:
     return np.asarray(np.divide(shared, weight, out=np.zeros(len(weight)), where=shown))
 
 
-def _find_coloured(errors: Array, encoders: Encoders, noise: Array) -> Array:
+def _find_coloured_joints(errors: Array, encoders: Encoders, noise: Array) -> Array:
     """Joints (M,) bool whose innovations (N,M), in standard deviations, are not white. Those
     whose noise is that of whole counts have none that are.
     """
@@ -275,7 +277,7 @@ def _find_coloured(errors: Array, encoders: Encoders, noise: Array) -> Array:
     return found
 
 
-def _with_readings_there(x: Array, cov: Array, read: Array, noise: Array) -> tuple[Array, Array]:
+def _weigh_readings_there(x: Array, cov: Array, read: Array, noise: Array) -> tuple[Array, Array]:
     """Angles (F,M) and their covariances (F,M,M) with the readings of the same
     instant, of errors read (F,M) in standard deviations, NaN where there are none.
     """

@@ -172,7 +172,7 @@ def _stretch_residuals(
     tells = changes & (belief.offsets == 0.0).all(axis=0)
     has_reading = np.isfinite(read) & tells
     angles = np.where(has_reading, read, belief.angles)
-    values, var, mix = sighting.independent
+    values, var, mix = sighting.independent_rows
     usable = np.flatnonzero(np.isfinite(values).all(axis=1) & np.isfinite(angles).all(axis=1))
     if len(usable) < MIN_READINGS or not has_reading.any():
         return
