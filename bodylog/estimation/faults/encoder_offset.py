@@ -26,7 +26,7 @@ from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
 from ..inference.solution import Solution
 from ..inference.tangents import OFFSET_STD
-from ..measurements.long_arrays import find_finite_rows as seen_rows
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Evidence
 from ..measurements.timeline import list_span_starts
 from ..noise.correlated_noise import count_effective_frames
@@ -270,7 +270,7 @@ def _sum_track_information(
     readings = solved.readings
     trace = solved.trace
     sighting = problem.evidence.sightings[track]
-    seen = seen_rows(sighting.values)
+    seen = find_finite_rows(sighting.values)
     size = np.arange(sighting.values.shape[1])
     events = problem.timeline.sightings[track][seen]
     x, cov = (solved.fold.pick(a, events) for a in (trace.prior, trace.prior_cov))

@@ -60,12 +60,14 @@ def _measure_joint_motion_nats(
     var = sighting.var[rows]
     middle = np.stack([np.median(x[p], axis=0) for p in parts])
     # motion within a part, as the encoders predict it, is subtracted before averaging
-    known, (at, jac, model) = sighting.model.predict(x)[0], sighting.model.predict(middle)
+    known = sighting.model.predict(x)[0]
+    at, jac, model = sighting.model.predict(middle)
     place = np.stack([np.median(y[p] - known[p], axis=0) for p in parts]) + at
     noise = np.stack([1.6 * var[p].mean(axis=0) / len(p) for p in parts]) + model
     noise += np.square(jac) @ encoders.variance
     found = [_explain_by_joint_motion(sighting, place, noise, middle, k) for k in range(x.shape[1])]
-    (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
+    gain, left, apart = found[joint]
+    others = [nats for k, (nats, *_) in enumerate(found) if k != joint]
     least = max(
         OFFSET_STD, 2.0 * step_size(encoders.values[np.isfinite(encoders.values[:, joint]), joint])
     )

@@ -26,23 +26,14 @@ from .moved_camera import detect_moved_camera
 from .repeats import detect_frozen_camera
 
 
-def warn_of_undetermined_joints(evidence: Evidence, poses: bool) -> Evidence:
-    """Warn where images must determine joints that have no
-    encoder readings, ever or (unless still poses) for long.
-    """
-    return replace(
-        evidence, findings=(*evidence.findings, *_undetermined_findings(evidence, poses))
-    )
-
-
-def _undetermined_findings(evidence: Evidence, poses: bool) -> Iterator[Finding]:
-    """Yield warnings where images give fewer numbers
-    than there are joints without encoder readings.
+def _warn_of_undetermined_joints(evidence: Evidence, poses: bool) -> Iterator[Finding]:
+    """Yield warnings where images must determine joints that have no encoder readings, ever or
+    (unless still poses) for long, and give fewer numbers than there are such joints.
     """
     names = evidence.joints
     encoders = evidence.encoders
     sightings = [sighting for sighting in evidence.sightings if sighting.name != "touch"]
-    mute = list_unread_joints(names, encoders)
+    mute = list_unread_joints(evidence)
     seen = sum(sighting.values.shape[1] for sighting in sightings)
     if 0 < seen < len(mute):
         yield Finding(
@@ -86,14 +77,9 @@ def _find_long_silence(frames: Array, known: Array) -> Iterator[str]:
         yield f"the first image to {known[0]:.3f} s"
 
 
-def detect_out_of_range(evidence: Evidence, body: BodyModel) -> Evidence:
-    """Check the range of all readings, unused encoders included: they give the initial belief."""
-    return replace(evidence, findings=(*evidence.findings, *_range_findings(evidence.read, body)))
-
-
-def _range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
-    """Yield a warning for each joint whose readings (N,M)
-    rad are mostly out of range; ModelError for degrees.
+def _warn_of_unexplored_range(readings: Array, body: BodyModel) -> Iterator[Finding]:
+    """Yield a warning for each joint whose readings (N,M) rad are mostly out of the range that the
+    body was learned in; ModelError for degrees.
     """
     known = [
         getattr(model, "samples", np.empty((0, len(body.joints)))) for model in body.senses.values()
@@ -159,7 +145,8 @@ def screen_measurements(
     encoder faults are named, but the readings stay as they were.
     """
     gathered = gather_measurements(features, body, settings)
-    found = detect_out_of_range(gathered, body)
+    # readings of unused encoders, too: they give the initial belief
+    found = replace(gathered, findings=tuple(_warn_of_unexplored_range(gathered.read, body)))
     # still poses have no motion, and no time from which a sensor is wrong
     if not features.poses:
         named = detect_encoder_faults(found, body)
@@ -170,4 +157,5 @@ def screen_measurements(
     found = require_measurements(
         found if repairs else replace(found, encoders=gathered.encoders), features, body, settings
     )
-    return warn_of_undetermined_joints(found, features.poses)
+    warnings = _warn_of_undetermined_joints(found, features.poses)
+    return replace(found, findings=(*found.findings, *warnings))

@@ -82,12 +82,13 @@ class ArmErrors:
 
     def as_provenance(self) -> dict[str, Any]:
         """Plain numbers for a body's provenance."""
-        rows = {name: asdict(one) for name, one in self.rows.items()}
-        play, lasting = (
-            {name: list(pair) for name, pair in one.items()} for one in (self.play, self.lasting)
-        )
-        held_out = dict(self.held_out)
-        return {ARM_ERRORS: {"play": play, "rows": rows, "lasting": lasting, "held_out": held_out}}
+        numbers = {
+            "play": {name: list(pair) for name, pair in self.play.items()},
+            "rows": {name: asdict(one) for name, one in self.rows.items()},
+            "lasting": {name: list(pair) for name, pair in self.lasting.items()},
+            "held_out": dict(self.held_out),
+        }
+        return {ARM_ERRORS: numbers}
 
     def warn_of_narrow_bars(self) -> Iterator[Finding]:
         """Yield a warning for each track whose images

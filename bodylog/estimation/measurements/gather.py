@@ -63,9 +63,7 @@ def require_measurements(
         if "touch" in used and reason in used["touch"].rejected
     ]
     read = set(features.joints.names if features.joints is not None else ())
-    members = {
-        name: {"encoders"} for name in read.difference(list_unread_joints(body.joints, encoders))
-    }
+    members = {name: {"encoders"} for name in read.difference(list_unread_joints(evidence))}
     members["vision"] = used.keys() - {"encoders", "touch"}
     for name in settings.senses or ():
         kept = any(used[member].used for member in members.get(name, {name}) if member in used)
@@ -100,13 +98,12 @@ def require_measurements(
     return replace(evidence, sightings=sightings, findings=(*evidence.findings, *findings))
 
 
-def list_unread_joints(names: tuple[str, ...], encoders: Encoders | None) -> list[str]:
+def list_unread_joints(evidence: Evidence) -> list[str]:
     """Joints without any encoder reading."""
-    return [
-        n
-        for j, n in enumerate(names)
-        if encoders is None or not np.isfinite(encoders.values[:, j]).any()
-    ]
+    if evidence.encoders is None:
+        return list(evidence.joints)
+    columns = zip(evidence.joints, evidence.encoders.values.T, strict=True)
+    return [name for name, column in columns if not np.isfinite(column).any()]
 
 
 def choose_senses(visual: Iterable[str], body: BodyModel, settings: EstimationSettings) -> set[str]:
@@ -191,12 +188,11 @@ def read_given_start(settings: EstimationSettings, names: tuple[str, ...]) -> Ar
     return None if settings.start is None else np.array(settings.start, float)
 
 
-def choose_initial_angles(
-    evidence: Evidence, settings: EstimationSettings, names: tuple[str, ...]
-) -> Array:
+def choose_initial_angles(evidence: Evidence, settings: EstimationSettings) -> Array:
     """Initial mean (M,) rad: as set, or each joint's
     first sound reading, else its first one, used or not.
     """
+    names = evidence.joints
     if (given := read_given_start(settings, names)) is not None:
         return given
     known = np.isfinite(evidence.read)

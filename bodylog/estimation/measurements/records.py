@@ -30,7 +30,7 @@ class Encoders:
     own_variance: Array | None = None
 
     def interpolate_at(self, t: Array) -> Array:
-        """Readings (F,M) rad at t (F,) s, as `interpolate_values`."""
+        """Readings (F,M) rad at other times t (F,) s, as `interpolate_values` gives them."""
         return interpolate_values(self.t, self.values, t)
 
     def select_rows(self, rows: Array | slice) -> "Encoders":
@@ -102,17 +102,14 @@ class Sighting:
 
     def select_rows(self, rows: Array | slice) -> "Sighting":
         """Some of the measurements."""
-        cov, displaced = (
-            None if part is None else part[rows] for part in (self.cov, self.displaced)
-        )
         return replace(
             self,
             t=self.t[rows],
             values=self.values[rows],
             var=self.var[rows],
             source_ns=self.source_ns[rows],
-            cov=cov,
-            displaced=displaced,
+            cov=None if self.cov is None else self.cov[rows],
+            displaced=None if self.displaced is None else self.displaced[rows],
         )
 
     @cached_property
@@ -158,7 +155,8 @@ def unmix_rows(
     """
     if mix is None:
         return predicted
-    (mean, cov, var), back = predicted, np.linalg.inv(mix)
+    mean, cov, var = predicted
+    back = np.linalg.inv(mix)
     squares = np.linalg.solve(mix * mix, var[..., None])
     return (back @ mean[..., None])[..., 0], back @ cov @ back.swapaxes(-1, -2), squares[..., 0]
 

@@ -14,8 +14,7 @@ import numpy as np
 
 from ...errors import EvidenceError, UsageError
 from ...types import Array
-from .long_arrays import find_finite_rows as seen_rows
-from .long_arrays import measure_median_step
+from .long_arrays import find_finite_rows, measure_median_step
 from .records import Evidence, Sighting
 
 GAP_STEPS = 10
@@ -28,7 +27,7 @@ View = tuple[str, ...]
 
 def select_visual_sightings(sightings: Sequence[Sighting]) -> list[Sighting]:
     """Sightings of tracks seen at least once, without touch."""
-    return [s for s in sightings if s.name != "touch" and seen_rows(s.values).any()]
+    return [s for s in sightings if s.name != "touch" and find_finite_rows(s.values).any()]
 
 
 def list_track_sets(sightings: Sequence[Sighting], t: Array) -> tuple[list[View], Array]:
@@ -43,7 +42,7 @@ def list_track_sets(sightings: Sequence[Sighting], t: Array) -> tuple[list[View]
 
 def _is_in_view(track: Sighting, t: Array) -> Array:
     """Whether a track is in view at times t (E,), with sightings shortly before and after."""
-    seen = track.t[seen_rows(track.values)]
+    seen = track.t[find_finite_rows(track.values)]
     around = np.concatenate([[min(t[0], seen[0])], seen, [max(t[-1], seen[-1])]])
     if len(track.t) < 2:
         return np.zeros(len(t), bool)

@@ -9,7 +9,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...types import Array, Features, Series, Synchrony
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
-from .long_arrays import find_finite_rows as rows_seen
+from .long_arrays import find_finite_rows
 from .records import Measured, Sighting, build_health
 from .track import find_ascending_times
 
@@ -26,7 +26,8 @@ def read_touch(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     """Read the effector's positions by touch, where the body predicts the effector."""
     if "effector" not in body.senses:
         return {}
-    (found, count), seen = read_touch_sighting(features, body), len(features.touches or ())
+    found, count = read_touch_sighting(features, body)
+    seen = len(features.touches or ())
     paired = sum(
         bool(np.isfinite(pair.delay)) and not is_synchronous(pair) for pair in features.synchrony
     )
@@ -34,8 +35,8 @@ def read_touch(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     reasons = {
         "not synchronous": min(paired, seen - count),
         "no common cause": min(apart, seen - count),
+        "no stroke seen": max(seen - count - paired - apart, 0),
     }
-    reasons["no stroke seen"] = max(seen - count - paired - apart, 0)
     return {"touch": Measured(found, build_health(seen, count, reasons))}
 
 
@@ -51,10 +52,8 @@ def read_touch_sighting(features: Features, body: BodyModel) -> tuple[Sighting, 
     count = 0
     if hand is None:
         hand = Series(np.empty(0), np.empty((0, 2)), ("u", "v"), "px", np.empty(0, np.int64))
-    sound, (_, pairs) = (
-        find_ascending_times(hand.t) & rows_seen(hand.values),
-        find_strongest_touches(features, hand.t),
-    )
+    sound = find_ascending_times(hand.t) & find_finite_rows(hand.values)
+    _, pairs = find_strongest_touches(features, hand.t)
     places = np.full(hand.values.shape, np.nan)
     variance = np.ones(hand.values.shape)
     for number, pair in enumerate(features.synchrony):
@@ -64,7 +63,7 @@ def read_touch_sighting(features: Features, body: BodyModel) -> tuple[Sighting, 
             places[during] = hand.values[during] - (u, v)
             variance[during] = spread / pair.event_weight * during.sum()
             count += is_synchronous(pair) and has_common_cause(pair)
-    kept = rows_seen(places)
+    kept = find_finite_rows(places)
     found = (hand.t[kept], places[kept], variance[kept], hand.source_ns[kept])
     return Sighting("touch", body.senses["effector"], *found), count
 
@@ -106,5 +105,6 @@ def find_strongest_touches(features: Features, t: Array) -> tuple[Array, Array]:
     for k, pair in enumerate(features.synchrony if touches else ()):
         touch = touches[pair.touch]
         more = (t >= touch.onset) & (t <= touch.offset) & (pair.event_weight > weight)
-        weight[more], number[more] = pair.event_weight, k
+        weight[more] = pair.event_weight
+        number[more] = k
     return weight, number

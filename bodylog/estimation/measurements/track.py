@@ -7,8 +7,7 @@ import numpy as np
 from ...body_model import BodyModel, ForwardModel
 from ...types import Array, Features, Series
 from .arm_errors import RowExposure, read_arm_errors, shift_by_rows
-from .long_arrays import find_finite_rows as seen_rows
-from .long_arrays import index_true_rows
+from .long_arrays import find_finite_rows, index_true_rows
 from .records import Measured, Sighting, build_health
 
 
@@ -39,7 +38,7 @@ def group_tracks_by_camera(sightings: Sequence[Sighting]) -> Mapping[str, list[i
 def _read_track(name: str, track: Series, body: BodyModel, rows: RowExposure | None) -> Measured:
     times = shift_by_rows(track, rows)
     rising = find_ascending_times(times)
-    seen = seen_rows(track.values)
+    seen = find_finite_rows(track.values)
     reasons = {"time runs backwards": (~rising).sum(), "out of view": (rising & ~seen).sum()}
     counts = build_health(
         len(track.t), (rising & seen).sum(), reasons, find_longest_gap(times[rising & seen])

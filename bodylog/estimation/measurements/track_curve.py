@@ -6,8 +6,12 @@ from functools import cached_property
 import numpy as np
 
 from ...types import Array
-from .long_arrays import MIN_READINGS, estimate_noise_variance, measure_median_step
-from .long_arrays import find_finite_rows as seen_rows
+from .long_arrays import (
+    MIN_READINGS,
+    estimate_noise_variance,
+    find_finite_rows,
+    measure_median_step,
+)
 from .records import Encoders, Sighting
 from .timeline import list_span_starts
 
@@ -209,7 +213,7 @@ def _clean_track(seen: Sighting) -> tuple[Array, Array, Array]:
     """Times (N,), positions (N,2) and typical variance
     (2,), without repeated frames and single blunders.
     """
-    shown = np.flatnonzero(seen_rows(seen.values))
+    shown = np.flatnonzero(find_finite_rows(seen.values))
     shown = shown[
         np.append(True, (np.diff(seen.values[shown], axis=0) != 0.0).any(axis=1))[: len(shown)]
     ]

@@ -16,6 +16,7 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel, TouchConstants
 from ...types import Array, Features
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.touch import find_strongest_touches
 
 
@@ -62,7 +63,7 @@ def build_paper_touch(features: Features, body: BodyModel, t: Array, dt: float) 
     hand = features.hand
     assert hand is not None
     rows = np.maximum(np.searchsorted(hand.t, t + 1e-9, "right") - 1, 0)
-    seen = np.isfinite(hand.values[rows]).all(axis=1) & (np.abs(t - hand.t[rows]) < max(dt, 0.2))
+    seen = find_finite_rows(hand.values[rows]) & (np.abs(t - hand.t[rows]) < max(dt, 0.2))
     temporal, _ = find_strongest_touches(features, t)
     return PaperTouch(
         body.senses["effector"], body.touch, seen & (temporal > 0), hand.values[rows], temporal

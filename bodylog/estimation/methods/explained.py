@@ -16,14 +16,7 @@ from ..factors.columns import ImageShift, Play, displacement_sentence
 from ..factors.factor_problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from ..factors.hypotheses import DRIFTS_S, Explanation
 from ..factors.load import FIRST_BEND, Load, bend_under_load, load_columns, load_sentence
-from ..factors.whole_log import (
-    ExplainedLog,
-    Instants,
-    SolvedLog,
-    explain_log,
-    resembles_load,
-    solve_log,
-)
+from ..factors.whole_log import ExplainedLog, SolvedLog, explain_log, resembles_load, solve_log
 from ..faults.moved_camera import restore_displacements
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..inference.filter_problem import FilterProblem
@@ -44,11 +37,6 @@ from .trust import (
     find_reason_to_widen,
     measure_rough_motion,
 )
-
-Place = tuple[Array, Array, Array]
-"""Of a sighting's frames: mean (F,D), covariance (F,D,D)
-without their own noise, and the model's variance (F,D).
-"""
 
 LIKE_OFFSETS = "offsets of encoders explain the log as well as a load does, or better"
 """Why a load that a log resembles is not taken out of its angles."""
@@ -145,7 +133,7 @@ def _explain_estimate(
     known: half of each joint's play (M,) rad in the exploration, and its encoders' errors ·
     is_white: encoders that are off are all that the log shows.
     """
-    why = find_reason_to_widen(problem, body.joints, std, settings)
+    why = find_reason_to_widen(problem, std, settings)
     if why is not None:
         return why
     assert problem.evidence.encoders is not None  # or bars are widened
@@ -315,12 +303,13 @@ def _with_explanation(
     parts = [instants.angles, instants.rates]
     if problem.precision.drift is not None:
         parts.append(instants.offsets)
-    names = [one.name for one in problem.evidence.sightings]
     scale = {**beliefs.scale, **dict(zip(found.senses, found.noise.scales, strict=True))}
-    places = tuple(
-        solved.places[name] if name in solved.places else _place(problem, instants, number)
-        for number, name in enumerate(names)
-    )
+    places = [
+        solved.places[sighting.name]
+        if sighting.name in solved.places
+        else predict_frames(sighting, instants.before[at], instants.before_cov[at])
+        for sighting, at in zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
+    ]
     return replace(
         beliefs,
         z=np.concatenate(parts, axis=1),
@@ -331,7 +320,7 @@ def _with_explanation(
         encoder_errors=instants.encoder_errors,
         scale=scale,
         findings=(),  # they are of beliefs that are not reported
-        places=places,
+        places=tuple(places),
     )
 
 
@@ -342,14 +331,6 @@ def _estimate_resting_variances(noise: Noise) -> Array:
     if joints.error is not None and noise.resting is not None and joints.learned.any():
         found[noise.resting] = np.mean(np.square(joints.error[joints.learned]))
     return found
-
-
-def _place(problem: FilterProblem, instants: Instants, number: int) -> Place:
-    """Where a sense that shows nothing would have been."""
-    at = problem.timeline.sightings[number]
-    return predict_frames(
-        problem.evidence.sightings[number], instants.before[at], instants.before_cov[at]
-    )
 
 
 def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 look for encoder offsets, and return the beliefs.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -49,17 +50,15 @@ def estimate_by_filter(
     `filter` linearises frames at the belief until it
     converges; `ekf` does so once, at the prior mean.
     """
-    at = "prior" if settings.method == "ekf" else "posterior"
     start_problem = pose_filter_problem(features, body, settings)
 
     def solve_problem(problem: FilterProblem) -> tuple[FilterProblem, Solution]:
         problem, warm = tune_noise(problem, settings)
-        stepwise = at == "posterior" and problem.stepwise
-        solver = (
-            (lambda posed, _: filter_sequentially(posed))
-            if stepwise
-            else partial(solve_by_gauss_newton, at=at)
-        )
+        solver: Callable[[FilterProblem, Solution | None], Solution] | None
+        if settings.method == "ekf":
+            solver = partial(solve_by_gauss_newton, at="prior")
+        else:
+            solver = None if problem.stepwise else solve_by_gauss_newton
         return solve_with_offsets(problem, warm, settings, solver, filter_sequentially)
 
     problem, solution = solve_with_reacquisition(start_problem, solve_problem)
@@ -79,7 +78,7 @@ def estimate_by_filter(
         precision.scale,
         precision.plain(),
         find_offset_faults(problem, solution),
-        tuple(warn_of_lost_belief(problem, body.joints, solution)),
+        warn_of_lost_belief(problem, solution),
     )
     return estimate_with_hardware_errors(
         settings.method, body, problem, start_problem, beliefs, settings
@@ -113,7 +112,7 @@ def build_filter_problem(
     evidence = replace(
         evidence, sightings=noise_model.with_typed_variances(evidence.sightings, settings)
     )
-    first = choose_initial_angles(evidence, settings, body.joints)
+    first = choose_initial_angles(evidence, settings)
     precision = noise_model.with_typed_noise(
         resolve_noise_model(evidence, body, settings), settings, body.joints
     )
@@ -158,15 +157,15 @@ def with_named_motion(problem: FilterProblem, settings: EstimationSettings) -> F
 
 
 def solve_with_reacquisition(
-    problem: FilterProblem, solved: Callable[[FilterProblem], tuple[FilterProblem, S]]
+    problem: FilterProblem, solve: Callable[[FilterProblem], tuple[FilterProblem, S]]
 ) -> tuple[FilterProblem, S]:
-    """The problem as `solved`, and solved again with
+    """The problem as solved and its solution, with
     re-acquisition if the belief loses an encoder for long.
     """
-    found, solution = solved(problem)
+    found, solution = solve(problem)
     if found.stepwise or not loses_encoder(found, solution):
         return found, solution
-    return solved(find_initial_path(problem, lost=True))
+    return solve(find_initial_path(problem, lost=True))
 
 
 def tune_noise(
@@ -188,22 +187,24 @@ def solve_with_offsets(
     problem: FilterProblem,
     warm: Solution | None,
     settings: EstimationSettings,
-    solver: Callable[[FilterProblem, Solution | None], S],
-    patient: Callable[[FilterProblem], S],
+    solver: Callable[[FilterProblem, Solution | None], S] | None,
+    fallback: Callable[[FilterProblem], S],
 ) -> tuple[FilterProblem, S]:
     """Solve the problem, with encoder offsets if the
     settings allow them and the evidence asks for them.
 
-    `patient`, slower but robust, takes over if the solver does not converge.
+    warm: a solution to start from · fallback, slower but robust, takes over if there is no solver,
+    or if it does not converge. Returns the problem that was solved, which holds the offsets, and
+    its solution.
     """
 
-    def sure(posed: FilterProblem, begin: Solution | None) -> S:
-        try:
-            return solver(posed, begin)
-        except DidNotConverge:
-            return patient(posed)
+    def solve_or_fall_back(posed: FilterProblem, begin: Solution | None) -> S:
+        if solver is not None:
+            with suppress(DidNotConverge):
+                return solver(posed, begin)
+        return fallback(posed)
 
-    solved = sure(problem, warm)
+    solved = solve_or_fall_back(problem, warm)
     if settings.bias != "auto" or problem.evidence.encoders is None:
         return problem, solved
     found, suspected = encoder_offset.find_suspected_encoders(problem, solved)
@@ -214,7 +215,7 @@ def solve_with_offsets(
     ):
         # a filter that is lost makes offsets of sound readings: with re-acquisition first
         again, begin = tune_noise(find_initial_path(problem, lost=True), settings)
-        return solve_with_offsets(again, begin, settings, lambda posed, _: patient(posed), patient)
+        return solve_with_offsets(again, begin, settings, None, fallback)
     if suspected.any():
         found = encoder_offset.choose_encoder_offsets(
             found, solved, suspected, lambda posed: relearn_noise(posed, settings)[0]
@@ -222,7 +223,7 @@ def solve_with_offsets(
     if not found.alternatives:
         return found, solved
     found, begin = relearn_noise(found, settings)
-    return found, sure(found, begin)
+    return found, solve_or_fall_back(found, begin)
 
 
 def relearn_noise(
@@ -253,16 +254,13 @@ def select_reported_states(z: Array, problem: FilterProblem) -> Array:
     return np.concatenate([z[:, : 2 * m], z[:, size:]], axis=1)
 
 
-def warn_of_lost_belief(
-    problem: FilterProblem, names: tuple[str, ...], solved: Solution
-) -> Iterator[Finding]:
+def warn_of_lost_belief(problem: FilterProblem, solved: Solution) -> tuple[Finding, ...]:
     """A warning where the belief was reset."""
     resets = solved.readings.reset
-    return (
-        iter(())
-        if resets is None
-        else warn_of_resets(names, problem.timeline.t, solved.fold.unfold(resets))
-    )
+    if resets is None:
+        return ()
+    names = problem.evidence.joints
+    return tuple(warn_of_resets(names, problem.timeline.t, solved.fold.unfold(resets)))
 
 
 def unfold_offset_variance(problem: FilterProblem, solved: Solution) -> Array:

@@ -12,6 +12,7 @@ from ...settings import EstimationSettings
 from ...types import Array, Features, Finding
 from ..faults.screening import screen_measurements
 from ..measurements.gather import choose_initial_angles
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Evidence, Sighting, interpolate_values
 from ..measurements.timeline import Timeline, build_timeline
 from ..noise import noise_model
@@ -138,10 +139,10 @@ def build_grid_problem(
     ]
     touch = build_paper_touch(features, body, t, 1.0 / rate) if felt else None
     learning = GridProblem.learning if settings.lambda_ is None else settings.lambda_
-    first = choose_initial_angles(evidence, settings, body.joints)
+    first = choose_initial_angles(evidence, settings)
     angles = encoders is not None and encoders.model is None
     read = evidence.encoders.values if evidence.encoders is not None and angles else first[None]
-    postures = np.concatenate([first[None], read[np.isfinite(read).all(axis=1)]])
+    postures = np.concatenate([first[None], read[find_finite_rows(read)]])
     return (
         GridProblem(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, moved, postures, learning),
         evidence,

@@ -38,7 +38,7 @@ def estimate_by_predictive_coding(
     if not np.isfinite(x).all():
         why = findings[0].text if findings else "step: explicit; type --step implicit"
         raise UsageError(f"{why} (the belief left {DIVERGENCE_RAD:g} rad)")
-    findings = (*findings, *_warn_of_unread_joints(plan, evidence, body.joints))
+    findings = (*findings, *_warn_of_unread_joints(plan, evidence))
     steps = {
         "step": "explicit" if explicit else "implicit",
         "dt": plan.dt,
@@ -114,11 +114,9 @@ def warn_of_unstable_step(plan: GridProblem) -> tuple[Finding, ...]:
     return (Finding("warning", f"step: {text}; type --rate {rate:g} or --step implicit"),)
 
 
-def _warn_of_unread_joints(
-    plan: GridProblem, evidence: Evidence, names: tuple[str, ...]
-) -> tuple[Finding, ...]:
+def _warn_of_unread_joints(plan: GridProblem, evidence: Evidence) -> tuple[Finding, ...]:
     """A finding for joints without encoder readings, because σ_x is learned from encoders."""
-    still = ", ".join(list_unread_joints(names, evidence.encoders))
+    still = ", ".join(list_unread_joints(evidence))
     if not still or all(sense.printed for sense in plan.senses):
         return ()
     text = (

@@ -14,7 +14,7 @@ from ...settings import EstimationSettings
 from ...types import LASTING_ERROR, Array, Estimate, Fault, Finding, Series
 from ..inference.filter_problem import FilterProblem
 from ..measurements.arm_errors import LEAST_NEES
-from ..measurements.long_arrays import find_finite_rows as seen_rows
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.posture import PostureModel
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
@@ -194,7 +194,7 @@ def standardise_sighting(
     )
     np.einsum("fdd->fd", cov)[:] += var
     std = np.sqrt(np.einsum("fdd->fd", cov))
-    seen = seen_rows(sighting.values)
+    seen = find_finite_rows(sighting.values)
     error = ((sighting.values - mean) / std)[seen]
     mean = mean if sighting.displaced is None else mean + sighting.displaced
     errors = Series(sighting.t[seen], error, names, "std", sighting.source_ns[seen])

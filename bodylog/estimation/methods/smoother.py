@@ -74,9 +74,7 @@ def _smooth_log(
 
     def solve_problem(problem: FilterProblem) -> tuple[FilterProblem, SmoothedWithResiduals]:
         problem, warm = tune_noise(problem, settings)
-        solver = (
-            (lambda posed, _: smooth_across_silence(posed)) if problem.stepwise else solve_map_path
-        )
+        solver = None if problem.stepwise else solve_map_path
         problem, smooth = solve_with_offsets(problem, warm, settings, solver, smooth_across_silence)
         return problem, remove_outliers(problem, smooth)
 
@@ -100,7 +98,7 @@ def _smooth_log(
         precision.scale,
         precision.plain(),
         find_offset_faults(problem, smooth),
-        tuple(warn_of_lost_belief(problem, body.joints, smooth)),
+        warn_of_lost_belief(problem, smooth),
         found.places,
     )
     return problem, beliefs

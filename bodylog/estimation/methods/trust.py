@@ -28,7 +28,7 @@ from ..factors.whole_log import (
 from ..faults.threshold import SIGNIFICANT_SIGMA
 from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
-from ..measurements.long_arrays import MIN_READINGS
+from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence
 from ..noise.lasting_error import MOST_COUNTS
@@ -65,9 +65,9 @@ a microrad would be.
 
 
 def find_reason_to_widen(
-    problem: FilterProblem, names: tuple[str, ...], std: float, settings: EstimationSettings
+    problem: FilterProblem, std: float, settings: EstimationSettings
 ) -> str | None:
-    """Why an error of std rad is not looked for in the log of these joints; None if it is."""
+    """Why an error of std rad is not looked for in the log; None if it is."""
     if settings.hardware_errors == "widen":
         return 'type hardware_errors = "explain" under [estimate] to have them taken out'
     if settings.motion not in ("auto", WHITE_JERK):
@@ -81,7 +81,7 @@ def find_reason_to_widen(
     turns = measure_turns(problem.evidence.encoders)
     still = (turns < LEAST_TURN * std) & ~find_resting_joints(problem)
     for j in np.flatnonzero(still).tolist():
-        turn = f"{names[j]} turns by {turns[j]:.2g} rad"
+        turn = f"{problem.evidence.joints[j]} turns by {turns[j]:.2g} rad"
         return f"{turn}, too little to tell them from the body's error"
     return None
 
@@ -217,7 +217,7 @@ def _compare_images_with_readings(
         if sighting.name == "touch" or sighting.cov is not None:
             continue
         before = np.searchsorted(line.encoders, at) - 1
-        usable = (before >= 0) & np.isfinite(sighting.values).all(axis=1)
+        usable = (before >= 0) & find_finite_rows(sighting.values)
         rows = at[usable]
         earlier = line.encoders[before[usable]]
         seen = sighting.values[usable]
@@ -236,7 +236,7 @@ def _compare_images_with_readings(
         nats = mixture_nats(seen - mean, total, image_span(seen, sighting.var[usable]))
         found.append((product, weight, nats, rows))
     product, weight, nats, rows = map(np.concatenate, zip(*found, strict=True))
-    known = np.isfinite(product).all(axis=1)
+    known = find_finite_rows(product)
     return product[known], weight[known], nats[known], rows[known]
 
 

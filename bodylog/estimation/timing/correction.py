@@ -42,7 +42,7 @@ class CorrectedFeatures:
 
 
 def correct_camera_delays(
-    features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto"
+    features: Features, body: BodyModel, given: str | Mapping[str, float]
 ) -> CorrectedFeatures:
     """Subtract each camera's delay: as `given` {camera:
     s}, none if "off", else measured from the log.
@@ -72,7 +72,8 @@ def correct_camera_delays(
             own = replace(residual, seconds=delays[name] + residual.seconds)
             # a camera without its learned delay more likely has none than the measured rest
             keep = not delays[name] or own.nats > EVIDENCE_THRESHOLD_NATS
-            delays[name], errors[name] = (own.seconds, own.std_error) if keep else (0.0, 0.0)
+            delays[name] = own.seconds if keep else 0.0
+            errors[name] = own.std_error if keep else 0.0
     weighed = tuple(
         Hypothesis(
             "camera late",

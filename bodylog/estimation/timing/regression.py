@@ -40,7 +40,7 @@ a clock steps by 0.3 s. A log with play, sag and correlated errors has 0.58, too
 
 
 def measure_delay_by_regression(
-    encoders: Encoders, seen: Sequence[Sighting], walking: tuple[int, ...] = ()
+    encoders: Encoders, seen: Sequence[Sighting], walking: tuple[int, ...]
 ) -> Delay | None:
     """The delay of one camera's tracks; None where motion is too small or too short.
 
