@@ -152,9 +152,9 @@ def _screen_encoder(
 def _find_recovery_time(t: Array, y: Array, repeated: RepeatedReadings) -> float | None:
     """When (s) an encoder that was repeated reads again; None if it never does."""
     later = np.flatnonzero(np.isfinite(y[repeated.end :]))
-    return (
-        float(t[repeated.end + later[0]]) if len(later) and repeated.end > repeated.begin else None
-    )
+    if len(later) == 0 or repeated.end == repeated.begin:
+        return None
+    return float(t[repeated.end + later[0]])
 
 
 def _find_excursions(

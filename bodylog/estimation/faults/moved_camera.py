@@ -98,9 +98,14 @@ class _DisplacementRows:
         """The rows with these keys."""
         kept = np.isin(self.keys, keys)
         cov = (self.chol @ self.chol.T)[np.ix_(kept, kept)]
-        parts = (self.keys, self.t, self.output, self.r, self.jac)
-        keys, t, output, r, jac = (part[kept] for part in parts)
-        return _DisplacementRows(keys, t, output, r, jac, np.linalg.cholesky(cov))
+        return _DisplacementRows(
+            self.keys[kept],
+            self.t[kept],
+            self.output[kept],
+            self.r[kept],
+            self.jac[kept],
+            np.linalg.cholesky(cov),
+        )
 
     def stack_columns(self, changes: Sequence[SensorChange]) -> Array:
         """What units of all sizes of changes add (R,·), side by side."""
@@ -127,11 +132,14 @@ class _DisplacementRows:
 
     def allow_for_columns(self, more: Array) -> "_DisplacementRows":
         """The rows with errors along columns (R,C), each of one standard deviation."""
-        return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more @ more.T))
+        return self.allow_for_covariance(more @ more.T)
 
     def allow_for_wandering(self, walk: float) -> "_DisplacementRows":
         """The rows with encoders' offsets that wander by `walk` rad²/s."""
-        more = _build_offset_covariance(self.t, self.jac, walk)
+        return self.allow_for_covariance(_build_offset_covariance(self.t, self.jac, walk))
+
+    def allow_for_covariance(self, more: Array) -> "_DisplacementRows":
+        """The rows with errors of covariance (R,R) beside their own."""
         return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more))
 
     def measure_cost_beside(self, changes: Sequence[SensorChange]) -> float:
@@ -142,11 +150,8 @@ class _DisplacementRows:
     @property
     def cost(self) -> float:
         """−ln p (nats), up to a constant of all hypotheses."""
-        return float(
-            _measure_nats_at_best_scale(
-                np.square(forward_substituted(self.chol, self.r[:, None])).sum(), self.chol
-            )
-        )
+        white = forward_substituted(self.chol, self.r[:, None])
+        return float(_measure_nats_at_best_scale(np.square(white).sum(), self.chol))
 
 
 class _ModelWithAddedVariance:
@@ -181,14 +186,14 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     encoders = _remove_blunders(evidence.encoders)
     links = follow_links(encoders.t, encoders.values, body.joints, errors.play)
     encoders = replace(encoders, values=links)
-    lasting = [errors.lasting.get(name, NO_ERRORS) for name in body.joints]
+    lasting = np.array([errors.lasting.get(name, NO_ERRORS) for name in body.joints])
     sightings = list(evidence.sightings)
     faults = list[Fault]()
     hypotheses = list[Hypothesis]()
     worn = np.zeros(len(body.joints))
     for name, own in group_tracks_by_camera(sightings).items():
         seen = [sightings[k] for k in own]
-        rows = _build_displacement_rows(encoders, seen, np.array(lasting))
+        rows = _build_displacement_rows(encoders, seen, lasting)
         if rows is not None and (more := _measure_worn_play(encoders, rows)).any():
             slack = read_slack(encoders.t, encoders.values, np.maximum(more, LEAST_PLAY))
             encoders = replace(encoders, values=encoders.values + more * slack)
@@ -290,16 +295,16 @@ class _Explanation:
 
 
 def find_displacements(
-    encoders: Encoders, seen: Sequence[Sighting], lasting: Sequence[tuple[float, float]]
+    encoders: Encoders, seen: Sequence[Sighting], lasting: Array
 ) -> list[SensorChange]:
     """Return the displacements of one camera's tracks that win EVIDENCE_THRESHOLD_NATS, by time, or
-    else the most likely one.
+    else the most likely one; none where too little is seen.
 
-    lasting: σ (rad) and τ (s) of each encoder's errors that last. Empty where too little is seen.
+    lasting (M,2): σ (rad) and τ (s) of each encoder's errors that last.
     """
 
     def predict_rows(read: Encoders) -> _DisplacementRows | None:
-        return _build_displacement_rows(read, seen, np.array(lasting))
+        return _build_displacement_rows(read, seen, lasting)
 
     rows = predict_rows(encoders)
     if rows is None:

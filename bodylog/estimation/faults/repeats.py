@@ -1,15 +1,13 @@
-"""Repeated readings and silence: of frozen and dead encoders, and of sound ones at rest.
+"""Repeated readings and silence: of frozen and dead encoders, of sound ones at rest, and of frozen
+cameras.
 
 An encoder at rest repeats its reading, too, if it counts in steps or is read only after motion. So
-repeats alone are a fault only of encoders that are noisy all the time, at rest and in motion.
+repeats alone are a fault only of encoders that are noisy all the time, at rest and in motion. Other
+encoders that repeat are frozen if images show that their joint moved: residuals of the images
+against the encoders' predictions are explained by motion of one joint at a time, and motion of
+this joint explains them and motion of no other joint does.
 
-Encoders that repeat one reading while images show that their joint moved.
-
-Residuals of the images against the encoders' predictions are explained
-by motion of one joint at a time. A repeating encoder is frozen if
-motion of its joint explains them and motion of no other joint does.
-
-Frozen cameras: images repeat while the encoders show motion.
+A camera is frozen if images repeat while the encoders show motion.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,6 +26,20 @@ from ..noise.encoder_noise import MAX_MEMORY_S
 from ..noise.quantisation import step_size
 from .jumping import find_level_shifts
 from .threshold import EVIDENCE_THRESHOLD_NATS
+
+MAX_REPEAT_SHARE = 0.02
+"""Largest share of repeats of a noisy encoder; one that repeats more often counts in steps."""
+
+
+class RepeatedReadings(NamedTuple):
+    """Readings [begin, end) that a frozen or dead encoder
+    repeats, none if it is silent, and the nats it wins.
+    """
+
+    kind: FaultKind
+    begin: int
+    end: int
+    nats: float
 
 
 def measure_motion_nats(
@@ -113,11 +125,10 @@ def detect_frozen_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     sightings = list[Sighting]()
     faults = list[Fault]()
     for sighting in evidence.sightings:
-        values, found = (
-            _remove_false_repeats(sighting, evidence.encoders)
-            if sighting.name != "touch"
-            else (sighting.values, [])
-        )
+        values = sighting.values
+        found = list[Fault]()
+        if sighting.name != "touch":
+            values, found = _remove_false_repeats(sighting, evidence.encoders)
         if found:
             health = used[sighting.name]
             left = int(find_finite_rows(values).sum())
@@ -173,26 +184,8 @@ def _predict_largest_motion(
     places = np.stack([sighting.model.predict(some)[0] for some in without])
     apart = float(np.linalg.norm(places - places[:, :1], axis=2).max(axis=1).min())
     # the largest of as many distances as there are parts
-    return (
-        apart
-        if 0.5 * apart**2 > (EVIDENCE_THRESHOLD_NATS + np.log(len(parts))) * noise and apart > 1.0
-        else 0.0
-    )
-
-
-MAX_REPEAT_SHARE = 0.02
-"""Largest share of repeats of a noisy encoder; one that repeats more often counts in steps."""
-
-
-class RepeatedReadings(NamedTuple):
-    """Readings [begin, end) that a frozen or dead encoder
-    repeats, none if it is silent, and the nats it wins.
-    """
-
-    kind: FaultKind
-    begin: int
-    end: int
-    nats: float
+    least = (EVIDENCE_THRESHOLD_NATS + np.log(len(parts))) * noise
+    return apart if 0.5 * apart**2 > least and apart > 1.0 else 0.0
 
 
 def find_frozen_readings(

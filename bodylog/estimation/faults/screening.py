@@ -1,9 +1,7 @@
 """One pass of all fault detectors over the measurements.
 
-Warnings for joints and stretches without encoder
-readings, where images alone may not determine the angles.
-
-Whether encoder readings lie in the range, and have the unit, that the body was learned with.
+It also warns of readings beyond the range that the body was learned in, or in another unit, and of
+joints and stretches without encoder readings, where images alone may not determine the angles.
 """
 
 from collections.abc import Iterator

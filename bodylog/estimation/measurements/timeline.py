@@ -1,6 +1,5 @@
-"""The time axis of a log: the measurements of each instant, and the output times.
-
-Tracks in view over time.
+"""The time axis of a log: the measurements of each instant, the output times, and the tracks in
+view over time.
 
 White acceleration fits no motion at all time scales, and the images
 determine the time scale: where fewer tracks than usual are in view,
@@ -21,8 +20,27 @@ GAP_STEPS = 10
 """Usual steps after which there is a gap: an unseen track is out of view, a filter of encoder
 readings restarts. A few lost messages leave none.
 """
+MAX_OUTPUT_RATE_HZ = 100.0
+"""Hz: encoders faster than this are all used, but the output is on a grid of this rate, and noise
+is learned from means of so many a second, because a shorter stretch shows no acceleration."""
+MAX_EXTRA_INSTANTS = 1_000_000
+"""A grid of so many more instants than there are stamps mostly covers silence and is refused."""
 
 View = tuple[str, ...]
+"""Names of the tracks in view."""
+
+
+@dataclass(frozen=True, eq=False)
+class Timeline:
+    """Instants t (E,) s · instants of encoder rows (N,), of
+    sightings' rows (F,), of outputs (O,) · source_ns (O,).
+    """
+
+    t: Array
+    encoders: Array
+    sightings: tuple[Array, ...]
+    outputs: Array
+    source_ns: Array
 
 
 def select_visual_sightings(sightings: Sequence[Sighting]) -> list[Sighting]:
@@ -48,26 +66,6 @@ def _is_in_view(track: Sighting, t: Array) -> Array:
         return np.zeros(len(t), bool)
     quick = np.diff(around) <= GAP_STEPS * measure_median_step(track.t)
     return np.asarray(quick[np.searchsorted(seen, t)])
-
-
-MAX_OUTPUT_RATE_HZ = 100.0
-"""Hz: encoders faster than this are all used, but the output is on a grid of this rate, and noise
-is learned from means of so many a second, because a shorter stretch shows no acceleration."""
-MAX_EXTRA_INSTANTS = 1_000_000
-"""A grid of so many more instants than there are stamps mostly covers silence and is refused."""
-
-
-@dataclass(frozen=True, eq=False)
-class Timeline:
-    """Instants t (E,) s · instants of encoder rows (N,), of
-    sightings' rows (F,), of outputs (O,) · source_ns (O,).
-    """
-
-    t: Array
-    encoders: Array
-    sightings: tuple[Array, ...]
-    outputs: Array
-    source_ns: Array
 
 
 def build_timeline(evidence: Evidence, rate: float | None) -> Timeline:

@@ -19,6 +19,9 @@ from ...types import Array, Features
 from ..measurements.long_arrays import find_finite_rows
 from ..measurements.touch import find_strongest_touches
 
+DIVERGENCE_RAD = 100.0
+"""A belief beyond this has diverged: no joint turns 16 times."""
+
 
 @dataclass(frozen=True, eq=False)
 class PaperTouch:
@@ -68,10 +71,6 @@ def build_paper_touch(features: Features, body: BodyModel, t: Array, dt: float) 
     return PaperTouch(
         body.senses["effector"], body.touch, seen & (temporal > 0), hand.values[rows], temporal
     )
-
-
-DIVERGENCE_RAD = 100.0
-"""A belief beyond this has diverged: no joint turns 16 times."""
 
 
 @dataclass(frozen=True, eq=False)

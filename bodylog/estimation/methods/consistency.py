@@ -75,19 +75,15 @@ def check_consistency(
     unit: of the joints' readings · rad_per_unit: its size.
     """
     learned = found.settings.get("encoder", found.settings.get("sigma_encoders"))
-    for name, variance in zip(
-        found.joints.names, learned if isinstance(learned, list) else (), strict=False
-    ):
-        if (
-            settings.precision == "auto"
-            and settings.preset != "paper"
-            and variance * rad_per_unit**2 > NOISY_STD_RAD**2
-        ):
-            text = (
-                f"encoders: {name} has noise of {variance**0.5:.2g} {unit}; do two nodes publish "
-                "on its topic?"
-            )
-            yield Finding("warning", text)
+    is_learned = settings.precision == "auto" and settings.preset != "paper"
+    if is_learned and isinstance(learned, list):
+        for name, variance in zip(found.joints.names, learned, strict=False):
+            if variance * rad_per_unit**2 > NOISY_STD_RAD**2:
+                text = (
+                    f"encoders: {name} has noise of {variance**0.5:.2g} {unit}; do two nodes "
+                    "publish on its topic?"
+                )
+                yield Finding("warning", text)
     for sense, errors in found.errors.items():
         off = np.abs(errors.values[np.isfinite(errors.values)]) > SIGNIFICANT_SIGMA
         # of true errors of one peak, however distributed, no more are beyond (Vysochanskij, Petunin)

@@ -74,16 +74,14 @@ class GridProblem:
         return next((sense for sense in self.senses if sense.name == "encoders"), None)
 
     @cached_property
-    def rows(self) -> tuple[Array, Array]:
+    def stacked_readings(self) -> tuple[Array, Array]:
         """Readings (N,R), NaN where absent, and variances (N,R) of all senses beside each other."""
-        pairs = [
-            (np.empty((len(self.t), 0)),) * 2,
-            *((sense.s, sense.sigma) for sense in self.senses),
-        ]
-        s, sigma = (np.hstack(part) for part in zip(*pairs, strict=True))
+        none = np.empty((len(self.t), 0))
+        s = np.hstack([none, *(sense.s for sense in self.senses)])
+        sigma = np.hstack([none, *(sense.sigma for sense in self.senses)])
         return s, sigma
 
-    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+    def predict_senses(self, x: Array) -> tuple[Array, Array, Array]:
         """g (N,R), J (N,R,M) and the models' own variances (N,R) of all senses at x (N,M)."""
         none = x[:, :0], np.empty((len(x), 0, x.shape[1])), x[:, :0]
         parts = zip(none, *(sense.predict(x) for sense in self.senses), strict=True)
@@ -199,9 +197,8 @@ def hold_beliefs_at_instants(
     t = line.t[line.outputs]
     every = np.zeros(len(line.t))
     errors = np.full((len(line.t), x.shape[1]), np.nan)
-    held, before = (
-        np.maximum(np.searchsorted(t, line.t, side) - 1, 0) for side in ("right", "left")
-    )
+    held = np.maximum(np.searchsorted(t, line.t, "right") - 1, 0)
+    before = np.maximum(np.searchsorted(t, line.t, "left") - 1, 0)
     every[line.outputs] = nats
     rate = np.diff(x, axis=0, prepend=x[:1]) / np.diff(t, prepend=-np.inf)[:, None]
     if evidence.encoders is not None and encoders is not None:

@@ -67,24 +67,26 @@ def correct_camera_delays(
     free = {name: rest for name, rest in residuals.items() if name not in fixed}
     unsure = {name: rest.seconds for name, rest in free.items() if rest.doubt and is_evident(rest)}
     unapplied = tuple(report_unapplied_delays(free, delays))
-    for name, residual in residuals.items():
-        if is_significant(residual) and name not in fixed:
-            own = replace(residual, seconds=delays[name] + residual.seconds)
+    for name, rest in free.items():
+        if not is_significant(rest):
+            continue
+        own = replace(rest, seconds=delays[name] + rest.seconds)
+        if not delays[name] or own.nats > EVIDENCE_THRESHOLD_NATS:
+            delays[name] = own.seconds
+            errors[name] = own.std_error
+        else:
             # a camera without its learned delay more likely has none than the measured rest
-            keep = not delays[name] or own.nats > EVIDENCE_THRESHOLD_NATS
-            delays[name] = own.seconds if keep else 0.0
-            errors[name] = own.std_error if keep else 0.0
+            delays[name] = 0.0
     weighed = tuple(
         Hypothesis(
             "camera late",
             name,
-            residual.nats,
+            rest.nats,
             EVIDENCE_THRESHOLD_NATS,
-            name not in fixed and is_significant(residual),
+            name in free and is_significant(rest),
         )
-        for name, residual in residuals.items()
+        for name, rest in residuals.items()
     )
-    errors = {name: error for name, error in errors.items() if error}
     delays = {name: delay for name, delay in delays.items() if delay}
     findings = (*report_delays(delays, errors, residuals, fixed), *unapplied)
     return CorrectedFeatures(
@@ -142,27 +144,28 @@ def reconsider_delays(
     if not free:
         return None
     found = {name: total for name, total in free.items() if is_significant(total)}
-    delays, errors = (
-        {name: size for name, size in sizes.items() if name not in free}
-        for sizes in (timely.delays, timely.errors)
-    )
+    delays = {name: seconds for name, seconds in timely.delays.items() if name not in free}
+    errors = {name: error for name, error in timely.errors.items() if name not in free}
     delays |= {name: total.seconds for name, total in found.items()}
     errors |= {name: total.std_error for name, total in found.items()}
     explained = {
         name: replace(one, doubt="joints' errors explain it") for name, one in free.items()
     }
-    measured = {**timely.measured, **explained, **found}
-    threshold = EVIDENCE_THRESHOLD_NATS
     text = "camera late beside errors of joints"
-    weighed = tuple(
-        Hypothesis(text, name, total.nats, threshold, name in found) for name, total in free.items()
+    weighed = (
+        Hypothesis(text, name, total.nats, EVIDENCE_THRESHOLD_NATS, name in found)
+        for name, total in free.items()
     )
-    unsure = {name: seconds for name, seconds in timely.unsure.items() if name not in free}
     others = [one for one in timely.findings if one.text.partition(":")[0] not in free]
-    findings = (*others, *report_delays({name: delays[name] for name in found}, errors, {}, fixed))
-    shown = shift_features(features, delays)
-    weighed = (*timely.hypotheses, *weighed)
-    return CorrectedFeatures(shown, delays, errors, measured, unsure, findings, weighed)
+    return CorrectedFeatures(
+        shift_features(features, delays),
+        delays,
+        errors,
+        {**timely.measured, **explained, **found},
+        {name: seconds for name, seconds in timely.unsure.items() if name not in free},
+        (*others, *report_delays({name: delays[name] for name in found}, errors, {}, fixed)),
+        (*timely.hypotheses, *weighed),
+    )
 
 
 def _find_reason_not_applied(residual: Delay, is_fixed: bool) -> str:
@@ -262,14 +265,11 @@ def measure_camera_delays(
     linked = with_links(features, read_arm_errors(body).play)
     encoders, seen = gather_sound_measurements(linked, body)
     joints = tuple(k for k, name in enumerate(body.joints) if name in walking)
-    found = (
-        {}
-        if encoders is None
-        else {
-            name: measure_delay_by_regression(encoders, tracks, joints)
-            for name, tracks in seen.items()
-        }
-    )
+    if encoders is None:
+        return {}
+    found = {
+        name: measure_delay_by_regression(encoders, tracks, joints) for name, tracks in seen.items()
+    }
     return {name: delay for name, delay in found.items() if delay is not None}
 
 
@@ -282,8 +282,9 @@ def gather_sound_measurements(
     if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
         return None, {}
     found = gather_measurements(features, body, EstimationSettings(without=("touch",)))
-    for sighting in (one for one in found.sightings if one.name in features.tracks):
-        seen.setdefault(camera_of_track(sighting.name), []).append(sighting)
+    for sighting in found.sightings:
+        if sighting.name in features.tracks:
+            seen.setdefault(camera_of_track(sighting.name), []).append(sighting)
     return None if found.encoders is None else repair_readings(found.encoders), seen
 
 
@@ -298,10 +299,8 @@ def restore_stamps(found: Estimate, features: Features) -> Estimate:
         rows = np.searchsorted(track.source_ns, series.source_ns, sorter=order)
         return replace(series, t=track.t[order[rows]])
 
-    each = (found.errors, found.predicted)
-    errors, predicted = (
-        {name: restore_times(name, series) for name, series in one.items()} for one in each
-    )
+    errors = {name: restore_times(name, series) for name, series in found.errors.items()}
+    predicted = {name: restore_times(name, series) for name, series in found.predicted.items()}
     return replace(found, errors=errors, predicted=predicted)
 
 
