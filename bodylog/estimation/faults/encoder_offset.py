@@ -34,7 +34,7 @@ from ..noise.encoder_noise import MAX_MEMORY_S
 from ..noise.quantisation import step_size
 from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
-RAMPS = 64
+TRIED_DRIFT_BEGINS = 64
 """Times tried at which a steady drift may begin."""
 SIZE_ROUNDS = 4
 """Parabolas by which the size of a change is found: one holds near its points alone, and a minimum
@@ -166,7 +166,9 @@ def _fit_change(t: Array, off: Array, grows: bool) -> tuple[float, float]:
     this shape in place of 0, and its size at the end.
     """
     power = int(grows)
-    begins = np.linspace(t[0] + MAX_MEMORY_S, t[-1] - MAX_MEMORY_S, RAMPS) if grows else t
+    begins = (
+        np.linspace(t[0] + MAX_MEMORY_S, t[-1] - MAX_MEMORY_S, TRIED_DRIFT_BEGINS) if grows else t
+    )
     rows = np.searchsorted(t, begins)
 
     def sum_later(values: Array, degree: int) -> Array:

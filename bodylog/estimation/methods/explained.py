@@ -11,7 +11,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...fault_kinds import OFF_FROM_START_S
 from ...settings import EstimationSettings
-from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
+from ...types import Array, Estimate, Fault, FaultKind, Finding
 from ..factors.columns import ImageShift, Play, displacement_sentence
 from ..factors.factor_problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from ..factors.hypotheses import DRIFTS_S, Explanation
@@ -43,7 +43,6 @@ LIKE_OFFSETS = "offsets of encoders explain the log as well as a load does, or b
 
 
 def estimate_with_hardware_errors(
-    method: str,
     body: BodyModel,
     problem: FilterProblem,
     first: FilterProblem,
@@ -56,7 +55,7 @@ def estimate_with_hardware_errors(
     first: the problem before encoder offsets were looked for. Offsets that other errors of the
     hardware explain, too, are no faults.
     """
-    kept = results.build_estimate(method, body, problem.evidence, problem.timeline, beliefs)
+    kept = results.build_estimate(settings.method, problem.evidence, problem.timeline, beliefs)
     halves = _read_play_halves(body)
     prior = _choose_lasting_prior(body)
     lasting = find_evident_error(kept, problem, beliefs.z, settings, kept.faults)
@@ -68,9 +67,7 @@ def estimate_with_hardware_errors(
     def try_explanation(std: float, is_white: bool) -> Estimate | str:
         known = (halves, prior)
         try:
-            return _explain_estimate(
-                method, body, problem, first, beliefs, settings, std, known, is_white
-            )
+            return _explain_estimate(body, problem, first, beliefs, settings, std, known, is_white)
         except np.linalg.LinAlgError as singular:
             return f"their explanation has no solution ({singular})"
 
@@ -80,13 +77,13 @@ def estimate_with_hardware_errors(
         if isinstance(made, Estimate):
             return made
     # a load looks like an encoder that drifts, by less than counts as a fault, too
-    if lasting is None and not beliefs.faults and not has_offsets(problem, first):
+    if lasting is None and not beliefs.faults and not _has_offsets(problem, first):
         if settings.precision != "auto":
             return kept
         rough = measure_rough_motion(problem, beliefs, settings.method != "smoother")
         if rough is None or estimate_white_nees(kept, rough.variance) < LEAST_NEES:
             return kept
-        slipping = estimate_stick_slip(method, body, problem, beliefs, settings, rough)
+        slipping = estimate_stick_slip(problem, beliefs, settings, rough)
         return results.with_rough_motion(kept, rough.variance) if slipping is None else slipping
     made = try_explanation(FIRST_BEND if lasting is None else lasting.std, lasting is None)
     if isinstance(made, Estimate):
@@ -118,7 +115,6 @@ def _suspect_error(
 
 
 def _explain_estimate(
-    method: str,
     body: BodyModel,
     problem: FilterProblem,
     first: FilterProblem,
@@ -162,17 +158,10 @@ def _explain_estimate(
     if why is not None:
         return why
     explained = _with_explanation(problem, beliefs, found, solved)
-    made = results.build_estimate(method, body, problem.evidence, problem.timeline, explained)
+    made = results.build_estimate(settings.method, problem.evidence, problem.timeline, explained)
     errors = _describe_errors(found, problem.evidence.joints)
     text = "; ".join(_describe_errors_in_words(errors)) or "encoders: errors last"
-    finding = Finding(
-        "warning", f'{text}: angles allow for it; see "What real arms do" in docs/validation.md'
-    )
-    return replace(
-        made,
-        settings={**made.settings, HARDWARE_ERRORS: errors},
-        findings=(*made.findings, finding),
-    )
+    return results.with_hardware_errors(made, errors, f"{text}: angles allow for it")
 
 
 def _read_play_halves(body: BodyModel) -> Array:
@@ -223,7 +212,7 @@ def _drop_faults(problem: FilterProblem, first: FilterProblem) -> Iterator[Filte
     drift = replace(problem.precision, drift=first.precision.drift)
     evidence = replace(first.evidence, hypotheses=problem.evidence.hypotheses)
     plain = replace(problem, evidence=evidence, precision=drift, alternatives={})
-    if has_offsets(problem, first):
+    if _has_offsets(problem, first):
         yield plain
     if any(one.kind == FaultKind.DISPLACED for one in evidence.faults):
         yield replace(plain, evidence=restore_displacements(evidence))
@@ -290,7 +279,7 @@ def _count_from_start(problem: FilterProblem, faults: tuple[Fault, ...]) -> int:
     return off if all(fault.since < begin for fault in faults) else 0
 
 
-def has_offsets(problem: FilterProblem, first: FilterProblem) -> bool:
+def _has_offsets(problem: FilterProblem, first: FilterProblem) -> bool:
     """Whether encoder offsets were found since the first problem."""
     return problem.evidence.faults != first.evidence.faults or bool(problem.alternatives)
 

@@ -80,9 +80,7 @@ def estimate_by_filter(
         find_offset_faults(problem, solution),
         warn_of_lost_belief(problem, solution),
     )
-    return estimate_with_hardware_errors(
-        settings.method, body, problem, start_problem, beliefs, settings
-    )
+    return estimate_with_hardware_errors(body, problem, start_problem, beliefs, settings)
 
 
 def pose_filter_problem(

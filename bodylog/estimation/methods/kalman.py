@@ -42,7 +42,7 @@ def estimate_by_kalman_filter(
     beliefs = hold_beliefs_at_instants(
         line, evidence, read, x, cov, moved, nats, {"process": STEP_VARIANCE_RAD2, "encoder": noise}
     )
-    return results.build_estimate("kalman", body, evidence, line, beliefs)
+    return results.build_estimate("kalman", evidence, line, beliefs)
 
 
 def _choose_encoders(body: BodyModel, settings: EstimationSettings) -> tuple[str, ...]:

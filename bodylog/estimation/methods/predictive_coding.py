@@ -49,7 +49,7 @@ def estimate_by_predictive_coding(
     beliefs = hold_beliefs_at_instants(
         line, evidence, problem.encoders, x, cov, moved, nats, used, findings
     )
-    return results.build_estimate("predictive-coding", body, evidence, line, beliefs)
+    return results.build_estimate("predictive-coding", evidence, line, beliefs)
 
 
 def integrate_belief(problem: GridProblem, explicit: bool) -> tuple[Array, Array, Array]:

@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ...body_model import BodyModel
 from ...linear_algebra import project_covariance
 from ...settings import EstimationSettings
-from ...types import LASTING_ERROR, Array, Estimate, Fault, Finding, Series
+from ...types import HARDWARE_ERRORS, LASTING_ERROR, Array, Estimate, Fault, Finding, Series
 from ..inference.filter_problem import FilterProblem
 from ..measurements.arm_errors import LEAST_NEES
 from ..measurements.long_arrays import find_finite_rows
@@ -43,17 +42,15 @@ class Beliefs:
     places: tuple[tuple[Array, Array, Array], ...] = ()
 
 
-def build_estimate(
-    method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs
-) -> Estimate:
+def build_estimate(method: str, evidence: Evidence, line: Timeline, beliefs: Beliefs) -> Estimate:
     """The public record of one method's beliefs."""
-    m = len(body.joints)
+    m = len(evidence.joints)
     at = line.outputs
     t = line.t[at]
     z = beliefs.z[at]
 
     def make_series(values: Array, unit: str) -> Series:
-        return Series(t, values, body.joints, unit, line.source_ns)
+        return Series(t, values, evidence.joints, unit, line.source_ns)
 
     both = zip(evidence.sightings, line.sightings, strict=True)
     places = beliefs.places or tuple(
@@ -72,7 +69,7 @@ def build_estimate(
     if evidence.encoders is not None and np.isfinite(evidence.encoders.values).any():
         rows = beliefs.encoder_errors[line.encoders]
         errors["encoders"] = Series(
-            evidence.encoders.t, rows, body.joints, "std", evidence.encoders.source_ns
+            evidence.encoders.t, rows, evidence.joints, "std", evidence.encoders.source_ns
         )
     hypotheses = (
         {"hypotheses": [asdict(one) for one in evidence.hypotheses]} if evidence.hypotheses else {}
@@ -156,6 +153,16 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
         cov=found.cov + lasting.std**2 * np.eye(found.cov.shape[1]),
         settings={**found.settings, **own},
         findings=(*found.findings, Finding("warning", text)),
+    )
+
+
+def with_hardware_errors(found: Estimate, errors: Mapping[str, Any], text: str) -> Estimate:
+    """The estimate with the errors of the hardware that its angles allow for, and a warning."""
+    warning = f'{text}; see "What real arms do" in docs/validation.md'
+    return replace(
+        found,
+        settings={**found.settings, HARDWARE_ERRORS: errors},
+        findings=(*found.findings, Finding("warning", warning)),
     )
 
 

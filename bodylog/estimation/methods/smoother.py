@@ -61,14 +61,12 @@ def estimate_by_smoother(
 ) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
     start_problem = pose_filter_problem(features, body, settings)
-    problem, beliefs = _smooth_log(start_problem, body, settings)
-    return estimate_with_hardware_errors(
-        "smoother", body, problem, start_problem, beliefs, settings
-    )
+    problem, beliefs = _smooth_log(start_problem, settings)
+    return estimate_with_hardware_errors(body, problem, start_problem, beliefs, settings)
 
 
 def _smooth_log(
-    start_problem: FilterProblem, body: BodyModel, settings: EstimationSettings
+    start_problem: FilterProblem, settings: EstimationSettings
 ) -> tuple[FilterProblem, Beliefs]:
     """The smoothed beliefs; what they are made of, most of a log's memory, ends here."""
 
@@ -84,8 +82,9 @@ def _smooth_log(
     m = len(problem.start)
     precision = problem.precision
     z = unfold(smooth.z)
-    cov = precision.of(unfold(smooth.cov)[:, :m, :m], problem.left_open)
-    cov = with_repairs(cov, problem, smooth)
+    cov = with_repairs(
+        precision.of(unfold(smooth.cov)[:, :m, :m], problem.left_open), problem, smooth
+    )
     errors = np.full((*problem.timeline.t.shape, m), np.nan)
     errors[problem.timeline.encoders] = found.encoders
     beliefs = Beliefs(
