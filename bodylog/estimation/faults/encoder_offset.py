@@ -78,40 +78,65 @@ def find_likeliest_changes(
     """The most likely step of one joint's encoder, and its most likely steady drift from some time
     on, given the problem without and with a `wandering` offset of it.
 
-    A drift stands beside a slow random walk: a walk is as likely before it begins as later, so one
-    that is slow enough for the sound readings trails a steady drift. A step or drift that the log
-    does not determine is left out.
+    A step or drift that the log does not determine is left out.
     """
+    off = _measure_residuals(wandering, problem, joint, solved)
+    found = [_find_likeliest_step(problem, off, joint, solved)]
+    assert problem.evidence.encoders is not None
+    if np.ptp(problem.evidence.encoders.t) > 2.0 * MAX_MEMORY_S:
+        found.append(_find_likeliest_drift(problem, off, joint, solved))
+    return [one for one in found if one is not None]
+
+
+def _measure_residuals(
+    posed: FilterProblem, problem: FilterProblem, joint: int, solved: Solution
+) -> Array:
+    """How far the problem's readings of a joint (N,) rad are from the angles of the posed one."""
+    assert problem.evidence.encoders is not None
+    solution = filter_roughly(posed, solved)
+    angles = solution.fold.unfold(solution.trace.z[:, joint])
+    return np.asarray(
+        problem.evidence.encoders.values[:, joint] - angles[problem.timeline.encoders]
+    )
+
+
+def _find_likeliest_step(
+    problem: FilterProblem, off: Array, joint: int, solved: Solution
+) -> OffsetHypothesis | None:
+    """The most likely step; off (N,) rad: residuals of readings where the offset wanders."""
     encoders = problem.evidence.encoders
     assert encoders is not None
     y = encoders.values[:, joint]
     t = encoders.t
-
-    def measure_residuals(posed: FilterProblem) -> Array:
-        solution = filter_roughly(posed, solved)
-        angles = solution.fold.unfold(solution.trace.z[:, joint])
-        return np.asarray(y - angles[problem.timeline.encoders])
-
-    followed = measure_residuals(wandering)
-    late, size = _fit_change(t, followed, grows=False)
+    since, size = _fit_change(t, off, grows=False)
     # a filter takes a step for motion at first: just before, images alone tell the angle
-    unsure = (t > late - MAX_MEMORY_S) & (t <= late)
-    masked = np.where(unsure, np.nan, np.where(t > late, y - size, y))
-    again = measure_residuals(_with_readings(problem, joint, masked))
+    unsure = (t > since - MAX_MEMORY_S) & (t <= since)
+    masked = np.where(unsure, np.nan, np.where(t > since, y - size, y))
+    masked_off = _measure_residuals(_with_readings(problem, joint, masked), problem, joint, solved)
     shifts = np.where(unsure, np.sign(size) * np.diff(y, prepend=np.nan), np.nan)
     largest = float(t[np.nan_to_num(shifts, nan=-np.inf).argmax()])
-    begins = {_fit_change(t, again, grows=False)[0], largest}
+    begins = {_fit_change(t, masked_off, grows=False)[0], largest}
     # an encoder that is off so soon is off from the start
     steps = {one if one - t[0] >= MAX_MEMORY_S else float(t[0]): size for one in sorted(begins)}
-    found = [_size_likeliest_change(problem, joint, solved, steps, grows=False)]
-    if t[-1] - t[0] > 2.0 * MAX_MEMORY_S:
-        late, size = _fit_change(t, followed, grows=True)
-        rows = np.searchsorted(t, np.maximum(late - np.array(TRAILING_S), t[0] + MAX_MEMORY_S))
-        slope = size / (t[-1] - late)
-        drifts = {one: float(slope * (t[-1] - one)) for one in np.unique(t[rows]).tolist()}
-        slow = _with_walk(problem, joint, RANDOM_WALKS[1])
-        found.append(_size_likeliest_change(slow, joint, solved, drifts, grows=True))
-    return [one for one in found if one is not None]
+    return _size_likeliest_change(problem, joint, solved, steps, grows=False)
+
+
+def _find_likeliest_drift(
+    problem: FilterProblem, off: Array, joint: int, solved: Solution
+) -> OffsetHypothesis | None:
+    """The most likely steady drift; off (N,) rad: residuals of readings where the offset wanders.
+
+    A drift stands beside a slow random walk: a walk is as likely before it begins as later, so one
+    that is slow enough for the sound readings trails a steady drift.
+    """
+    assert problem.evidence.encoders is not None
+    t = problem.evidence.encoders.t
+    since, size = _fit_change(t, off, grows=True)
+    rows = np.searchsorted(t, np.maximum(since - np.array(TRAILING_S), t[0] + MAX_MEMORY_S))
+    slope = size / (t[-1] - since)
+    drifts = {one: float(slope * (t[-1] - one)) for one in np.unique(t[rows]).tolist()}
+    slow = _with_walk(problem, joint, RANDOM_WALKS[1])
+    return _size_likeliest_change(slow, joint, solved, drifts, grows=True)
 
 
 def _size_likeliest_change(

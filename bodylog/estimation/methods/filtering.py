@@ -90,10 +90,11 @@ def pose_filter_problem(
     costs is judged by it.
     """
     built = build_filter_problem(features, body, settings)
+    if settings.precision != "auto" or built.stepwise:
+        return built
     problem = built
     runs = list[StrayRun]()
-    may_judge = settings.precision == "auto" and not built.stepwise
-    while may_judge and (possible := list_possible_runs(problem)):
+    while possible := list_possible_runs(problem):
         more = find_stray_runs(tune_noise(problem, settings)[0], possible)
         if not more:
             break
@@ -107,27 +108,21 @@ def build_filter_problem(
 ) -> FilterProblem:
     """The problem with the encoders' noise model."""
     evidence = warn_of_few_readings(screen_measurements(features, body, settings), body, settings)
-    evidence = replace(
-        evidence, sightings=noise_model.with_typed_variances(evidence.sightings, settings)
-    )
-    first = choose_initial_angles(evidence, settings)
+    sightings = noise_model.with_typed_variances(evidence.sightings, settings)
+    evidence = replace(evidence, sightings=sightings)
+    start = choose_initial_angles(evidence, settings)
     precision = noise_model.with_typed_noise(
         resolve_noise_model(evidence, body, settings), settings, body.joints
     )
-    evidence = replace(
-        evidence,
-        findings=(
-            *evidence.findings,
-            *noise_model.remark_on_precision(settings, precision, evidence.sightings),
-        ),
-    )
+    remarks = noise_model.remark_on_precision(settings, precision, evidence.sightings)
+    evidence = replace(evidence, findings=(*evidence.findings, *remarks))
     evidence = weigh_repeated_readings(evidence, precision, settings)
-    usual = learn_posture_prior(evidence, precision.process, first)
-    problem = FilterProblem(
-        evidence, build_timeline(evidence, settings.rate), first, precision, posture_prior=usual
-    )
-    allowed = encoder_offset.choose_preset_walks(settings.bias, evidence)
-    problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
+    prior = learn_posture_prior(evidence, precision.process, start)
+    timeline = build_timeline(evidence, settings.rate)
+    problem = FilterProblem(evidence, timeline, start, precision, posture_prior=prior)
+    walks = encoder_offset.choose_preset_walks(settings.bias, evidence)
+    if walks is not None:
+        problem = encoder_offset.with_drift(problem, walks)
     if settings.motion != "auto":
         problem = with_named_motion(problem, settings)
     elif settings.process is None:  # it is a white acceleration
@@ -202,26 +197,23 @@ def solve_with_offsets(
                 return solver(posed, begin)
         return fallback(posed)
 
-    solved = solve_or_fall_back(problem, warm)
+    solution = solve_or_fall_back(problem, warm)
     if settings.bias != "auto" or problem.evidence.encoders is None:
-        return problem, solved
-    found, suspected = encoder_offset.find_suspected_encoders(problem, solved)
-    if (
-        suspected.any()
-        and not problem.stepwise
-        and loses_encoder(problem, filter_roughly(problem, solved))
-    ):
+        return problem, solution
+    scored, suspected = encoder_offset.find_suspected_encoders(problem, solution)
+    if not suspected.any():
+        return scored, solution
+    if not problem.stepwise and loses_encoder(problem, filter_roughly(problem, solution)):
         # a filter that is lost makes offsets of sound readings: with re-acquisition first
         again, begin = tune_noise(find_initial_path(problem, lost=True), settings)
         return solve_with_offsets(again, begin, settings, None, fallback)
-    if suspected.any():
-        found = encoder_offset.choose_encoder_offsets(
-            found, solved, suspected, lambda posed: relearn_noise(posed, settings)[0]
-        )
-    if not found.alternatives:
-        return found, solved
-    found, begin = relearn_noise(found, settings)
-    return found, solve_or_fall_back(found, begin)
+    with_offsets = encoder_offset.choose_encoder_offsets(
+        scored, solution, suspected, lambda posed: relearn_noise(posed, settings)[0]
+    )
+    if not with_offsets.alternatives:
+        return with_offsets, solution
+    relearned, begin = relearn_noise(with_offsets, settings)
+    return relearned, solve_or_fall_back(relearned, begin)
 
 
 def relearn_noise(

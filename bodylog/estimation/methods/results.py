@@ -52,20 +52,22 @@ def build_estimate(method: str, evidence: Evidence, line: Timeline, beliefs: Bel
     def make_series(values: Array, unit: str) -> Series:
         return Series(t, values, evidence.joints, unit, line.source_ns)
 
-    both = zip(evidence.sightings, line.sightings, strict=True)
     places = beliefs.places or tuple(
-        predict_frames(s, beliefs.before[at], beliefs.before_cov[at]) for s, at in both
+        predict_frames(sighting, beliefs.before[rows], beliefs.before_cov[rows])
+        for sighting, rows in zip(evidence.sightings, line.sightings, strict=True)
     )
-    sights = {
-        s.name: standardise_sighting(s, place, beliefs.scale.get(s.name, 1.0))
-        for s, place in zip(evidence.sightings, places, strict=True)
-    }
-    errors = {name: error for name, (error, _, _) in sights.items()}
-    in_images = {
-        s.name
-        for s in evidence.sightings
-        if s.name != "touch" and not isinstance(s.model, PostureModel)
-    }
+    errors = dict[str, Series]()
+    predicted = dict[str, Series]()
+    predicted_cov = dict[str, Array]()
+    for sighting, place in zip(evidence.sightings, places, strict=True):
+        name = sighting.name
+        error, prediction, prediction_cov = standardise_sighting(
+            sighting, place, beliefs.scale.get(name, 1.0)
+        )
+        errors[name] = error
+        if name != "touch" and not isinstance(sighting.model, PostureModel):
+            predicted[name] = prediction
+            predicted_cov[name] = prediction_cov
     if evidence.encoders is not None and np.isfinite(evidence.encoders.values).any():
         rows = beliefs.encoder_errors[line.encoders]
         errors["encoders"] = Series(
@@ -82,8 +84,8 @@ def build_estimate(method: str, evidence: Evidence, line: Timeline, beliefs: Bel
         errors,
         np.diff(np.cumsum(beliefs.nats)[at], prepend=0.0),
         evidence.used,
-        {name: predicted for name, (_, predicted, _) in sights.items() if name in in_images},
-        {name: cov for name, (_, _, cov) in sights.items() if name in in_images},
+        predicted,
+        predicted_cov,
         {**beliefs.settings, **hypotheses},
         make_series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
         (*evidence.faults, *beliefs.faults),
