@@ -67,18 +67,16 @@ def estimate_by_filter(
     m = len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(
-        select_reported_states(unfold(trace.z), problem),
-        with_repairs(
-            precision.of(unfold(trace.cov[:, :m, :m]), problem.left_open), problem, solution
-        ),
-        unfold(trace.nats),
-        unfold(trace.prior),
-        unfold(trace.prior_cov),
-        unfold(trace.encoder_d),
-        precision.scale,
-        precision.plain(),
-        find_offset_faults(problem, solution),
-        warn_of_lost_belief(problem, solution),
+        z=select_reported_states(unfold(trace.z), problem),
+        cov=state_covariance(unfold(trace.cov[:, :m, :m]), problem, solution),
+        nats=unfold(trace.nats),
+        before=unfold(trace.prior),
+        before_cov=unfold(trace.prior_cov),
+        encoder_errors=unfold(trace.encoder_d),
+        scale=precision.scale,
+        settings=precision.plain(),
+        faults=find_offset_faults(problem, solution),
+        findings=warn_of_lost_belief(problem, solution),
     )
     return estimate_with_hardware_errors(body, problem, start_problem, beliefs, settings)
 
@@ -259,8 +257,11 @@ def unfold_offset_variance(problem: FilterProblem, solved: Solution) -> Array:
     return np.asarray(solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, m:, m:])))
 
 
-def with_repairs(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
-    """Covariances (E,M,M) rad² of angles and the variance that repaired jumps add."""
+def state_covariance(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
+    """Covariances (E,M,M) rad² of angles as the noise model states them, and the variance that
+    repaired jumps add.
+    """
+    cov = problem.precision.of(cov, problem.left_open)
     offset_var = (
         None if problem.precision.drift is None else unfold_offset_variance(problem, solved)
     )

@@ -210,7 +210,15 @@ def hold_beliefs_at_instants(
         )
     z = np.concatenate([x, rate], axis=1)[held]
     return Beliefs(
-        z, cov[held], every, x[before], moved[before], errors, {}, settings, (), findings
+        z=z,
+        cov=cov[held],
+        nats=every,
+        before=x[before],
+        before_cov=moved[before],
+        encoder_errors=errors,
+        scale={},
+        settings=settings,
+        findings=findings,
     )
 
 

@@ -49,9 +49,9 @@ from .filtering import (
     select_reported_states,
     solve_with_offsets,
     solve_with_reacquisition,
+    state_covariance,
     tune_noise,
     warn_of_lost_belief,
-    with_repairs,
 )
 from .results import Beliefs
 
@@ -82,23 +82,21 @@ def _smooth_log(
     m = len(problem.start)
     precision = problem.precision
     z = unfold(smooth.z)
-    cov = with_repairs(
-        precision.of(unfold(smooth.cov)[:, :m, :m], problem.left_open), problem, smooth
-    )
+    cov = state_covariance(unfold(smooth.cov)[:, :m, :m], problem, smooth)
     errors = np.full((*problem.timeline.t.shape, m), np.nan)
     errors[problem.timeline.encoders] = found.encoders
     beliefs = Beliefs(
-        select_reported_states(z, problem),
-        cov,
-        smoothed_free_energy(problem, smooth, found),
-        z[:, :m],
-        cov,
-        errors,
-        precision.scale,
-        precision.plain(),
-        find_offset_faults(problem, smooth),
-        warn_of_lost_belief(problem, smooth),
-        found.places,
+        z=select_reported_states(z, problem),
+        cov=cov,
+        nats=smoothed_free_energy(problem, smooth, found),
+        before=z[:, :m],
+        before_cov=cov,
+        encoder_errors=errors,
+        scale=precision.scale,
+        settings=precision.plain(),
+        faults=find_offset_faults(problem, smooth),
+        findings=warn_of_lost_belief(problem, smooth),
+        places=found.places,
     )
     return problem, beliefs
 
