@@ -177,8 +177,7 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     variance, and measure play that the arm has got since its exploration.
 
     Errors of the arm's encoders that last are those of its exploration, and so is its play, unless
-    the log shows more.
-    Without effect if encoders read another function of the angle.
+    the log shows more. Without effect if encoders read another function of the angle.
     """
     if evidence.encoders is None or "encoders" in body.senses:
         return evidence

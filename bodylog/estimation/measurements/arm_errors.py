@@ -30,8 +30,7 @@ same links are off by 0.36, 0.23, 0.16, 0.17 and 0.22 mrad.
 PLAY_STD = 0.01
 """rad: prior standard deviation of half a play, 1.1° of play."""
 LEAST_PLAY = 5e-4
-"""rad: half of a play that is assumed at least,
-so that noise of the angle does not turn the link.
+"""rad: half of a play that is assumed at least, so that noise of the angle does not turn the link.
 """
 LEAST_NEES = 1.5
 """Mean squared error over the stated variance from which error bars are worth a warning: 2σ then
@@ -105,9 +104,7 @@ class ArmErrors:
 
 
 def read_arm_errors(body: BodyModel | None) -> ArmErrors:
-    """The errors that a body was learned with; ModelError
-    for anything else in its provenance.
-    """
+    """The errors that a body was learned with; ModelError for anything else in its provenance."""
     given = {} if body is None else body.provenance.get(ARM_ERRORS, {})
     try:
         play, lasting = (

@@ -1,12 +1,11 @@
-"""The paper's Algorithm 1 with its errata (docs/paper.md)
-corrected, for any senses and many runs at once.
+"""The paper's Algorithm 1 with its errata (docs/paper.md) corrected, for any senses and many runs
+at once.
 
 An explicit step integrates belief, errors and prior as printed. A step at equilibrium sets the
 errors to what they tend to, (s − g)/σ. A linearly implicit one also divides by I + Δt·H, H the
 Gauss–Newton Hessian, which is stable at any Δt.
 
-Touch as printed in the paper: g_t = f_s f_t itself
-enters the prediction errors, not its logarithm.
+Touch as printed in the paper: g_t = f_s f_t itself enters the prediction errors, not its logarithm.
 """
 
 from collections.abc import Callable, Iterator

@@ -162,9 +162,7 @@ def solve_with_reacquisition(
 def tune_noise(
     problem: FilterProblem, settings: EstimationSettings
 ) -> tuple[FilterProblem, Solution | None]:
-    """The problem with process and pixel noise by
-    the log's evidence, if the settings ask for that.
-    """
+    """The problem with process and pixel noise by the log's evidence, if the settings ask for that."""
     if settings.precision != "auto":
         return problem, None
     found, warm = tune_by_evidence(problem, whole=settings.method == "smoother")

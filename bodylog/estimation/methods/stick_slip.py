@@ -126,9 +126,7 @@ def estimate_stick_slip(
 
 
 def _sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
-    """Whether some joint stands still between slips: errors that last make other steps
-    each time.
-    """
+    """Whether some joint stands still between slips: errors that last make other steps each time."""
     slipping = -np.expm1(-slips.rate * measure_median_step(encoders.t))
     return bool((slipping < MOST_SLIPPING).any())
 

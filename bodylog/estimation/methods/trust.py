@@ -165,12 +165,11 @@ class RoughMotion:
 def measure_rough_motion(
     problem: FilterProblem, beliefs: Beliefs, causal: bool
 ) -> RoughMotion | None:
-    """What joints do beside the motion that is assumed;
-    None where a log shows no such thing.
+    """What joints do beside the motion that is assumed; None where a log shows no such thing.
 
     Where a filter's innovations are not white, all noise of readings may be motion; images show
-    what part of it is.
-    causal: whether problem and beliefs are those of a filter; a smoother's log is filtered here.
+    what part of it is. A smoother's log is filtered here: causal is whether problem and beliefs are
+    those of a filter.
     """
     encoders = problem.evidence.encoders
     if encoders is None or problem.stepwise:
