@@ -74,25 +74,17 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
         for name, one in found.items()
         for kind, nats in one.nats.items()
     ]
+    screened = _with_columns(encoders, [one.values for one in found.values()])
+    # readings that screening left as they were stay exact
+    same = screened.values == angled.values
+    values = np.where(same, read.values, screened.values / size)
     return replace(
         evidence,
-        encoders=_convert_screened_unit(
-            read, angled, _with_columns(encoders, [one.values for one in found.values()]), size
-        ),
+        encoders=replace(screened, values=values),
         faults=(*evidence.faults, *sorted(faults, key=lambda fault: fault.since)),
         findings=(*evidence.findings, *findings),
         hypotheses=(*evidence.hypotheses, *hypotheses),
     )
-
-
-def _convert_screened_unit(
-    read: Encoders, angled: Encoders, screened: Encoders, size: float
-) -> Encoders:
-    """Screened angles (rad) as readings of `size` rad a
-    unit; those that screening left as they were are exact.
-    """
-    same = screened.values == angled.values
-    return replace(screened, values=np.where(same, read.values, screened.values / size))
 
 
 def repair_readings(encoders: Encoders) -> Encoders:

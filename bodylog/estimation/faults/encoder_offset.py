@@ -170,7 +170,9 @@ def _size_likeliest_change(
             break
     else:
         return None
-    prior = _price_size_and_time(size, std, len(t) if since > t[0] else 1)
+    times = len(t) if since > t[0] else 1
+    size_nats = np.log1p((PRIOR_STD_RAD / std) ** 2) + (size / PRIOR_STD_RAD) ** 2
+    prior = float(0.5 * size_nats + np.log(times))
     is_step = since > t[0] and not grows
     kind = FaultKind.JUMPING if is_step else FaultKind.DRIFTING
     name = problem.evidence.joints[joint]
@@ -208,12 +210,6 @@ def _fit_change(t: Array, off: Array, grows: bool) -> tuple[float, float]:
     best = int((product**2 / square).argmax())
     rise = (t[-1] - begins[best]) ** power
     return float(begins[best]), float(product[best] / square[best] * rise)
-
-
-def _price_size_and_time(size: float, std: float, times: int) -> float:
-    """Nats that a size with this standard error and one of so many times cost."""
-    far = np.log1p((PRIOR_STD_RAD / std) ** 2) + (size / PRIOR_STD_RAD) ** 2
-    return float(0.5 * far + np.log(times))
 
 
 def _fit_parabola_minimum(nats: Sequence[float]) -> tuple[float, float, float] | None:

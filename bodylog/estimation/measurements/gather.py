@@ -120,9 +120,8 @@ def choose_senses(visual: Iterable[str], body: BodyModel, settings: EstimationSe
     def expand_groups(names: Iterable[str]) -> set[str]:
         return {single for name in names for single in groups.get(name, [name])}
 
-    return expand_groups(groups if settings.senses is None else settings.senses) - expand_groups(
-        settings.without
-    )
+    asked = groups if settings.senses is None else settings.senses
+    return expand_groups(asked) - expand_groups(settings.without)
 
 
 def _select_encoder_rows(

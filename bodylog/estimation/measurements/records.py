@@ -35,9 +35,8 @@ class Encoders:
 
     def select_rows(self, rows: Array | slice) -> "Encoders":
         """Some of the readings."""
-        return Encoders(
-            self.t[rows], self.values[rows], self.source_ns[rows], self.relative_variance[rows]
-        )
+        relative = self.relative_variance[rows]
+        return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], relative)
 
     @cached_property
     def relative_variance(self) -> Array:

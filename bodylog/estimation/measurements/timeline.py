@@ -75,17 +75,13 @@ def build_timeline(evidence: Evidence, rate: float | None) -> Timeline:
     clock = np.empty(0) if evidence.encoders is None else evidence.encoders.t
     wanted = choose_output_times(evidence, rate)
     regular = np.array_equal(wanted, clock)
-    t = merge_clocks(clock, *(s.t for s in evidence.sightings), wanted[:0] if regular else wanted)
+    clocks = [clock, *(s.t for s in evidence.sightings), wanted[:0] if regular else wanted]
+    t = np.unique(np.concatenate(clocks))
     encoders = np.searchsorted(t, clock)
     sightings = tuple(np.searchsorted(t, s.t) for s in evidence.sightings)
     outputs = encoders if regular else np.searchsorted(t, wanted)
-    return Timeline(
-        t,
-        encoders,
-        sightings,
-        outputs,
-        _find_latest_source(evidence, t, encoders, sightings)[outputs],
-    )
+    source_ns = _find_latest_source(evidence, t, encoders, sightings)[outputs]
+    return Timeline(t, encoders, sightings, outputs, source_ns)
 
 
 def choose_output_times(evidence: Evidence, rate: float | None) -> Array:
@@ -97,7 +93,7 @@ def choose_output_times(evidence: Evidence, rate: float | None) -> Array:
     clocks = (
         [s.t for s in evidence.sightings] if evidence.encoders is None else [evidence.encoders.t]
     )
-    t = merge_clocks(*clocks)
+    t = np.unique(np.concatenate(clocks))
     if len(t) == 0:
         raise EvidenceError("joints: no sound time stamp to estimate at")
     if rate is None and (len(t) < 2 or measure_median_step(t) > 0.99 / MAX_OUTPUT_RATE_HZ):
@@ -118,11 +114,6 @@ def _check_grid(rate: float, t: Array) -> None:
             f"{t[min(at + 1, len(t) - 1)]:.3f} s; type --rate "
             f"{max(MAX_EXTRA_INSTANTS / (t[-1] - t[0]), 1e-9):.1g} or less"
         )
-
-
-def merge_clocks(*clocks: Array) -> Array:
-    """Distinct times (E,) of ascending clocks, in order."""
-    return np.unique(np.concatenate(clocks))
 
 
 def list_span_starts(t: Array, width: float) -> Array:

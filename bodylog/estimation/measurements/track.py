@@ -45,9 +45,8 @@ def _read_track(name: str, track: Series, body: BodyModel, rows: RowExposure | N
     )
     model = body.senses[name]
     noise = np.asarray(body.noise.senses.get(name, (1.0,)), float)
-    var = np.array(
-        np.broadcast_to(choose_pixel_variance(track.std, model, noise), track.values.shape)
-    )
+    pixels = choose_pixel_variance(track.std, model, noise)
+    var = np.array(np.broadcast_to(pixels, track.values.shape))
     values = np.where(seen[:, None], track.values, np.nan)
     share = _measure_common_share(model, noise)
     every = Sighting(name, model, times, values, var, track.source_ns, share)

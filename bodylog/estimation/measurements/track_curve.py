@@ -142,18 +142,17 @@ def interpolate_curve(curve: Curve, late: float) -> tuple[Array, Array, Array, A
     after = h / (t[i + 2] - t[i])
     s = (at - t[i]) / h
 
-    def combine_weights(here: Array, leave: Array, there: Array, arrive: Array) -> Array:
+    def weigh_four(here: Array, leave: Array, there: Array, arrive: Array) -> Array:
         return np.stack(
             [-leave * before, here - arrive * after, there + leave * before, arrive * after], axis=1
         )
 
-    value = combine_weights(
-        1 + s * s * (2 * s - 3), s * (s - 1) ** 2, s * s * (3 - 2 * s), s * s * (s - 1)
+    square = s * s
+    value = weigh_four(
+        1 + square * (2 * s - 3), s * (s - 1) ** 2, square * (3 - 2 * s), square * (s - 1)
     )
-    speed = (
-        combine_weights(6 * s * (s - 1), (3 * s - 1) * (s - 1), 6 * s * (1 - s), s * (3 * s - 2))
-        / h[:, None]
-    )
+    speed = weigh_four(6 * s * (s - 1), (3 * s - 1) * (s - 1), 6 * s * (1 - s), s * (3 * s - 2))
+    speed /= h[:, None]
     close = np.maximum(np.maximum(t[i] - t[i - 1], h), t[i + 2] - t[i + 1]) <= MAX_FRAME_GAP_S
     near = curve.places[(i - 1)[:, None] + np.arange(4)]
     place, slope = (np.einsum("bk,bkd->bd", weights, near) for weights in (value, speed))
