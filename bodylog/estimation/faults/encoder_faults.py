@@ -38,11 +38,11 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
     """
     if evidence.encoders is None:
         return evidence
-    angles = "encoders" not in body.senses
+    reads_angles = "encoders" not in body.senses
     read = evidence.encoders
     size = evidence.rad_per_unit
     angled = replace(read, values=size * read.values)
-    encoders = _unwrap_columns(angled) if angles else angled
+    encoders = _unwrap_columns(angled) if reads_angles else angled
     turned = np.abs(encoders.values - angled.values) > 1.0
     findings = [
         Finding(
@@ -54,7 +54,7 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
         if own.any()
     ]
     in_units = replace(encoders, values=encoders.values / size)
-    complete = angles and np.isfinite(encoders.values).any(axis=0).all()
+    complete = reads_angles and np.isfinite(encoders.values).any(axis=0).all()
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
     found = {
         name: _screen_encoder(
@@ -114,29 +114,23 @@ def _screen_encoder(
         return ScreenedEncoder(y, (), {})
     values = y.copy()
     found = list[Fault]()
-
-    def add_fault(
-        kind: FaultKind,
-        since: float,
-        until: float | None = None,
-        size: float = 0.0,
-        std: float | None = None,
-    ) -> None:
-        found.append(Fault("encoders", name, kind, since, size, "rad", std, until=until))
-
     nats: dict[str, float] = {FaultKind.FROZEN: 0.0, FaultKind.DEAD: 0.0, "jumped": 0.0}
     for one in (find_final_silence(t, y), *find_frozen_readings(t, y, moved)):
         nats[one.kind] = max(nats[one.kind], one.nats)
         if one.nats > EVIDENCE_THRESHOLD_NATS:
-            add_fault(one.kind, float(t[one.begin]), _find_recovery_time(t, y, one))
+            since = float(t[one.begin])
+            until = _find_recovery_time(t, y, one)
+            found.append(Fault("encoders", name, one.kind, since, 0.0, "rad", until=until))
             values[one.begin : one.end] = np.nan
     moves = find_level_shifts(t, values)
     nats["jumped"] = max((won for *_, won in moves), default=0.0)
     for begin, end, size in _find_excursions(t, values, moves):
-        add_fault(FaultKind.GLITCH, float(t[begin]), float(t[end]), size)
+        since = float(t[begin])
+        until = float(t[end])
+        found.append(Fault("encoders", name, FaultKind.GLITCH, since, size, "rad", until=until))
         values[begin:end] = np.nan
     for at, size, std in find_jumps(t, values):
-        add_fault(FaultKind.JUMPING, float(t[at]), None, size, std)
+        found.append(Fault("encoders", name, FaultKind.JUMPING, float(t[at]), size, "rad", std))
         values[at:] -= size
     return ScreenedEncoder(values, found, nats)
 

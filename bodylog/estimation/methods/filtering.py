@@ -68,7 +68,7 @@ def estimate_by_filter(
     precision = problem.precision
     beliefs = Beliefs(
         z=select_reported_states(unfold(trace.z), problem),
-        cov=state_covariance(unfold(trace.cov[:, :m, :m]), problem, solution),
+        cov=report_angle_covariance(unfold(trace.cov[:, :m, :m]), problem, solution),
         nats=unfold(trace.nats),
         before=unfold(trace.prior),
         before_cov=unfold(trace.prior_cov),
@@ -255,7 +255,7 @@ def unfold_offset_variance(problem: FilterProblem, solved: Solution) -> Array:
     return np.asarray(solved.fold.unfold(np.einsum("liic->lic", solved.trace.cov[:, m:, m:])))
 
 
-def state_covariance(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
+def report_angle_covariance(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
     """Covariances (E,M,M) rad² of angles as the noise model states them, and the variance that
     repaired jumps add.
     """

@@ -46,10 +46,10 @@ from .explained import estimate_with_hardware_errors
 from .filtering import (
     find_offset_faults,
     pose_filter_problem,
+    report_angle_covariance,
     select_reported_states,
     solve_with_offsets,
     solve_with_reacquisition,
-    state_covariance,
     tune_noise,
     warn_of_lost_belief,
 )
@@ -82,7 +82,7 @@ def _smooth_log(
     m = len(problem.start)
     precision = problem.precision
     z = unfold(smooth.z)
-    cov = state_covariance(unfold(smooth.cov)[:, :m, :m], problem, smooth)
+    cov = report_angle_covariance(unfold(smooth.cov)[:, :m, :m], problem, smooth)
     errors = np.full((*problem.timeline.t.shape, m), np.nan)
     errors[problem.timeline.encoders] = found.encoders
     beliefs = Beliefs(
