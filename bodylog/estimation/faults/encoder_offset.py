@@ -391,16 +391,17 @@ def choose_encoder_offsets(
         near = _list_near_optimal_joints(walks) if wins else list(walks)
         # the kind of offset is chosen before a further one
         # is tried: one that wanders too freely hides others
-        ways = {j: _best_offset_hypothesis(found, j, solved, relearn) for j in near}
-        if min(way.nats for way in ways.values()) > nats - EVIDENCE_THRESHOLD_NATS:
+        offsets = {j: _find_best_offset(found, j, solved, relearn) for j in near}
+        costs = {j: offset.nats for j, offset in offsets.items()}
+        if min(costs.values()) > nats - EVIDENCE_THRESHOLD_NATS:
             break
         # among indistinguishable joints take the smallest
         # walk: a larger one follows errors of the body model
-        near = sorted(_list_near_optimal_joints({j: way.nats for j, way in ways.items()}))
-        joint = min(near, key=lambda j: (_list_random_walks(ways[j].problem)[j], ways[j].nats))
-        compared = [(way.name, j, nats - way.nats, j == joint) for j, way in ways.items()]
-        found = _add_hypotheses(_with_offset_hypothesis(ways[joint], joint, near), compared)
-        nats = ways[joint].nats
+        near = sorted(_list_near_optimal_joints(costs))
+        joint = min(near, key=lambda j: (_list_random_walks(offsets[j].problem)[j], costs[j]))
+        compared = [(offsets[j].name, j, nats - costs[j], j == joint) for j in offsets]
+        found = _add_hypotheses(_with_offset_hypothesis(offsets[joint], joint, near), compared)
+        nats = costs[joint]
         # once one offset is modelled, another may show
         suspected = (_list_random_walks(found) == 0) & ~np.isin(
             np.arange(len(suspected)), list(found.alternatives)
@@ -424,11 +425,11 @@ def _reconsider_offsets(
     again = found
     again_nats = nats
     for joint, others in found.alternatives.items():
-        way = _best_offset_hypothesis(
+        offset = _find_best_offset(
             _remove_joint_offset(problem, again, joint), joint, solved, relearn
         )
-        again = _with_offset_hypothesis(way, joint, [joint, *others])
-        again_nats = way.nats
+        again = _with_offset_hypothesis(offset, joint, [joint, *others])
+        again_nats = offset.nats
     return again if again_nats < nats else found
 
 
@@ -474,18 +475,20 @@ def _add_hypotheses(
     return replace(problem, evidence=replace(evidence, hypotheses=(*known, *new.values())))
 
 
-def _with_offset_hypothesis(way: OffsetHypothesis, joint: int, near: list[int]) -> FilterProblem:
+def _with_offset_hypothesis(offset: OffsetHypothesis, joint: int, near: list[int]) -> FilterProblem:
     """The problem with an offset of one joint, or of the others in `near`, which explain as much."""
-    evidence = way.problem.evidence
+    evidence = offset.problem.evidence
     others = tuple(j for j in near if j != joint)
-    if way.fault is not None:
-        size = np.nan if others else way.fault.size
+    if offset.fault is not None:
+        size = np.nan if others else offset.fault.size
         fault = replace(
-            way.fault, name=_name_alternatives(evidence.joints, joint, others), size=size
+            offset.fault, name=_name_alternatives(evidence.joints, joint, others), size=size
         )
         evidence = replace(evidence, faults=(*evidence.faults, fault))
     return replace(
-        way.problem, evidence=evidence, alternatives={**way.problem.alternatives, joint: others}
+        offset.problem,
+        evidence=evidence,
+        alternatives={**offset.problem.alternatives, joint: others},
     )
 
 
@@ -494,7 +497,7 @@ def _name_alternatives(names: tuple[str, ...], joint: int, others: tuple[int, ..
     return ALTERNATIVE_SEPARATOR.join(names[j] for j in (joint, *others))
 
 
-def _best_offset_hypothesis(
+def _find_best_offset(
     problem: FilterProblem,
     joint: int,
     solved: Solution,
@@ -509,15 +512,15 @@ def _best_offset_hypothesis(
     )
     walks = (_with_walk(allowed, joint, walk) for walk in RANDOM_WALKS)
     hypotheses = (OffsetHypothesis(one, measure_free_energy(one, solved)) for one in walks)
-    best = min(hypotheses, key=lambda way: way.nats)
+    best = min(hypotheses, key=lambda offset: offset.nats)
     changes = find_likeliest_changes(allowed, best.problem, joint, solved)
-    way = min((best, *changes), key=lambda one: one.nats)
+    offset = min((best, *changes), key=lambda one: one.nats)
     # against no offset it counts with the problem's noise:
     # less of it makes an offset of a poor body's errors
     found = replace(
-        way.problem, precision=replace(problem.precision, drift=way.problem.precision.drift)
+        offset.problem, precision=replace(problem.precision, drift=offset.problem.precision.drift)
     )
-    return way._replace(problem=found, nats=measure_free_energy(found, solved) + way.prior)
+    return offset._replace(problem=found, nats=measure_free_energy(found, solved) + offset.prior)
 
 
 def _list_random_walks(problem: FilterProblem) -> Array:

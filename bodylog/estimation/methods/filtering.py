@@ -236,8 +236,8 @@ def relearn_noise(
 def select_reported_states(z: Array, problem: FilterProblem) -> Array:
     """Angles, rates and, if there are any, offsets (E,·) of states z (E,K)."""
     m = len(problem.start)
-    size = problem.dynamics.order * len(problem.start)
-    return np.concatenate([z[:, : 2 * m], z[:, size:]], axis=1)
+    offsets = problem.dynamics.order * m
+    return np.concatenate([z[:, : 2 * m], z[:, offsets:]], axis=1)
 
 
 def warn_of_lost_belief(problem: FilterProblem, solved: Solution) -> tuple[Finding, ...]:
