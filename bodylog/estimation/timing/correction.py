@@ -57,7 +57,7 @@ def correct_camera_delays(
     errors = dict[str, float]()
     residuals = measure_camera_delays(shift_features(features, delays), body)
     shown = {
-        name: Delay(delays[name] + rest.seconds, rest.std_error, _doubt_delay(rest, name in fixed))
+        name: Delay(delays[name] + rest.seconds, rest.std_error, _find_doubt(rest, name in fixed))
         for name, rest in residuals.items()
     }
     free = {name: rest for name, rest in residuals.items() if name not in fixed}
@@ -164,7 +164,7 @@ def reconsider_delays(
     )
 
 
-def _doubt_delay(residual: Delay, is_fixed: bool) -> str:
+def _find_doubt(residual: Delay, is_fixed: bool) -> str:
     """Why the rest of a delay is not applied; "" if it is."""
     if is_fixed:
         return "the delay is given"
@@ -184,7 +184,7 @@ def report_unapplied_delays(
     applied: a warning where its evidence is sufficient.
     """
     for name, rest in residuals.items():
-        if doubt := _doubt_delay(rest, False):
+        if doubt := _find_doubt(rest, False):
             sure = is_evident(rest)
             before = f"{applied[name]:.4f} s corrected; " if applied[name] else ""
             text = (
