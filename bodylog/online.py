@@ -40,9 +40,9 @@ class Estimator(LiveEstimator):
         super().__init__(encoder_function.body_for_angles(body), settings, lag, to_angles, learned)
         cameras = correction.list_track_cameras(body.senses)
         self._delays = (
-            correction.learned_delays(body)
+            correction.read_learned_delays(body)
             if delay is None
-            else correction.fixed_delays(delay, cameras)
+            else correction.select_fixed_delays(delay, cameras)
         )
 
     def step(self, t: float, joints: Angles | None = None, **places: Place | None) -> Belief:

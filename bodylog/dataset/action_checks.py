@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimation.timing.delay_profile import fit_profile_peak, jackknife_error
+from ..estimation.timing.delay_profile import fit_profile_peak, measure_jackknife_error
 from ..logs.datasets.checks import value_ranges
 from ..types import Array
 from .reading import EpisodeReading, StoredNumbers
@@ -121,7 +121,7 @@ def measure_following(reading: EpisodeReading) -> Following | None:
     whole = np.sum(sums, axis=0)
     best, correlation = _best_delay(whole, tried)
     left_out = np.array([_best_delay(whole - part, tried)[0] for part in sums])
-    std_s = jackknife_error(left_out)
+    std_s = measure_jackknife_error(left_out)
     # the grid of delays limits what a parabola tells
     return Following(names, best, np.hypot(std_s, step_s / np.sqrt(12.0)), correlation)
 

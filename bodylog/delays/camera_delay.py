@@ -15,7 +15,7 @@ from ..body.senses import encoder_function
 from ..body_model import BodyModel, ForwardModel
 from ..errors import EvidenceError
 from ..estimation.faults.threshold import MIN_DELAY_S
-from ..estimation.measurements.arm_errors import LEAST_NEES, ArmErrors, learned_arm_errors
+from ..estimation.measurements.arm_errors import LEAST_NEES, ArmErrors, read_arm_errors
 from ..estimation.measurements.track import camera_of_track
 from ..estimation.timing import correction
 from ..estimation.timing.delay_profile import Delay
@@ -91,7 +91,7 @@ def learn_with_delays(
         found = body.learn_body(features, settings, provenance, known, keep)
         return body.with_kinematics(features, settings, found, robot, known)
     cameras = correction.list_track_cameras([name for found in features for name in found.tracks])
-    fixed = correction.fixed_delays(settings.time.delay, cameras)
+    fixed = correction.select_fixed_delays(settings.time.delay, cameras)
     measured = _measure_trackers(features, settings, robot, fixed)
     fixed_here = {**fixed, **{name: 0.0 for delays in measured for name in delays}}
     tracked = [
@@ -163,7 +163,7 @@ def _tracker_findings(tracked: Sequence[Mapping[str, Delay]]) -> Iterator[Findin
     for k, delays in enumerate(tracked):
         late = {name: one.seconds for name, one in delays.items()}
         errors = {name: one.std_error for name, one in delays.items()}
-        for finding in correction.delay_findings(late, errors, {}, {}):
+        for finding in correction.report_delays(late, errors, {}, {}):
             log = f"log {k + 1}: " if len(tracked) > 1 else ""
             yield replace(finding, text=f"{log}{finding.text}")
 
@@ -241,14 +241,14 @@ def _alternate_until_converged(explored: _Exploration) -> _Turn:
     own = (
         {}
         if known is None
-        else {k: v for k, v in correction.learned_delays(known).items() if k not in fixed}
+        else {k: v for k, v in correction.read_learned_delays(known).items() if k not in fixed}
     )
     started = set[str]()
     given = {name: delay for name, delay in fixed.items() if delay}
     turn = learn_turn(
         [{**own, **fixed} for _ in features],
         {**own, **given},
-        replace(learned_arm_errors(known), held_out={}),
+        replace(read_arm_errors(known), held_out={}),
     )
     for _ in range(MAX_TURNS - 1):
         surest = _surest_logs(turn.residuals, fixed, started)
@@ -333,7 +333,7 @@ def _delay_findings(turn: _Turn, fixed: Delays) -> Iterator[Finding]:
     """
     for k, (delays, residual) in enumerate(zip(turn.late, turn.residuals, strict=True)):
         sure = {name: residual[name].std_error for name in turn.started if name in residual}
-        for finding in correction.delay_findings(delays, sure, residual, fixed):
+        for finding in correction.report_delays(delays, sure, residual, fixed):
             yield (
                 replace(finding, text=f"log {k + 1}: {finding.text}")
                 if len(turn.late) > 1
@@ -399,7 +399,7 @@ def _explored_log(
     """A log's readings, and its tracks with their priors; None if it has no moving joints."""
     tracks = {name: sense for name, sense in model.senses.items() if name != "encoders"}
     angled = encoder_function.with_true_angles(timely, known)
-    encoders, seen = correction.sound_measurements(angled, replace(model, senses=tracks))
+    encoders, seen = correction.gather_sound_measurements(angled, replace(model, senses=tracks))
     if encoders is None or timely.poses:
         return None
     return gp_likelihood.ExploredLog(

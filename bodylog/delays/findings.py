@@ -124,7 +124,7 @@ def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> E
         [*features.tracks, *(() if body is None else body.senses)]
     )
     expected = {
-        **({} if body is None else correction.learned_delays(body)),
+        **({} if body is None else correction.read_learned_delays(body)),
         **_given_delays(settings, names),
     }
     timely = correction.shift_features(features, expected)
@@ -133,7 +133,7 @@ def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> E
     else:
         require_same_camera(log, body.provenance.get("cameras", ()), read, features)
         require_same_size(log, body, features, settings)
-        every = correction.measured_delays(timely, body)
+        every = correction.measure_camera_delays(timely, body)
         found = {name: one for name, one in every.items() if not one.doubt}
         unclear = {name: one for name, one in every.items() if one.doubt}
     by = "by the body learned from this log" if body is None else "by the body given"
@@ -147,7 +147,7 @@ def _examine_by_body(log: Path, body: BodyModel | None, settings: Settings) -> E
 
 def _given_delays(settings: Settings, names: tuple[str, ...]) -> dict[str, float]:
     """Delays (s) that the settings give."""
-    return correction.fixed_delays(settings.time.delay, names)
+    return correction.select_fixed_delays(settings.time.delay, names)
 
 
 def _delay_scores(found: Mapping[str, Delay], expected: Mapping[str, float]) -> Iterator[Score]:

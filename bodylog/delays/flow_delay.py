@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..estimation.timing.delay_profile import Delay, fit_profile_peak, jackknife_error
+from ..estimation.timing.delay_profile import Delay, fit_profile_peak, measure_jackknife_error
 from ..types import Array, Series
 
 EARLIEST_S = -0.3
@@ -425,4 +425,4 @@ def _jackknife_std(parts: Sequence[_FlowPart], motion: _JointMotion, delay: floa
             reduced = np.array([_part_evidence(rest, motion, float(x)) for x in around])
             shift, bend = fit_profile_peak(*(whole.sum(axis=0) - whole[number] + reduced))
             delays.append(step * float(np.clip(shift, -2.0, 2.0)) if bend > 0.0 else step)
-    return float(jackknife_error(np.array(delays)))
+    return float(measure_jackknife_error(np.array(delays)))

@@ -30,8 +30,8 @@ from ..estimation.measurements.track_curve import (
     BLUNDER_MEDIANS,
     MAX_CURVE_MEANS,
     Curve,
+    build_track_curve,
     interpolate_curve,
-    track_curve,
 )
 from ..estimation.timing.delay_profile import MAX_DELAY_S, Delay
 from ..types import Array
@@ -281,7 +281,7 @@ def _curves_of_log(number: int, log: ExploredLog) -> Iterator[_PriorCurve]:
         found = [
             (curve, prior)
             for track, prior in tracks
-            if (curve := track_curve(log.encoders, track, MAX_CURVE_MEANS // len(tracks)))
+            if (curve := build_track_curve(log.encoders, track, MAX_CURVE_MEANS // len(tracks)))
         ]
         for curve, prior in found:
             yield _PriorCurve(number, camera, curve, *prior(curve.x), 1.0 / len(found))
@@ -294,8 +294,8 @@ def _longest_curves(number: int, log: ExploredLog) -> Iterator[_PriorCurve]:
         most = max(LASTING_MEANS // len(log.tracks), 2 * MIN_READINGS)
         reach = 0.5 * most * LASTING_STEP_S
         middle = 0.5 * (track.t[0] + track.t[-1])
-        part = track.cut(max(middle - reach, track.t[0]), min(middle + reach, track.t[-1]))
-        curve = track_curve(log.encoders, part, most)
+        part = track.select_span(max(middle - reach, track.t[0]), min(middle + reach, track.t[-1]))
+        curve = build_track_curve(log.encoders, part, most)
         if curve:
             yield _PriorCurve(number, camera, curve, *prior(curve.x), 1.0)
 

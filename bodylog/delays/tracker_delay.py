@@ -25,7 +25,12 @@ from ..body.kinematic.learn import (
 from ..body.kinematic.sightings import ThingSightings, gather_sightings
 from ..estimation.measurements.track import camera_of_track
 from ..estimation.timing import correction
-from ..estimation.timing.delay_profile import MAX_DELAY_S, Delay, fit_profile_peak, jackknife_error
+from ..estimation.timing.delay_profile import (
+    MAX_DELAY_S,
+    Delay,
+    fit_profile_peak,
+    measure_jackknife_error,
+)
 from ..kinematics.calibration import CHI_SQUARE_MEDIANS
 from ..kinematics.rig import Rig
 from ..settings import Settings
@@ -170,7 +175,7 @@ def _climb_turning(
         fit_profile_peak(*np.array([[nats_at(one, part)] for one in near]))[0]
         for part in range(LEFT_OUT)
     ]
-    return Delay(delay, max(error, step * float(jackknife_error(np.concatenate(without)))))
+    return Delay(delay, max(error, step * float(measure_jackknife_error(np.concatenate(without)))))
 
 
 def _turning_nats(

@@ -13,13 +13,9 @@ from ..types import HARDWARE_ERRORS, Estimate, Features
 from .common_cause import infer_common_causes
 from .inference.kernel_call import load_kernel
 from .measurements import gather
-from .measurements.arm_errors import learned_arm_errors
-from .methods.consistency import (
-    consistency_findings,
-    report_numerical_errors,
-    require_finite_estimate,
-)
-from .methods.table import METHODS, ignored_settings
+from .measurements.arm_errors import read_arm_errors
+from .methods.consistency import check_consistency, report_numerical_errors, require_finite_estimate
+from .methods.table import METHODS, warn_of_ignored_settings
 from .noise import noise_model
 from .noise.quantisation import (
     JOINT_UNIT_KEY,
@@ -65,8 +61,8 @@ def estimate_from_features(
     used = {**found.settings, **({} if unit == "rad" else {JOINT_UNIT_KEY: unit})}
     found = replace(found, can=method.can, settings=used)
     findings = (
-        *learned_arm_errors(body).warn_of_narrow_bars(),
-        *consistency_findings(found, settings, unit, size),
+        *read_arm_errors(body).warn_of_narrow_bars(),
+        *check_consistency(found, settings, unit, size),
     )
     return replace(found, findings=(*found.findings, *findings))
 
@@ -80,23 +76,23 @@ def _estimate_with_corrected_times(
     """The method's estimate from images at the time when they were taken."""
     timely = correct_camera_delays(features, body, delay)
 
-    def solve(sensed: Features, chosen: EstimationSettings) -> Estimate:
+    def estimate_finite(sensed: Features, chosen: EstimationSettings) -> Estimate:
         return require_finite_estimate(METHODS[settings.method].estimate(sensed, body, chosen))
 
     def weigh_causes(sensed: Features) -> Features:
         if settings.common_cause is None:
             return sensed
-        return infer_common_causes(sensed, body, settings, settings.common_cause, solve)
+        return infer_common_causes(sensed, body, settings, settings.common_cause, estimate_finite)
 
-    found = solve(weigh_causes(timely.features), settings)
+    found = estimate_finite(weigh_causes(timely.features), settings)
     left = found.settings.get(HARDWARE_ERRORS, {}).get("late")
     if left is None:
         left = measure_delays_left(timely.features, body, found.faults)
     if (again := reconsider_delays(timely, features, body, delay, left)) is not None:
         timely = again
-        found = solve(weigh_causes(timely.features), settings)
+        found = estimate_finite(weigh_causes(timely.features), settings)
     used = dict(found.settings)
-    if timely.delays or learned_arm_errors(body).rows:
+    if timely.delays or read_arm_errors(body).rows:
         found = restore_stamps(found, features)
     if timely.delays:
         used |= {"delay": dict(timely.delays), "delay_std": dict(timely.errors)}
@@ -108,7 +104,7 @@ def _estimate_with_corrected_times(
         }
     if weighed := [*map(asdict, timely.hypotheses), *used.get("hypotheses", ())]:
         used["hypotheses"] = weighed
-    findings = (*timely.findings, *found.findings, *ignored_settings(settings))
+    findings = (*timely.findings, *found.findings, *warn_of_ignored_settings(settings))
     return replace(found, settings=used, findings=findings)
 
 

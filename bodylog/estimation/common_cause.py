@@ -17,7 +17,7 @@ from ..settings import EstimationSettings
 from ..types import Array, Estimate, Features, Synchrony
 from .measurements.long_arrays import find_finite_rows
 from .measurements.records import interpolate_values
-from .measurements.touch import place_of_cell
+from .measurements.touch import find_cell_place
 
 
 def infer_common_causes(
@@ -86,7 +86,7 @@ def _compute_cause_densities(
     during = find_finite_rows(hand.values) & (hand.t >= touch.onset) & (hand.t <= touch.offset)
     if pair.stroke is None or not during.any():
         return 0.0, 1.0 / (width * height)
-    u, v, spread_variance = place_of_cell(body, touch.strongest)
+    u, v, spread_variance = find_cell_place(body, touch.strongest)
     x, cov = _read_belief_at(alone, body.joints, hand.t[during])
     mean, variance = _predict_effector_place(body.senses["effector"], x, cov)
     off = (hand.values[during] - (u, v)).mean(axis=0) - mean

@@ -22,8 +22,8 @@ from .inference.reacquisition import LONG_SILENCE_S
 from .inference.scan import FilterDynamics
 from .inference.sequential import SequentialFilter, State
 from .inference.tangents import correlate_errors
-from .measurements.gather import choose_senses, given_start
-from .measurements.track import pixel_variance
+from .measurements.gather import choose_senses, read_given_start
+from .measurements.track import choose_pixel_variance
 from .methods.table import METHODS
 from .noise import noise_model
 from .noise.correlated_noise import LastFrame, PendingFrame
@@ -122,7 +122,7 @@ class LiveInputs:
         if name == "touch" and std is not None:
             return place, np.square(std)
         noise = np.array(self._noise.get(name, (1.0,) * count), float)
-        return place, pixel_variance(std, self.models[name], noise)
+        return place, choose_pixel_variance(std, self.models[name], noise)
 
     def accept_readings(self, t: float, given: Observation, late: bool) -> Observation:
         """Keep the readings of time t (s) that may be used; count the others by reason."""
@@ -327,7 +327,7 @@ class LiveEstimator:
             for name, model in self._inputs.models.items()
         }
         self._first_angles = np.full(len(body.joints), np.nan)
-        self._given_start = given_start(settings, body.joints)
+        self._given_start = read_given_start(settings, body.joints)
         self._buffer: ReplayBuffer | None = None
         self._waiting: list[tuple[float, Observation]] = []
 

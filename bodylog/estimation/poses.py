@@ -44,7 +44,6 @@ from .inference.tangents import OFFSET_STD
 from .measurements.long_arrays import find_finite_rows
 from .measurements.posture import PostureModel
 from .measurements.records import Encoders, Evidence, Sighting
-from .measurements.timeline import merge_clocks
 from .noise import noise_model
 
 
@@ -124,7 +123,7 @@ def collect_pose_readings(
     senses = (own, *sightings)
     ends = np.cumsum([0, *(sense.values.shape[1] for sense in senses)]).tolist()
     rows = tuple(slice(*each) for each in pairwise(ends))
-    t = merge_clocks(*(sense.t for sense in senses))
+    t = np.unique(np.concatenate([sense.t for sense in senses]))
     y = np.full((len(t), ends[-1]), np.nan)
     var = np.ones(y.shape)
     sources = np.zeros(len(t), np.int64)

@@ -11,7 +11,7 @@ from ..estimation.methods.algorithm1 import (
     CodingDynamics,
     SensedErrors,
     descend_free_energy,
-    spatial_coherence,
+    evaluate_spatial_coherence,
 )
 from ..estimation.methods.kalman import filter_static_angles
 from ..types import Array
@@ -206,6 +206,6 @@ class CaseSenses:
         if not self.feels.any() or not np.isfinite(hand).all():
             return np.full(len(g), np.nan), np.zeros((len(g), slope.shape[2]))
         best = self.a * np.exp(-self.b2 * delay**2)
-        g_t, pull = spatial_coherence(g - hand, slope, best, self.b1)
+        g_t, pull = evaluate_spatial_coherence(g - hand, slope, best, self.b1)
         reading = np.select([self.value == "best", self.value == "peak"], [best, self.a], 1.0)
         return np.where(self.feels, reading - g_t, np.nan), pull

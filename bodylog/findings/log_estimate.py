@@ -136,9 +136,9 @@ def compare_changes_with_faults(
 
 def _list_arm_errors(explained: Mapping[str, Any], body: BodyModel) -> "ArmErrors":
     """Play and errors of encoders that last: those of an explained log, else of the exploration."""
-    from ..estimation.measurements.arm_errors import learned_arm_errors
+    from ..estimation.measurements.arm_errors import read_arm_errors
 
-    arm = learned_arm_errors(body)
+    arm = read_arm_errors(body)
     if play := explained.get("play"):
         arm = replace(arm, play={name: (one["rad"], one["std"]) for name, one in play.items()})
     if lasting := explained.get("lasting"):

@@ -214,7 +214,7 @@ def _known_delays(
 ) -> dict[str, float]:
     """Delays (s) that are given, or else the body's."""
     names = correction.list_track_cameras([*features.tracks, *body.senses])
-    return {**correction.learned_delays(body), **correction.fixed_delays(given, names)}
+    return {**correction.read_learned_delays(body), **correction.select_fixed_delays(given, names)}
 
 
 def _list_log_readings(

@@ -131,7 +131,7 @@ def score_learned_body(
     for log, read, found in observed:
         findings += require_same_camera(log, learned.provenance.get("cameras", ()), read, found)
     timely = [
-        correction.shift_features(found, correction.learned_delays(learned))
+        correction.shift_features(found, correction.read_learned_delays(learned))
         for _, _, found in observed
     ]
     with log_context(observed[0][0], findings, len(observed) - 1):

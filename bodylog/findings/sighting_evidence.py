@@ -184,8 +184,8 @@ def _select_track_sightings(sighting: Sighting, encoders: Encoders, most: int) -
     )
     t = sighting.t[shown]
     apart = 0.5 * LONGEST_GAP_S
-    rate = (encoders.at(t + apart) - encoders.at(t - apart)) / (2.0 * apart)
-    x = encoders.at(t)
+    rate = (encoders.interpolate_at(t + apart) - encoders.interpolate_at(t - apart)) / (2.0 * apart)
+    x = encoders.interpolate_at(t)
     values = sighting.values[shown]
     var = sighting.var[shown]
     return TrackSightings(sighting.name, sighting.model, t, values, var, x, encoders.variance, rate)

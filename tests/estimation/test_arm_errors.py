@@ -21,7 +21,7 @@ from bodylog.estimation.measurements.arm_errors import (
     ARM_ERRORS,
     ArmErrors,
     RowExposure,
-    learned_arm_errors,
+    read_arm_errors,
     read_slack,
     shift_by_rows,
 )
@@ -87,21 +87,21 @@ def test_what_looks_like_play_and_is_none_is_learned_as_errors_that_last(monkeyp
 
     monkeypatch.setattr(camera_delay.gp_likelihood, "measure_arm_errors", measure)
     found = fitted(explored(KINDS["correlated, 2 s"], duration=12.0))
-    assert learned_arm_errors(found.model).lasting == lasting
-    assert not learned_arm_errors(found.model).play
+    assert read_arm_errors(found.model).lasting == lasting
+    assert not read_arm_errors(found.model).play
 
 
 @pytest.mark.soak
 def test_fit_learns_errors_that_last_where_play_was_tried_first():
     found = fitted(explored(KINDS["correlated, 2 s"], seed=8701, duration=40.0))
-    errors = learned_arm_errors(found.model)
+    errors = read_arm_errors(found.model)
     assert not errors.play and not errors.held_out
     assert all(1.5e-3 < std < 2.5e-3 for std, _ in errors.lasting.values())
 
 
 def test_fit_learns_play_and_row_times_and_reports_no_delay_for_them():
     found = fitted(explored(LOOSE, ROW_S))
-    errors = learned_arm_errors(found.model)
+    errors = read_arm_errors(found.model)
     assert set(errors.play) == set(found.model.joints)
     for size, std in errors.play.values():
         assert size == pytest.approx(PLAY, abs=max(4.0 * std, 0.1 * PLAY))
@@ -115,13 +115,13 @@ def test_fit_learns_play_and_row_times_and_reports_no_delay_for_them():
 
 def test_fit_finds_neither_play_nor_row_times_in_a_sound_exploration():
     found = fitted(explored(mechanisms.SOUND))
-    assert not learned_arm_errors(found.model)
+    assert not read_arm_errors(found.model)
     assert ARM_ERRORS not in found.model.provenance and "delay" not in found.model.provenance
 
 
 def test_fit_learns_errors_that_last_and_takes_them_from_the_noise_of_images():
     found = fitted(explored(CORRELATED))
-    errors = learned_arm_errors(found.model)
+    errors = read_arm_errors(found.model)
     assert not errors.play and set(errors.lasting) == set(found.model.joints)
     stds, seconds = np.transpose(list(errors.lasting.values()))
     std = CORRELATED.hardware.correlated
@@ -176,10 +176,10 @@ def test_errors_of_an_arm_survive_a_body_file_and_others_are_refused(sound_body)
     rows = {"camera": RowExposure(1e-5, 1e-6, 100.0, 90.0)}
     errors = ArmErrors({"lift": (4e-3, 2e-4)}, rows, {"lift": (2e-3, 1.5)}, {"effector": 2.3})
     known = replace(sound_body, provenance=errors.as_provenance())
-    assert learned_arm_errors(known) == errors
+    assert read_arm_errors(known) == errors
     for later in ("lasting", "held_out"):  # a body of an earlier version
         known.provenance[ARM_ERRORS].pop(later)
-    assert learned_arm_errors(known) == replace(errors, lasting={}, held_out={})
+    assert read_arm_errors(known) == replace(errors, lasting={}, held_out={})
     for wrong in (
         "late",
         {"play": {"lift": [1.0]}},
@@ -188,7 +188,7 @@ def test_errors_of_an_arm_survive_a_body_file_and_others_are_refused(sound_body)
         {"held_out": {"effector": "much"}},
     ):
         with pytest.raises(ModelError, match=ARM_ERRORS):
-            learned_arm_errors(replace(sound_body, provenance={ARM_ERRORS: wrong}))
+            read_arm_errors(replace(sound_body, provenance={ARM_ERRORS: wrong}))
 
 
 def test_a_body_whose_held_out_errors_exceed_stated_ones_says_so_at_fit_and_at_each_log(
@@ -197,7 +197,7 @@ def test_a_body_whose_held_out_errors_exceed_stated_ones_says_so_at_fit_and_at_e
     monkeypatch.setattr(camera_delay, "LEAST_NEES", 0.5)
     found = fitted(explored(mechanisms.SOUND, duration=12.0))
     (ratio,) = [one.value for one in found.scores if one.name == "nis/held_out/effector"]
-    assert learned_arm_errors(found.model).held_out == {"effector": ratio}
+    assert read_arm_errors(found.model).held_out == {"effector": ratio}
     features = mechanisms.replayed(4, mechanisms.SOUND, Fault(), duration=4.0)
     estimated = estimate_from_features(features, found.model, EstimationSettings())
     sound = estimate_from_features(features, sound_body, EstimationSettings())

@@ -9,7 +9,7 @@ from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.estimation.timing.correction import (
     CorrectedFeatures,
     is_significant,
-    measured_delays,
+    measure_camera_delays,
     reconsider_delays,
 )
 from tests.estimation.spoilt_logs import delayed
@@ -40,7 +40,7 @@ def test_measured_delay_has_true_error_bars(world, camera_hz, encoder_hz):
     for seed in range(40):
         drawn = world(seed, camera_hz=camera_hz, encoder_hz=encoder_hz)
         seconds = (-0.1, -0.05, -0.02, -0.005, 0.0, 0.005, 0.02, 0.05, 0.1, 0.3)[seed % 10]
-        found = measured_delays(delayed(drawn.features, seconds), drawn.body)["camera"]
+        found = measure_camera_delays(delayed(drawn.features, seconds), drawn.body)["camera"]
         off.append((found.seconds - seconds) / found.std_error)
         assert found.nats > EVIDENCE_THRESHOLD_NATS if abs(seconds) >= 0.05 else seconds or found.nats < EVIDENCE_THRESHOLD_NATS
     assert np.abs(off).max() < 4.0 and 0.7 < np.sqrt(np.mean(np.square(off))) < 1.4
@@ -50,7 +50,7 @@ def test_delay_error_holds_the_correlation_of_interpolated_images(world):
     off = []
     for seed in range(300):
         drawn = world(seed, camera_hz=30.0, encoder_std=0.001)
-        found = measured_delays(drawn.features, drawn.body)["camera"]
+        found = measure_camera_delays(drawn.features, drawn.body)["camera"]
         off.append(found.seconds / found.std_error)
     assert 0.88 < np.sqrt(np.mean(np.square(off))) < 1.12
 
@@ -59,7 +59,7 @@ def test_delay_error_holds_the_correlation_of_interpolated_images(world):
 @pytest.mark.parametrize("seconds", [0.0, 0.08])
 def test_measured_delay_is_independent_of_other_faults(world, how, seconds):
     for seed in range(4):
-        found = measured_delays(delayed(spoilt(world(seed, camera_hz=30.0), how), seconds), world(seed).body)["camera"]
+        found = measure_camera_delays(delayed(spoilt(world(seed, camera_hz=30.0), how), seconds), world(seed).body)["camera"]
         assert abs(found.seconds - seconds) < 4.0 * found.std_error + 1e-3
         assert (found.nats > EVIDENCE_THRESHOLD_NATS) == (seconds > 0.0)
 
@@ -73,7 +73,7 @@ def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
         for seen in (track, replace(track, values=np.where(track.t[:, None] > 20.0, values, track.values))):
             features = replace(drawn.features, tracks={"effector": seen})
             for seconds in (0.0, 0.08):
-                for found in measured_delays(delayed(features, seconds), drawn.body).values():
+                for found in measure_camera_delays(delayed(features, seconds), drawn.body).values():
                     count += 1
                     assert abs(found.seconds - seconds) < 4.0 * found.std_error
                     assert (found.nats > EVIDENCE_THRESHOLD_NATS) == (seconds > 0.0)
@@ -83,7 +83,7 @@ def test_blunders_and_pictures_repeated_or_out_of_view_are_no_delay(world):
 @pytest.mark.parametrize("speed", [0.0, 0.01])
 def test_measured_delay_is_absent_for_a_nearly_still_arm(world, speed):
     for seed in range(6):
-        assert measured_delays(delayed(world(seed, speed=speed, camera_hz=30.0).features, 0.05), world(seed).body) == {}
+        assert measure_camera_delays(delayed(world(seed, speed=speed, camera_hz=30.0).features, 0.05), world(seed).body) == {}
 
 
 def test_measured_delay_is_absent_for_short_logs(world):
@@ -98,7 +98,7 @@ def test_measured_delay_is_absent_for_short_logs(world):
         world(0, duration=0.8).features,
         world(0, camera_hz=1.0).features,
     ]
-    assert all(measured_delays(features, drawn.body) == {} for features in none)
+    assert all(measure_camera_delays(features, drawn.body) == {} for features in none)
 
 
 def test_joints_read_in_turn_are_not_one_instant(world):
@@ -106,17 +106,17 @@ def test_joints_read_in_turn_are_not_one_instant(world):
     joints = drawn.features.joints
     values = np.where(np.arange(3) == np.arange(len(joints.t))[:, None] % 3, joints.values, np.nan)
     alone = delayed(replace(drawn.features, joints=replace(joints, values=values)), 0.05)
-    assert measured_delays(alone, drawn.body) == {}
+    assert measure_camera_delays(alone, drawn.body) == {}
 
 
 def test_measured_delay_uses_all_of_a_long_log(world):
     drawn = world(1, duration=100.0, camera_hz=10.0, encoder_hz=30.0)
     track = drawn.features.tracks["effector"]
-    asked = measured_delays(delayed(drawn.features, 0.05), drawn.body)["camera"]
+    asked = measure_camera_delays(delayed(drawn.features, 0.05), drawn.body)["camera"]
     assert abs(asked.seconds - 0.05) < 4.0 * asked.std_error
     still = (track.t > 15.0) & (track.t < 85.0)
     unseen = replace(track, values=np.where(still[:, None], np.nan, track.values))
-    found = measured_delays(delayed(replace(drawn.features, tracks={"effector": unseen}), 0.05), drawn.body)["camera"]
+    found = measure_camera_delays(delayed(replace(drawn.features, tracks={"effector": unseen}), 0.05), drawn.body)["camera"]
     assert abs(found.seconds - 0.05) < 4.0 * found.std_error and found.nats > EVIDENCE_THRESHOLD_NATS
 
 
@@ -126,7 +126,7 @@ def test_measured_delay_ignores_a_clock_step(world, seed, by):
     drawn = world(seed, camera_hz=30.0, speed=1.0)
     joints = drawn.features.joints
     stepped = replace(drawn.features, joints=replace(joints, t=np.where(joints.t > 10.0, joints.t + by, joints.t)))
-    found = measured_delays(stepped, drawn.body).get("camera")
+    found = measure_camera_delays(stepped, drawn.body).get("camera")
     assert found is None or "halves of the log show" in found.doubt or "half of the log" in found.doubt
     assert found is None or not is_significant(found)
 

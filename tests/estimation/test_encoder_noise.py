@@ -312,7 +312,7 @@ def test_averages_of_close_readings_carry_their_noise(world, rows):
     assert len(few.t) == len(all_of.t) // rows
     if rows == 1:
         return
-    np.testing.assert_allclose(few.relative, 1.0 / rows)
+    np.testing.assert_allclose(few.relative_variance, 1.0 / rows)
     np.testing.assert_allclose(few.values[0], all_of.values[:rows].mean(axis=0))
     np.testing.assert_allclose(few.t[0], all_of.t[:rows].mean())
 
@@ -335,7 +335,7 @@ def test_a_missing_reading_does_not_keep_the_others_from_being_averaged(world):
     one = _thinned(world, t, values)
     assert len(one.t) == 1000
     assert (np.diff(one.t) > 0.0).all()
-    np.testing.assert_array_equal(one.relative[np.isfinite(one.values)].min(), 0.2)
+    np.testing.assert_array_equal(one.relative_variance[np.isfinite(one.values)].min(), 0.2)
     np.testing.assert_allclose(one.values[:, 2], one.t, atol=1e-12)
 
 

@@ -9,7 +9,7 @@ import pytest
 from bodylog import body
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.faults import encoder_offset
-from bodylog.estimation.faults.encoder_offset import _score_offsets, offset_score
+from bodylog.estimation.faults.encoder_offset import _score_offsets, score_encoder_offsets
 from bodylog.estimation.inference.filter_log import solve_by_gauss_newton
 from bodylog.estimation.methods import filtering
 from bodylog.settings import EstimationSettings, Settings
@@ -48,18 +48,18 @@ def solved(features, body, **settings):
 def test_offset_score_is_the_evidence_with_an_offset(world, seed, size):
     drawn = world(seed, duration=14.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     problem, found = solved(lying(drawn, size), drawn.body)
-    cost = partial(filtering.filter_free_energy, warm=found)
+    cost = partial(encoder_offset.measure_free_energy, warm=found)
     wins = [
         cost(problem) - cost(encoder_offset.with_drift(problem, WALK * row)) for row in np.eye(3)
     ]
-    np.testing.assert_allclose(offset_score(problem, found, WALK)[0], wins, atol=20.0, rtol=0.3)
+    np.testing.assert_allclose(score_encoder_offsets(problem, found, WALK)[0], wins, atol=20.0, rtol=0.3)
     assert (max(wins) > encoder_offset.EVIDENCE_THRESHOLD_NATS) is (size > 0)
 
 
 def test_offset_score_without_images_is_zero(world):
     drawn = world(0, duration=6.0)
     problem, found = solved(replace(drawn.features, tracks={}), drawn.body)
-    assert not offset_score(problem, found, WALK)[0].any()
+    assert not score_encoder_offsets(problem, found, WALK)[0].any()
 
 
 @cache
@@ -99,9 +99,9 @@ def test_offset_search_ignores_the_smoothers_forward_lag(world, learned, monkeyp
 def test_offset_score_decreases_with_a_smoothers_lag(
     world, learned, monkeypatch, white_acceleration
 ):
-    scored, named = [], "offset_score"
+    scored, named = [], "score_encoder_offsets"
     monkeypatch.setattr(
-        encoder_offset, named, lambda *given: scored.append(offset_score(*given)) or scored[-1]
+        encoder_offset, named, lambda *given: scored.append(score_encoder_offsets(*given)) or scored[-1]
     )
     for seed in (2, 3):
         drawn = world(
@@ -116,7 +116,7 @@ def test_offset_score_decreases_with_a_smoothers_lag(
 def test_model_error_gives_no_encoder_fault(world, learned):
     for seed in range(2, 5):
         drawn = world(seed, duration=120.0, encoder_std=0.01, pixel_std=0.3, camera_hz=30.0)
-        gain, _, _ = offset_score(*solved(drawn.features, learned), WALK)
+        gain, _, _ = score_encoder_offsets(*solved(drawn.features, learned), WALK)
         assert (gain < encoder_offset.EVIDENCE_THRESHOLD_NATS).all()
 
 
@@ -265,7 +265,7 @@ def test_a_change_is_worth_no_more_than_the_log_with_it(monkeypatch, world):
         return 1e3 * np.hypot(1.0, (size - 0.03) / 5e-3)
 
     monkeypatch.setattr(encoder_offset, "filter_roughly", lambda posed, warm: posed)
-    monkeypatch.setattr(encoder_offset, "total_free_energy", find_cost)
+    monkeypatch.setattr(encoder_offset, "sum_free_energy", find_cost)
     for first in (0.0, 0.028, 0.032, 0.1):
         found = encoder_offset._size_likeliest_change(problem, 1, None, {2.0: first}, grows=False)
         assert found is None or found.nats - found.prior >= 1e3 - 1.0

@@ -232,7 +232,7 @@ def test_an_offset_beside_a_load_is_a_fault_only_where_the_load_alone_explains_l
         timeline=SimpleNamespace(t=np.zeros(1)), precision=SimpleNamespace(drift=np.array([0.0, 1e-7]))
     )
     offset = FoundFault("encoders", "elbow", FaultKind.DRIFTING, 0.0, -0.014, "rad", 5e-4)
-    assert explained._allowance_for_faults(alone, both, problem, (offset,), 0) == least
+    assert explained._choose_fault_allowance(alone, both, problem, (offset,), 0) == least
 
 
 def test_noise_beside_play_is_searched_from_what_a_load_would_leave_too():

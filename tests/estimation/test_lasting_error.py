@@ -108,7 +108,7 @@ def test_offsets_that_are_no_faults_hide_no_error_that_lasts(monkeypatch):
     angles = np.column_stack([np.interp(t, true.t, column) for column in true.values.T])
     rates = np.gradient(angles, t, axis=0)
     beliefs = np.hstack([angles, rates, np.full(angles.shape, 1e-3)])
-    monkeypatch.setattr(results, "nees_if_white", lambda found, more: 10.0)
+    monkeypatch.setattr(results, "estimate_white_nees", lambda found, more: 10.0)
     found = results.find_evident_error(None, problem, beliefs, settings, ())
     assert found.std == pytest.approx(2e-3, rel=0.5)
     named = [FoundFault("encoders", name, FaultKind.DRIFTING, 0.0, 0.1, "rad", 1e-3) for name in JOINTS]

@@ -5,7 +5,7 @@ import pytest
 
 from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.measurements.posture import LASTS_S, inflate_lasting_errors
+from bodylog.estimation.measurements.posture import POSTURE_ERROR_S, inflate_lasting_errors
 from bodylog.settings import EstimationSettings
 from bodylog.types import LASTING_ERROR, Features, PostureReadings, Series
 
@@ -32,7 +32,7 @@ def drawn_log(seed, names=NAMES):
     # pan is known well, lift and elbow by their sum alone
     cov = np.array([[3e-6, 0.0, 0.0], [0.0, 4e-5, -3.6e-5], [0.0, -3.6e-5, 4e-5]])
     root = np.linalg.cholesky(cov)
-    kept = np.exp(-1.0 / 12.0 / LASTS_S)
+    kept = np.exp(-1.0 / 12.0 / POSTURE_ERROR_S)
     error = rng.standard_normal((len(images), 3))
     for number in range(1, len(images)):
         error[number] = kept * error[number - 1] + np.sqrt(1.0 - kept**2) * error[number]
@@ -86,5 +86,5 @@ def test_errors_that_last_count_as_the_span_of_motion_asks():
     assert min(map(np.min, factor)) >= 1.0
     assert factor[0][0] > factor[0][1]  # what is known badly lasts longer against the same motion
     # no more than an error that wanders allows in any log: 1 + 2 Σ ρᵏ
-    assert max(map(np.max, factor)) <= 2.0 * LASTS_S * 24.0 + 1.0
+    assert max(map(np.max, factor)) <= 2.0 * POSTURE_ERROR_S * 24.0 + 1.0
     np.testing.assert_array_equal(inflate_lasting_errors(np.zeros(1), cov[:1], np.ones(2)), cov[:1])

@@ -70,7 +70,7 @@ def test_explicit_steps_are_stable_just_below_the_named_step_and_not_above(world
     settings = replace(DESCENT, preset="paper", start=tuple(x + 0.01))
     plan, *_ = predictive_coding.build_grid_problem(features, drawn.body, replace(settings, rate=100.0))
     senses = tuple(replace(s, s=np.tile(s.predict(x[None])[0], (len(s.s), 1))) for s in plan.senses)
-    stable = predictive_coding.stable_step(replace(plan, senses=senses))
+    stable = predictive_coding.find_largest_stable_step(replace(plan, senses=senses))
     for factor, holds in ((0.95, True), (1.05, False)):
         found = predictive_coding.integrate_belief(replace(plan, senses=senses, dt=factor * stable), True)[0]
         assert bool(np.isfinite(found).all() and np.abs(found[-1] - x).max() < 0.01) is holds
@@ -104,9 +104,9 @@ def test_suggested_rate_is_stable_without_a_warning(world, seed, over, rate):
     def planned(rate):
         return predictive_coding.build_grid_problem(drawn.features, drawn.body, replace(settings, rate=rate))[0]
 
-    (warned,) = predictive_coding.step_warning(planned(rate))
+    (warned,) = predictive_coding.warn_of_unstable_step(planned(rate))
     typed = planned(float(re.search(r"type --rate (\S+) or --step implicit$", warned.text)[1]))
-    assert not predictive_coding.step_warning(typed)
+    assert not predictive_coding.warn_of_unstable_step(typed)
     first = tuple(replace(sense, s=sense.s[:1000], sigma=sense.sigma[:1000]) for sense in typed.senses)
     found = predictive_coding.integrate_belief(replace(typed, t=typed.t[:1000], senses=first), True)[0]
     assert np.abs(found - drawn.truth.values[0]).max() < 0.5
@@ -117,10 +117,10 @@ def test_literal_touch_gradient_is_the_derivative(world):
     model, x = drawn.body.senses["effector"], drawn.truth.values[0]
     hand = model.predict(x[None])[0] + 5.0
     touch = PaperTouch(model, TouchConstants(0.9, 0.004), np.array([True]), hand, np.array([0.8]))
-    e, slope = touch.pull(0, x)
+    e, slope = touch.measure_touch_error(0, x)
     for joint in range(3):
         step = 1e-6 * np.eye(3)[joint]
-        numeric = (touch.pull(0, x - step)[0] - touch.pull(0, x + step)[0]) / 2e-6
+        numeric = (touch.measure_touch_error(0, x - step)[0] - touch.measure_touch_error(0, x + step)[0]) / 2e-6
         assert slope[joint] == pytest.approx(numeric, rel=1e-5)
     assert 0 < e < 0.72
 

@@ -80,7 +80,7 @@ def drawn(seed, duration=8.0, pixel=0.2, encoder=0.02, hz=50.0, camera=12.0):
 def filtered(features, body, process, poses):
     """The belief at each encoder instant, by a filter that goes instant by instant: (N,3), (N,3,3)."""
     joints, steps = features.joints, SequentialFilter(FilterDynamics(np.full(3, process)), None)
-    values, var, mix = poses.independent
+    values, var, mix = poses.independent_rows
     like = ErrorCorrelation(np.full(3, process), np.asarray(np.inf), 0.0)
     rows = [(t, y, None) for t, y in zip(joints.t, joints.values, strict=True)]
     rows += [(t, np.full(3, np.nan), row) for row, t in enumerate(poses.t) if np.isfinite(poses.values[row]).all()]

@@ -84,10 +84,10 @@ def test_errors_are_looked_for_where_every_joint_turns_far_beyond_them(turn, set
     angles = np.column_stack([np.linspace(0.0, 1.0, 101), np.linspace(0.0, turn, 101)])
     problem = SimpleNamespace(
         stepwise=False,
-        evidence=SimpleNamespace(encoders=SimpleNamespace(values=angles)),
+        evidence=SimpleNamespace(encoders=SimpleNamespace(values=angles), joints=("pan", "lift")),
         precision=SimpleNamespace(encoder=np.full(2, 1e-6)),
     )
-    found = trust.reason_to_widen(problem, ("pan", "lift"), 2e-3, EstimationSettings(**setting))
+    found = trust.find_reason_to_widen(problem, 2e-3, EstimationSettings(**setting))
     assert found is None if reason is None else reason in found
 
 
@@ -95,10 +95,10 @@ def test_no_joint_of_an_arm_at_rest_is_singled_out():
     angles = 1e-3 * np.random.default_rng(0).standard_normal((101, 2))
     problem = SimpleNamespace(
         stepwise=False,
-        evidence=SimpleNamespace(encoders=SimpleNamespace(values=angles)),
+        evidence=SimpleNamespace(encoders=SimpleNamespace(values=angles), joints=("pan", "lift")),
         precision=SimpleNamespace(encoder=np.full(2, 1e-6)),
     )
-    found = trust.reason_to_widen(problem, ("pan", "lift"), 2e-3, EstimationSettings())
+    found = trust.find_reason_to_widen(problem, 2e-3, EstimationSettings())
     assert found is not None and found.startswith("pan turns by")
     assert not trust.find_resting_joints(problem).any()
 

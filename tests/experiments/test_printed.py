@@ -89,7 +89,8 @@ def test_slopes_are_differences_and_touch_pulls_as_printed(known, signals):
     other = PaperTouch(
         _Known(one.model, slope), TouchConstants(0.9, 0.004), np.array([True]), hand[None], np.array([weight])
     )
-    assert np.allclose(other.pull(0, x[0])[0], off[0]) and np.allclose(other.pull(0, x[0])[1], pull[0])
+    error, slope_here = other.measure_touch_error(0, x[0])
+    assert np.allclose(error, off[0]) and np.allclose(slope_here, pull[0])
 
 
 class _Known:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
-from bodylog.estimation.timing.correction import measured_delays
+from bodylog.estimation.timing.correction import measure_camera_delays
 from tests.estimation.conftest import draw
 from tests.estimation.spoilt_logs import delayed
 from tests.validation import figures, logs
@@ -30,7 +30,7 @@ def row(name, pairs):
     runs = []
     for k, (log, body) in enumerate(pairs):
         given = DELAYS[k % len(DELAYS)]
-        runs += [(given, one) for one in measured_delays(delayed(log.features, given), body).values()]
+        runs += [(given, one) for one in measure_camera_delays(delayed(log.features, given), body).values()]
     given, std, seconds, nats = np.transpose([(g, one.std_error, one.seconds, one.nats) for g, one in runs])
     off, large, none = (seconds - given) / std, np.abs(given) >= LARGE, given == 0.0
     share = (f"{(nats[rows] > EVIDENCE_THRESHOLD_NATS).sum()} of {rows.sum()}" for rows in (large, none))

@@ -57,7 +57,7 @@ def place_images(sighting: Sighting, knots: Array, nearest: bool) -> Images:
     """The images of a sense that show it, at the knots (K,)
     s: the nearest, or the first that is not before them.
     """
-    values, var, mix = sighting.independent
+    values, var, mix = sighting.independent_rows
     within = sighting.t <= knots[-1] + SAME_TIME_S
     frames = np.flatnonzero(find_finite_rows(values) & within)
     t = sighting.t[frames]

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...types import Array
 from ..faults.threshold import PRIOR_STD_RAD
-from ..measurements.long_arrays import median_step
+from ..measurements.long_arrays import measure_median_step
 from ..measurements.track import group_tracks_by_camera
 from .columns import Column, ImageShift, Path
 from .elimination import Eliminated, compute_column_nats, eliminate_states
@@ -168,7 +168,7 @@ def _change_moments(
     windows = [(a, b) for a, b in every if b - a > max(least, 0.5 * step)]
     cost = float(np.log(len(windows)))
     apart = _list_separate(windows, weigh_windows(windows), 1.5 * step)
-    finest = median_step(knots)
+    finest = measure_median_step(knots)
     narrow = sorted(_narrow_window(one, step, finest, least, weigh_windows) for one in apart)
     (without,) = _weigh_moments(linear, eliminated, begin, std, [before or (-np.inf,)])
     seen = _list_image_times(linear.problem)
@@ -266,7 +266,7 @@ def _weigh_shifts(linear: Linearised, eliminated: Eliminated) -> float:
     kinds = list(product(range(len(linear.problem.start)), moments, rises))
     cost = float(np.log(len(kinds)))
     nats = _weigh_each_shift(linear, eliminated, kinds)
-    while step > median_step(knots):
+    while step > measure_median_step(knots):
         joint, since, rise = kinds[int(np.argmin(nats))]
         step /= 4.0
         near = since + step * np.arange(-4, 5)

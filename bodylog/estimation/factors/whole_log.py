@@ -12,7 +12,7 @@ from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
 from ..inference.filter_problem import FilterProblem
 from ..inference.tangents import OFFSET_STD
-from ..measurements.long_arrays import find_finite_rows, median_step
+from ..measurements.long_arrays import find_finite_rows, measure_median_step
 from ..measurements.records import Encoders, unmix_rows
 from .columns import EncoderShift
 from .condensing import SAME_TIME_S
@@ -134,7 +134,7 @@ def explain_log(
     found = find_explanation(
         coarse,
         replace(noise, prior=lasting),
-        median_step(encoders.t),
+        measure_median_step(encoders.t),
         encoders.count_variance,
         halves,
         loads,
@@ -148,7 +148,7 @@ def explain_by_white_noise(problem: FilterProblem) -> ExplainedLog | None:
     if posed is None:
         return None
     fine, coarse, noise = posed
-    white = fit_white_noise(coarse, noise, median_step(_require_encoders(problem).t))
+    white = fit_white_noise(coarse, noise, measure_median_step(_require_encoders(problem).t))
     explanation = conclude_white_noise(fine, white)
     return ExplainedLog(fine, explanation, white.nats + _weigh_outliers(coarse))
 
@@ -199,7 +199,7 @@ def _pose_log(problem: FilterProblem) -> tuple[FactorProblem, FactorProblem, Noi
         _thin_times(problem.timeline.t, CLOSEST_S),
         encoders.t,
         encoders.values,
-        encoders.relative,
+        encoders.relative_variance,
         problem.start,
         sightings,
         tuple(_list_repaired_steps(problem)),

@@ -18,7 +18,7 @@ from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.records import Encoders, Evidence
 from ..noise.quantisation import convert_fault_to_units
 from .jumping import find_jumps, find_level_shifts, unwrap_turns
-from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, motion_nats
+from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, measure_motion_nats
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 
@@ -38,11 +38,11 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
     """
     if evidence.encoders is None:
         return evidence
-    angles = "encoders" not in body.senses
+    reads_angles = "encoders" not in body.senses
     read = evidence.encoders
     size = evidence.rad_per_unit
     angled = replace(read, values=size * read.values)
-    encoders = _unwrap_columns(angled) if angles else angled
+    encoders = _unwrap_columns(angled) if reads_angles else angled
     turned = np.abs(encoders.values - angled.values) > 1.0
     findings = [
         Finding(
@@ -53,12 +53,12 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
         for name, own in zip(body.joints, turned.T, strict=True)
         if own.any()
     ]
-    convert_estimate_to_units = replace(encoders, values=encoders.values / size)
-    complete = angles and np.isfinite(encoders.values).any(axis=0).all()
+    in_units = replace(encoders, values=encoders.values / size)
+    complete = reads_angles and np.isfinite(encoders.values).any(axis=0).all()
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
     found = {
         name: _screen_encoder(
-            name, encoders.t, y, partial(motion_nats, convert_estimate_to_units, images, joint)
+            name, encoders.t, y, partial(measure_motion_nats, in_units, images, joint)
         )
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))
     }
@@ -74,25 +74,17 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
         for name, one in found.items()
         for kind, nats in one.nats.items()
     ]
+    screened = _with_columns(encoders, [one.values for one in found.values()])
+    # readings that screening left as they were stay exact
+    same = screened.values == angled.values
+    values = np.where(same, read.values, screened.values / size)
     return replace(
         evidence,
-        encoders=_convert_screened_unit(
-            read, angled, _with_columns(encoders, [one.values for one in found.values()]), size
-        ),
+        encoders=replace(screened, values=values),
         faults=(*evidence.faults, *sorted(faults, key=lambda fault: fault.since)),
         findings=(*evidence.findings, *findings),
         hypotheses=(*evidence.hypotheses, *hypotheses),
     )
-
-
-def _convert_screened_unit(
-    read: Encoders, angled: Encoders, screened: Encoders, size: float
-) -> Encoders:
-    """Screened angles (rad) as readings of `size` rad a
-    unit; those that screening left as they were are exact.
-    """
-    same = screened.values == angled.values
-    return replace(screened, values=np.where(same, read.values, screened.values / size))
 
 
 def repair_readings(encoders: Encoders) -> Encoders:
@@ -122,29 +114,23 @@ def _screen_encoder(
         return ScreenedEncoder(y, (), {})
     values = y.copy()
     found = list[Fault]()
-
-    def add_fault(
-        kind: FaultKind,
-        since: float,
-        until: float | None = None,
-        size: float = 0.0,
-        std: float | None = None,
-    ) -> None:
-        found.append(Fault("encoders", name, kind, since, size, "rad", std, until=until))
-
     nats: dict[str, float] = {FaultKind.FROZEN: 0.0, FaultKind.DEAD: 0.0, "jumped": 0.0}
     for one in (find_final_silence(t, y), *find_frozen_readings(t, y, moved)):
         nats[one.kind] = max(nats[one.kind], one.nats)
         if one.nats > EVIDENCE_THRESHOLD_NATS:
-            add_fault(one.kind, float(t[one.begin]), _find_recovery_time(t, y, one))
+            since = float(t[one.begin])
+            until = _find_recovery_time(t, y, one)
+            found.append(Fault("encoders", name, one.kind, since, 0.0, "rad", until=until))
             values[one.begin : one.end] = np.nan
     moves = find_level_shifts(t, values)
     nats["jumped"] = max((won for *_, won in moves), default=0.0)
     for begin, end, size in _find_excursions(t, values, moves):
-        add_fault(FaultKind.GLITCH, float(t[begin]), float(t[end]), size)
+        since = float(t[begin])
+        until = float(t[end])
+        found.append(Fault("encoders", name, FaultKind.GLITCH, since, size, "rad", until=until))
         values[begin:end] = np.nan
     for at, size, std in find_jumps(t, values):
-        add_fault(FaultKind.JUMPING, float(t[at]), None, size, std)
+        found.append(Fault("encoders", name, FaultKind.JUMPING, float(t[at]), size, "rad", std))
         values[at:] -= size
     return ScreenedEncoder(values, found, nats)
 
@@ -152,9 +138,9 @@ def _screen_encoder(
 def _find_recovery_time(t: Array, y: Array, repeated: RepeatedReadings) -> float | None:
     """When (s) an encoder that was repeated reads again; None if it never does."""
     later = np.flatnonzero(np.isfinite(y[repeated.end :]))
-    return (
-        float(t[repeated.end + later[0]]) if len(later) and repeated.end > repeated.begin else None
-    )
+    if len(later) == 0 or repeated.end == repeated.begin:
+        return None
+    return float(t[repeated.end + later[0]])
 
 
 def _find_excursions(

@@ -1,17 +1,17 @@
 """Encoder offsets: whether the log needs one, which encoder has it, and since when it drifts.
 
-An encoder whose offset steps: from one reading on, all its readings are off by a constant.
+`find_suspected_encoders` scores an offset of each encoder to first order, from one filtered log.
+`choose_encoder_offsets` filters the log with each hypothesis: an offset that walks at random, a
+step, from which on all readings are off by a constant, or a steady drift.
 
-Time and size are those of greatest evidence of the whole filter. A size N(0, FAR²) with standard
-error σ, and a time at any of N readings after the start, cost ½ ln(1 + FAR²/σ²) + ln N nats of it.
+Score. In a short span, innovations are those of one error e of the belief and of one offset b of
+the encoders: ν = e + b in an encoder, J e in an image. Least squares, e integrated out, give b:
+with W the sum of the encoders' S⁻¹, V of the images' JᵀS⁻¹J, and s = (W + V)⁻¹ W, its information
+is W − W s. A filter that lags behind the arm has an e, but no b.
 
-Score test for encoder offsets: the evidence an
-offset would win, to first order, without another pass.
-
-In a short span, innovations are those of one error e of the belief and of one offset b of the
-encoders: ν = e + b in an encoder, J e in an image. Least squares, e integrated out, give b: with W
-the sum of the encoders' S⁻¹, V of the images' JᵀS⁻¹J, and s = (W + V)⁻¹ W, its information is W − W
-s. A filter that lags behind the arm has an e, but no b.
+Steps and drifts. Time and size b are those of greatest evidence of the whole filter. A size that is
+N(0, P²) a priori, P being PRIOR_STD_RAD, with standard error σ, and a time at any of N readings
+after the start, cost ½ ln(1 + P²/σ²) + ½ b²/P² + ln N nats of it.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -26,13 +26,26 @@ from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
 from ..inference.solution import Solution
 from ..inference.tangents import OFFSET_STD
-from ..measurements.long_arrays import find_finite_rows as seen_rows
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Evidence
 from ..measurements.timeline import list_span_starts
 from ..noise.correlated_noise import count_effective_frames
 from ..noise.encoder_noise import MAX_MEMORY_S
 from ..noise.quantisation import find_reading_step
 from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
+
+TRIED_DRIFT_BEGINS = 64
+"""Times tried at which a steady drift may begin."""
+SIZE_ROUNDS = 4
+"""Parabolas by which the size of a change is found: one holds near its points alone, and a minimum
+far from them promised 1,700 nats for a drift of 5 rad, which hid a step of 2°.
+"""
+TRAILING_S = (0.0, 0.25, 0.5, 1.0, 1.5)
+"""s by which a filter may show a drift late."""
+RANDOM_WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
+"""rad²/s: random-walk variances tried; the last one
+is a constant offset, as of a joint homed differently.
+"""
 
 
 class OffsetHypothesis(NamedTuple):
@@ -49,9 +62,14 @@ class OffsetHypothesis(NamedTuple):
     name: str = "offset"
 
 
-def total_free_energy(solution: Solution) -> float:
+def sum_free_energy(solution: Solution) -> float:
     """Free energy (nats) of a whole filtered log."""
     return float(solution.fold.unfold_events(solution.trace.nats).sum())
+
+
+def measure_free_energy(problem: FilterProblem, warm: Solution) -> float:
+    """Free energy (nats) of the whole log, filtered from where `warm` ended."""
+    return sum_free_energy(filter_roughly(problem, warm))
 
 
 def find_likeliest_changes(
@@ -60,40 +78,65 @@ def find_likeliest_changes(
     """The most likely step of one joint's encoder, and its most likely steady drift from some time
     on, given the problem without and with a `wandering` offset of it.
 
-    A drift stands beside a slow random walk: a walk is as likely before it begins as later, so one
-    that is slow enough for the sound readings trails a steady drift. A step or drift that the log
-    does not determine is left out.
+    A step or drift that the log does not determine is left out.
     """
+    off = _measure_residuals(wandering, problem, joint, solved)
+    found = [_find_likeliest_step(problem, off, joint, solved)]
+    assert problem.evidence.encoders is not None
+    if np.ptp(problem.evidence.encoders.t) > 2.0 * MAX_MEMORY_S:
+        found.append(_find_likeliest_drift(problem, off, joint, solved))
+    return [one for one in found if one is not None]
+
+
+def _measure_residuals(
+    posed: FilterProblem, problem: FilterProblem, joint: int, solved: Solution
+) -> Array:
+    """How far the problem's readings of a joint (N,) rad are from the angles of the posed one."""
+    assert problem.evidence.encoders is not None
+    solution = filter_roughly(posed, solved)
+    angles = solution.fold.unfold_events(solution.trace.z[:, joint])
+    return np.asarray(
+        problem.evidence.encoders.values[:, joint] - angles[problem.timeline.encoders]
+    )
+
+
+def _find_likeliest_step(
+    problem: FilterProblem, off: Array, joint: int, solved: Solution
+) -> OffsetHypothesis | None:
+    """The most likely step; off (N,) rad: residuals of readings where the offset wanders."""
     encoders = problem.evidence.encoders
     assert encoders is not None
     y = encoders.values[:, joint]
     t = encoders.t
-
-    def measure_residuals(posed: FilterProblem) -> Array:
-        solution = filter_roughly(posed, solved)
-        angles = solution.fold.unfold_events(solution.trace.z[:, joint])
-        return np.asarray(y - angles[problem.timeline.encoders])
-
-    followed = measure_residuals(wandering)
-    late, size = _fit_change(t, followed, grows=False)
+    since, size = _fit_change(t, off, grows=False)
     # a filter takes a step for motion at first: just before, images alone tell the angle
-    unsure = (t > late - MAX_MEMORY_S) & (t <= late)
-    masked = np.where(unsure, np.nan, np.where(t > late, y - size, y))
-    again = measure_residuals(_with_readings(problem, joint, masked))
+    unsure = (t > since - MAX_MEMORY_S) & (t <= since)
+    masked = np.where(unsure, np.nan, np.where(t > since, y - size, y))
+    masked_off = _measure_residuals(_with_readings(problem, joint, masked), problem, joint, solved)
     shifts = np.where(unsure, np.sign(size) * np.diff(y, prepend=np.nan), np.nan)
     largest = float(t[np.nan_to_num(shifts, nan=-np.inf).argmax()])
-    begins = {_fit_change(t, again, grows=False)[0], largest}
+    begins = {_fit_change(t, masked_off, grows=False)[0], largest}
     # an encoder that is off so soon is off from the start
     steps = {one if one - t[0] >= MAX_MEMORY_S else float(t[0]): size for one in sorted(begins)}
-    found = [_size_likeliest_change(problem, joint, solved, steps, grows=False)]
-    if t[-1] - t[0] > 2.0 * MAX_MEMORY_S:
-        late, size = _fit_change(t, followed, grows=True)
-        rows = np.searchsorted(t, np.maximum(late - np.array(TRAILING_S), t[0] + MAX_MEMORY_S))
-        slope = size / (t[-1] - late)
-        drifts = {one: float(slope * (t[-1] - one)) for one in np.unique(t[rows]).tolist()}
-        slow = _with_walk(problem, joint, RANDOM_WALKS[1])
-        found.append(_size_likeliest_change(slow, joint, solved, drifts, grows=True))
-    return [one for one in found if one is not None]
+    return _size_likeliest_change(problem, joint, solved, steps, grows=False)
+
+
+def _find_likeliest_drift(
+    problem: FilterProblem, off: Array, joint: int, solved: Solution
+) -> OffsetHypothesis | None:
+    """The most likely steady drift; off (N,) rad: residuals of readings where the offset wanders.
+
+    A drift stands beside a slow random walk: a walk is as likely before it begins as later, so one
+    that is slow enough for the sound readings trails a steady drift.
+    """
+    assert problem.evidence.encoders is not None
+    t = problem.evidence.encoders.t
+    since, size = _fit_change(t, off, grows=True)
+    rows = np.searchsorted(t, np.maximum(since - np.array(TRAILING_S), t[0] + MAX_MEMORY_S))
+    slope = size / (t[-1] - since)
+    drifts = {one: float(slope * (t[-1] - one)) for one in np.unique(t[rows]).tolist()}
+    slow = _with_walk(problem, joint, RANDOM_WALKS[1])
+    return _size_likeliest_change(slow, joint, solved, drifts, grows=True)
 
 
 def _size_likeliest_change(
@@ -107,17 +150,17 @@ def _size_likeliest_change(
     y = encoders.values[:, joint]
     t = encoders.t
 
-    def without(since: float, size: float) -> FilterProblem:
+    def remove_change(since: float, size: float) -> FilterProblem:
         return _with_readings(problem, joint, y - size * shape_change(t, since, grows))
 
-    def nats(since: float, size: float) -> float:
-        return total_free_energy(filter_roughly(without(since, size), solved))
+    def measure_cost(since: float, size: float) -> float:
+        return measure_free_energy(remove_change(since, size), solved)
 
-    since = min(tried, key=lambda one: nats(one, tried[one]))
+    since = min(tried, key=lambda one: measure_cost(one, tried[one]))
     size = tried[since]
     for _ in range(SIZE_ROUNDS):
         lowest = _fit_parabola_minimum(
-            [nats(since, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
+            [measure_cost(since, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
         )
         if lowest is None:
             return None
@@ -127,13 +170,15 @@ def _size_likeliest_change(
             break
     else:
         return None
-    prior = _price_size_and_time(size, std, len(t) if since > t[0] else 1)
-    steps = since > t[0] and not grows
-    kind = FaultKind.JUMPING if steps else FaultKind.DRIFTING
+    times = len(t) if since > t[0] else 1
+    size_nats = np.log1p((PRIOR_STD_RAD / std) ** 2) + (size / PRIOR_STD_RAD) ** 2
+    prior = float(0.5 * size_nats + np.log(times))
+    is_step = since > t[0] and not grows
+    kind = FaultKind.JUMPING if is_step else FaultKind.DRIFTING
     name = problem.evidence.joints[joint]
     fault = Fault("encoders", name, kind, since, size, problem.evidence.unit, std)
     form = "drift" if grows else "step"
-    return OffsetHypothesis(without(since, size), cost + prior, fault, prior, form)
+    return OffsetHypothesis(remove_change(since, size), cost + prior, fault, prior, form)
 
 
 def shape_change(t: Array, since: Array | float, grows: bool) -> Array:
@@ -148,7 +193,9 @@ def _fit_change(t: Array, off: Array, grows: bool) -> tuple[float, float]:
     this shape in place of 0, and its size at the end.
     """
     power = int(grows)
-    begins = np.linspace(t[0] + MAX_MEMORY_S, t[-1] - MAX_MEMORY_S, RAMPS) if grows else t
+    begins = (
+        np.linspace(t[0] + MAX_MEMORY_S, t[-1] - MAX_MEMORY_S, TRIED_DRIFT_BEGINS) if grows else t
+    )
     rows = np.searchsorted(t, begins)
 
     def sum_later(values: Array, degree: int) -> Array:
@@ -163,12 +210,6 @@ def _fit_change(t: Array, off: Array, grows: bool) -> tuple[float, float]:
     best = int((product**2 / square).argmax())
     rise = (t[-1] - begins[best]) ** power
     return float(begins[best]), float(product[best] / square[best] * rise)
-
-
-def _price_size_and_time(size: float, std: float, times: int) -> float:
-    """Nats that a size with this standard error and one of so many times cost."""
-    far = np.log1p((PRIOR_STD_RAD / std) ** 2) + (size / PRIOR_STD_RAD) ** 2
-    return float(0.5 * far + np.log(times))
 
 
 def _fit_parabola_minimum(nats: Sequence[float]) -> tuple[float, float, float] | None:
@@ -191,21 +232,7 @@ def _with_readings(problem: FilterProblem, joint: int, y: Array) -> FilterProble
     )
 
 
-RAMPS = 64
-"""Times tried at which a steady drift may begin."""
-SIZE_ROUNDS = 4
-"""Parabolas by which the size of a change is found: one holds near its points alone, and a minimum
-far from them promised 1,700 nats for a drift of 5 rad, which hid a step of 2°.
-"""
-TRAILING_S = (0.0, 0.25, 0.5, 1.0, 1.5)
-"""s by which a filter may show a drift late."""
-RANDOM_WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
-"""rad²/s: random-walk variances tried; the last one
-is a constant offset, as of a joint homed differently.
-"""
-
-
-def offset_score(
+def score_encoder_offsets(
     problem: FilterProblem, solved: Solution, walk: float
 ) -> tuple[Array, Array, Array]:
     """Nats (M,) that an offset of each encoder with
@@ -223,9 +250,9 @@ def offset_score(
     # in a span an offset walks by less than the least fault: by two standard deviations
     begins = np.unique(np.searchsorted(t, list_span_starts(t, (0.5 * OFFSET_STD) ** 2 / walk)))
     bounds = np.append(begins, len(t))
-    pull, weight = _encoder_sums(solved, bounds)
-    seen = np.sum([_track_sums(problem, solved, k, bounds) for k in visual], axis=0)
-    return _filtered_offsets(
+    pull, weight = _sum_encoder_innovations(solved, bounds)
+    seen = np.sum([_sum_track_information(problem, solved, k, bounds) for k in visual], axis=0)
+    return _filter_offset_score(
         np.diff(t[begins], append=t[-1]), *_score_offsets(pull, weight, seen), walk
     )
 
@@ -247,7 +274,7 @@ def _score_offsets(pull: Array, weight: Array, seen: Array) -> tuple[Array, Arra
     return score, weight * np.einsum("skj,sjk->sk", known, others)
 
 
-def _encoder_sums(solved: Solution, bounds: Array) -> tuple[Array, Array]:
+def _sum_encoder_innovations(solved: Solution, bounds: Array) -> tuple[Array, Array]:
     """Sums (S,M) of S⁻¹ν, clipped so that single blunders
     do not look like an offset, and of S⁻¹ over spans.
     """
@@ -259,12 +286,14 @@ def _encoder_sums(solved: Solution, bounds: Array) -> tuple[Array, Array]:
     return pull, weight
 
 
-def _track_sums(problem: FilterProblem, solved: Solution, track: int, bounds: Array) -> Array:
+def _sum_track_information(
+    problem: FilterProblem, solved: Solution, track: int, bounds: Array
+) -> Array:
     """Sums of a track's JᵀS⁻¹J, and of JᵀS⁻¹ν clipped alike, over spans: (S,M,M+1)."""
     readings = solved.readings
     trace = solved.trace
     sighting = problem.evidence.sightings[track]
-    seen = seen_rows(sighting.values)
+    seen = find_finite_rows(sighting.values)
     size = np.arange(sighting.values.shape[1])
     events = problem.timeline.sightings[track][seen]
     x, cov = (solved.fold.select_events(a, events) for a in (trace.prior, trace.prior_cov))
@@ -274,7 +303,7 @@ def _track_sums(problem: FilterProblem, solved: Solution, track: int, bounds: Ar
     )
     s = jac @ cov @ jac.swapaxes(1, 2)
     nu = y[..., None] - jac @ x[..., None]
-    s[:, size, size] += var + _correlated_error(solved, track, seen)
+    s[:, size, size] += var + _measure_correlated_error(solved, track, seen)
     white = np.linalg.solve(s, np.concatenate([jac, nu], axis=2))
     far = np.sqrt((nu[..., 0] * white[..., -1]).mean(axis=1))
     white[..., -1] /= np.maximum(far / CERTAIN_SIGMA, 1.0)[:, None]
@@ -282,7 +311,7 @@ def _track_sums(problem: FilterProblem, solved: Solution, track: int, bounds: Ar
     return np.diff(np.insert(each, 0, 0.0, axis=0)[np.searchsorted(events, bounds)], axis=0)
 
 
-def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
+def _measure_correlated_error(solved: Solution, track: int, seen: Array) -> Array:
     """Variance (F,D) added for correlated model error,
     so that frames of like postures count as one.
     """
@@ -295,11 +324,11 @@ def _correlated_error(solved: Solution, track: int, seen: Array) -> Array:
     return np.asarray(model * (2.0 * duplicates - 2.0)[:, None])
 
 
-def _filtered_offsets(
+def _filter_offset_score(
     steps: Array, score: Array, weight: Array, walk: float
 ) -> tuple[Array, Array, Array]:
     """Filter each offset over spans of `steps` (S,) s from
-    scores and weights (S,M); returns as `offset_score` does.
+    scores and weights (S,M); returns as `score_encoder_offsets` does.
     """
     offset = np.zeros(score.shape[1])
     var = np.full(score.shape[1], OFFSET_STD**2)
@@ -322,8 +351,8 @@ def find_suspected_encoders(
     """The problem with the hypotheses of an offset of each encoder, to first order, and which (M,)
     bool win EVIDENCE_THRESHOLD_NATS.
     """
-    gain, offset, var = offset_score(problem, solved, RANDOM_WALKS[0])
-    certain = _mark_significant_offsets(offset, var, smallest_fault(problem.evidence))
+    gain, offset, var = score_encoder_offsets(problem, solved, RANDOM_WALKS[0])
+    certain = _mark_significant_offsets(offset, var, find_smallest_fault(problem.evidence))
     found = (("offset", j, nats, False) for j, nats in enumerate(gain)) if gain.any() else ()
     return _add_hypotheses(problem, found), np.asarray(
         (gain > EVIDENCE_THRESHOLD_NATS) & certain.any(axis=0) & (_list_random_walks(problem) == 0)
@@ -334,22 +363,21 @@ def choose_encoder_offsets(
     problem: FilterProblem,
     solved: Solution,
     suspected: Array,
-    cost: Callable[[FilterProblem], float],
-    tuned: Callable[[FilterProblem], FilterProblem],
+    relearn: Callable[[FilterProblem], FilterProblem],
 ) -> FilterProblem:
     """Add one offset after the other while each wins
     EVIDENCE_THRESHOLD_NATS, and the hypotheses compared.
 
-    suspected (M,) bool: the encoders tried first, at least one. `cost` gives nats, `tuned` a
-    problem with noise of its own evidence. Steps are taken out of the readings, and are faults of
-    the evidence. Joints with an offset are keys of the problem's `alternatives`.
+    solved: a solution of the problem, from which each hypothesis is filtered · suspected (M,) bool:
+    the encoders tried first, at least one · relearn: gives a problem noise by its own evidence.
+    Steps are taken out of the readings, and are faults of the evidence. Joints with an offset are
+    keys of the problem's `alternatives`.
     """
-    first = cost(problem)
     found = problem
-    nats = total_free_energy(solved) if np.isinf(first) else first
+    nats = measure_free_energy(problem, solved)
     while suspected.any():
         walks = {
-            j: cost(_with_walk(found, j, RANDOM_WALKS[0]))
+            j: measure_free_energy(_with_walk(found, j, RANDOM_WALKS[0]), solved)
             for j in np.flatnonzero(suspected).tolist()
         }
         found = _add_hypotheses(
@@ -363,23 +391,24 @@ def choose_encoder_offsets(
         near = _list_near_optimal_joints(walks) if wins else list(walks)
         # the kind of offset is chosen before a further one
         # is tried: one that wanders too freely hides others
-        ways = {j: _best_offset_hypothesis(found, j, solved, cost, tuned) for j in near}
-        if min(way.nats for way in ways.values()) > nats - EVIDENCE_THRESHOLD_NATS:
+        offsets = {j: _find_best_offset(found, j, solved, relearn) for j in near}
+        costs = {j: offset.nats for j, offset in offsets.items()}
+        if min(costs.values()) > nats - EVIDENCE_THRESHOLD_NATS:
             break
         # among indistinguishable joints take the smallest
         # walk: a larger one follows errors of the body model
-        near = sorted(_list_near_optimal_joints({j: way.nats for j, way in ways.items()}))
-        joint = min(near, key=lambda j: (_list_random_walks(ways[j].problem)[j], ways[j].nats))
-        compared = [(way.name, j, nats - way.nats, j == joint) for j, way in ways.items()]
-        found = _add_hypotheses(_with_offset_hypothesis(ways[joint], joint, near), compared)
-        nats = ways[joint].nats
+        near = sorted(_list_near_optimal_joints(costs))
+        joint = min(near, key=lambda j: (_list_random_walks(offsets[j].problem)[j], costs[j]))
+        compared = [(offsets[j].name, j, nats - costs[j], j == joint) for j in offsets]
+        found = _add_hypotheses(_with_offset_hypothesis(offsets[joint], joint, near), compared)
+        nats = costs[joint]
         # once one offset is modelled, another may show
         suspected = (_list_random_walks(found) == 0) & ~np.isin(
             np.arange(len(suspected)), list(found.alternatives)
         )
     if len(found.alternatives) < 2:
         return found
-    return _reconsider_offsets(problem, found, nats, solved, cost, tuned)
+    return _reconsider_offsets(problem, found, nats, solved, relearn)
 
 
 def _reconsider_offsets(
@@ -387,8 +416,7 @@ def _reconsider_offsets(
     found: FilterProblem,
     nats: float,
     solved: Solution,
-    cost: Callable[[FilterProblem], float],
-    tuned: Callable[[FilterProblem], FilterProblem],
+    relearn: Callable[[FilterProblem], FilterProblem],
 ) -> FilterProblem:
     """Each of several offsets again, given the others, if all of them together then cost less.
 
@@ -397,11 +425,11 @@ def _reconsider_offsets(
     again = found
     again_nats = nats
     for joint, others in found.alternatives.items():
-        way = _best_offset_hypothesis(
-            _remove_joint_offset(problem, again, joint), joint, solved, cost, tuned
+        offset = _find_best_offset(
+            _remove_joint_offset(problem, again, joint), joint, solved, relearn
         )
-        again = _with_offset_hypothesis(way, joint, [joint, *others])
-        again_nats = way.nats
+        again = _with_offset_hypothesis(offset, joint, [joint, *others])
+        again_nats = offset.nats
     return again if again_nats < nats else found
 
 
@@ -447,20 +475,20 @@ def _add_hypotheses(
     return replace(problem, evidence=replace(evidence, hypotheses=(*known, *new.values())))
 
 
-def _with_offset_hypothesis(way: OffsetHypothesis, joint: int, near: list[int]) -> FilterProblem:
-    """The problem with an offset of one joint, or
-    of the others in `near`, which explain as much.
-    """
-    evidence = way.problem.evidence
+def _with_offset_hypothesis(offset: OffsetHypothesis, joint: int, near: list[int]) -> FilterProblem:
+    """The problem with an offset of one joint, or of the others in `near`, which explain as much."""
+    evidence = offset.problem.evidence
     others = tuple(j for j in near if j != joint)
-    if way.fault is not None:
-        size = np.nan if others else way.fault.size
+    if offset.fault is not None:
+        size = np.nan if others else offset.fault.size
         fault = replace(
-            way.fault, name=_name_alternatives(evidence.joints, joint, others), size=size
+            offset.fault, name=_name_alternatives(evidence.joints, joint, others), size=size
         )
         evidence = replace(evidence, faults=(*evidence.faults, fault))
     return replace(
-        way.problem, evidence=evidence, alternatives={**way.problem.alternatives, joint: others}
+        offset.problem,
+        evidence=evidence,
+        alternatives={**offset.problem.alternatives, joint: others},
     )
 
 
@@ -469,30 +497,30 @@ def _name_alternatives(names: tuple[str, ...], joint: int, others: tuple[int, ..
     return ALTERNATIVE_SEPARATOR.join(names[j] for j in (joint, *others))
 
 
-def _best_offset_hypothesis(
+def _find_best_offset(
     problem: FilterProblem,
     joint: int,
     solved: Solution,
-    cost: Callable[[FilterProblem], float],
-    tuned: Callable[[FilterProblem], FilterProblem],
+    relearn: Callable[[FilterProblem], FilterProblem],
 ) -> OffsetHypothesis:
     """The best random walk of one joint's offset, or its step or steady drift if that costs less.
 
-    These are compared with noise `tuned` with the offset: the problem's own has absorbed it.
+    These are compared with noise learned again with the offset: the problem's own has absorbed it.
     """
     allowed = with_drift(
-        tuned(_with_walk(problem, joint, RANDOM_WALKS[0])), _list_random_walks(problem)
+        relearn(_with_walk(problem, joint, RANDOM_WALKS[0])), _list_random_walks(problem)
     )
     walks = (_with_walk(allowed, joint, walk) for walk in RANDOM_WALKS)
-    best = min((OffsetHypothesis(one, cost(one)) for one in walks), key=lambda way: way.nats)
+    hypotheses = (OffsetHypothesis(one, measure_free_energy(one, solved)) for one in walks)
+    best = min(hypotheses, key=lambda offset: offset.nats)
     changes = find_likeliest_changes(allowed, best.problem, joint, solved)
-    way = min((best, *changes), key=lambda one: one.nats)
+    offset = min((best, *changes), key=lambda one: one.nats)
     # against no offset it counts with the problem's noise:
     # less of it makes an offset of a poor body's errors
     found = replace(
-        way.problem, precision=replace(problem.precision, drift=way.problem.precision.drift)
+        offset.problem, precision=replace(problem.precision, drift=offset.problem.precision.drift)
     )
-    return way._replace(problem=found, nats=cost(found) + way.prior)
+    return offset._replace(problem=found, nats=measure_free_energy(found, solved) + offset.prior)
 
 
 def _list_random_walks(problem: FilterProblem) -> Array:
@@ -511,13 +539,11 @@ def _with_walk(problem: FilterProblem, joint: int, walk: float) -> FilterProblem
 
 
 def with_drift(problem: FilterProblem, drift: Array) -> FilterProblem:
-    """Return the problem with random walks `drift`
-    (M,) rad²/s of encoder offsets; 0 for no offset.
-    """
+    """Return the problem with random walks `drift` (M,) rad²/s of encoder offsets; 0 for no offset."""
     return replace(problem, precision=replace(problem.precision, drift=drift))
 
 
-def preset_walks(setting: str, evidence: Evidence) -> Array | None:
+def choose_preset_walks(setting: str, evidence: Evidence) -> Array | None:
     """Random walks (M,) rad²/s set beforehand: for all
     joints if `on`, for encoders that jumped if `auto`.
 
@@ -533,7 +559,7 @@ def preset_walks(setting: str, evidence: Evidence) -> Array | None:
     return None
 
 
-def repaired_variance(problem: FilterProblem, offset_var: Array | None) -> Array:
+def measure_repair_variance(problem: FilterProblem, offset_var: Array | None) -> Array:
     """Variance (E,M) rad² of angles by the sizes ± std
     of jumps that were taken out of earlier readings.
 
@@ -559,7 +585,7 @@ def repaired_variance(problem: FilterProblem, offset_var: Array | None) -> Array
     return added
 
 
-def smallest_fault(evidence: Evidence) -> Array | float:
+def find_smallest_fault(evidence: Evidence) -> Array | float:
     """Smallest offsets (M,) that count as faults, in the
     readings' unit: sound encoders are off by half a count.
 
@@ -579,7 +605,7 @@ def smallest_fault(evidence: Evidence) -> Array | float:
 
 def _mark_significant_offsets(offset: Array, var: Array, least: Array | float) -> Array:
     """Where offsets (N,M) with variances (N,M) are
-    significant and at least `smallest_fault` (M,) rad.
+    significant and at least the smallest fault, `least` (M,) rad.
     """
     return np.asarray(np.abs(offset) > np.maximum(least, CERTAIN_SIGMA * np.sqrt(var)))
 
@@ -593,7 +619,7 @@ def list_drifting_encoders(problem: FilterProblem, offset: Array, var: Array) ->
     walks = _list_random_walks(problem)
     names = problem.evidence.joints
     found = []
-    certain = _mark_significant_offsets(offset, var, smallest_fault(problem.evidence))
+    certain = _mark_significant_offsets(offset, var, find_smallest_fault(problem.evidence))
     stepped = [
         (joint, *others) for joint, others in problem.alternatives.items() if not walks[joint]
     ]

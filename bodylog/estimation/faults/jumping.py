@@ -6,7 +6,7 @@ import numpy as np
 
 from ...types import Array
 from ..inference.tangents import OFFSET_STD
-from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_step
+from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, measure_median_step
 from ..noise.quantisation import find_reading_step
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
@@ -55,9 +55,7 @@ def _fit_jump_size(t: Array, v: Array, at: int) -> tuple[float, float]:
 
 
 def _estimate_reading_noise(v: Array) -> float:
-    """Scatter (rad) of readings v (N,), by their
-    second differences, and at least that of rounding.
-    """
+    """Scatter (rad) of readings v (N,), by their second differences, and at least that of rounding."""
     bends = np.abs(np.diff(v, 2))
     # a normal scatter σ has second differences of √6 σ, whose median size is 0.67 of that
     scatter = float(np.median(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
@@ -78,8 +76,8 @@ def find_level_shifts(t: Array, y: Array) -> list[tuple[int, float, float]]:
     if len(v) < 4 * LEVEL_READINGS:
         return []
     steps = np.diff(v)
-    usual = median_step(when)
-    bound = _largest_sound_step(steps, when, usual)
+    usual = measure_median_step(when)
+    bound = _find_largest_sound_step(steps, when, usual)
     # after a gap the joint may have moved to the new reading
     sizes = np.where(np.diff(when) < 3.0 * usual, np.abs(steps), 0.0)
     tried = {*np.flatnonzero(sizes > bound).tolist(), int(sizes.argmax())}
@@ -90,12 +88,12 @@ def find_level_shifts(t: Array, y: Array) -> list[tuple[int, float, float]]:
     ]
 
 
-def _largest_sound_step(steps: Array, when: Array, usual: float) -> float:
+def _find_largest_sound_step(steps: Array, when: Array, usual: float) -> float:
     """Largest step (rad) of a sound encoder, from
     steps (N-1,) rad at `when` (N,) s, `usual` s apart.
     """
     # from rest to rest in a time h takes 4 s/h²
-    fastest = MAX_ACCELERATION_RAD_S2 * max(usual, _hold_time(steps, when)) ** 2 / 4.0
+    fastest = MAX_ACCELERATION_RAD_S2 * max(usual, _measure_hold_time(steps, when)) ** 2 / 4.0
     return max(EVIDENCE_THRESHOLD_NATS * _estimate_step_scale(steps), OFFSET_STD, fastest)
 
 
@@ -113,9 +111,7 @@ def _measure_level_shift(v: Array, k: int) -> float:
 
 
 def unwrap_turns(y: Array) -> Array:
-    """Return readings y (N,) rad, NaN where missing,
-    with whole turns between neighbours removed.
-    """
+    """Return readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
     # a shift nearer to half a turn is a false reading
     found = y.copy()
     known = np.isfinite(y)
@@ -123,7 +119,7 @@ def unwrap_turns(y: Array) -> Array:
     return found
 
 
-def _hold_time(steps: Array, t: Array) -> float:
+def _measure_hold_time(steps: Array, t: Array) -> float:
     """Time (s), at most 0.1, for which the driver holds
     a reading, from steps (N-1,) rad at t (N,) s, or 0.
     """

@@ -27,18 +27,18 @@ from ..measurements.arm_errors import (
     PLAY_STD,
     follow_links,
     follow_slack,
-    learned_arm_errors,
+    read_arm_errors,
     read_slack,
     smooth_motors,
 )
-from ..measurements.long_arrays import noise_variance
+from ..measurements.long_arrays import estimate_noise_variance
 from ..measurements.records import Encoders, Evidence, Sighting
 from ..measurements.track import group_tracks_by_camera
 from ..measurements.track_curve import (
     BLUNDER_MEDIANS,
     MAX_FRAME_GAP_S,
+    build_track_curve,
     interpolate_curve,
-    track_curve,
 )
 from ..noise.encoder_noise import MAX_MEMORY_S
 from .encoder_offset import RANDOM_WALKS, shape_change
@@ -54,7 +54,7 @@ MAX_READING_MEANS = 160
 """Most means of encoder readings, evenly spread: the cost grows with their third power."""
 
 
-CAMERA = (None, False)
+CAMERA_CHANGE = (None, False)
 """The kind of a displacement: of no joint's encoder, and it does not grow."""
 
 
@@ -98,9 +98,14 @@ class _DisplacementRows:
         """The rows with these keys."""
         kept = np.isin(self.keys, keys)
         cov = (self.chol @ self.chol.T)[np.ix_(kept, kept)]
-        parts = (self.keys, self.t, self.output, self.r, self.jac)
-        keys, t, output, r, jac = (part[kept] for part in parts)
-        return _DisplacementRows(keys, t, output, r, jac, np.linalg.cholesky(cov))
+        return _DisplacementRows(
+            self.keys[kept],
+            self.t[kept],
+            self.output[kept],
+            self.r[kept],
+            self.jac[kept],
+            np.linalg.cholesky(cov),
+        )
 
     def stack_columns(self, changes: Sequence[SensorChange]) -> Array:
         """What units of all sizes of changes add (R,·), side by side."""
@@ -110,7 +115,7 @@ class _DisplacementRows:
         ]
         return np.concatenate([np.empty((len(self.t), 0)), *found], axis=1)
 
-    def prior_std(self, joint: int | None) -> float:
+    def choose_prior_std(self, joint: int | None) -> float:
         """A displacement is a priori as large as an encoder's offset
         shows, or 1e-3 px if joints do not move the track.
         """
@@ -122,16 +127,19 @@ class _DisplacementRows:
         """The rows with changes of unknown sizes."""
         if not changes:
             return self
-        wide = [np.full(len(one.size), self.prior_std(one.joint)) for one in changes]
+        wide = [np.full(len(one.size), self.choose_prior_std(one.joint)) for one in changes]
         return self.allow_for_columns(self.stack_columns(changes) * np.concatenate(wide))
 
     def allow_for_columns(self, more: Array) -> "_DisplacementRows":
         """The rows with errors along columns (R,C), each of one standard deviation."""
-        return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more @ more.T))
+        return self.allow_for_covariance(more @ more.T)
 
-    def wandering(self, walk: float) -> "_DisplacementRows":
+    def allow_for_wandering(self, walk: float) -> "_DisplacementRows":
         """The rows with encoders' offsets that wander by `walk` rad²/s."""
-        more = _offset_covariance(self.t, self.jac, walk)
+        return self.allow_for_covariance(_build_offset_covariance(self.t, self.jac, walk))
+
+    def allow_for_covariance(self, more: Array) -> "_DisplacementRows":
+        """The rows with errors of covariance (R,R) beside their own."""
         return replace(self, chol=np.linalg.cholesky(self.chol @ self.chol.T + more))
 
     def measure_cost_beside(self, changes: Sequence[SensorChange]) -> float:
@@ -142,11 +150,8 @@ class _DisplacementRows:
     @property
     def cost(self) -> float:
         """−ln p (nats), up to a constant of all hypotheses."""
-        return float(
-            _nats_at_best_scale(
-                np.square(forward_substituted(self.chol, self.r[:, None])).sum(), self.chol
-            )
-        )
+        white = forward_substituted(self.chol, self.r[:, None])
+        return float(_measure_nats_at_best_scale(np.square(white).sum(), self.chol))
 
 
 class _ModelWithAddedVariance:
@@ -172,23 +177,22 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     variance, and measure play that the arm has got since its exploration.
 
     Errors of the arm's encoders that last are those of its exploration, and so is its play, unless
-    the log shows more.
-    Without effect if encoders read another function of the angle.
+    the log shows more. Without effect if encoders read another function of the angle.
     """
     if evidence.encoders is None or "encoders" in body.senses:
         return evidence
-    errors = learned_arm_errors(body)
+    errors = read_arm_errors(body)
     encoders = _remove_blunders(evidence.encoders)
     links = follow_links(encoders.t, encoders.values, body.joints, errors.play)
     encoders = replace(encoders, values=links)
-    lasting = [errors.lasting.get(name, NO_ERRORS) for name in body.joints]
+    lasting = np.array([errors.lasting.get(name, NO_ERRORS) for name in body.joints])
     sightings = list(evidence.sightings)
     faults = list[Fault]()
     hypotheses = list[Hypothesis]()
     worn = np.zeros(len(body.joints))
     for name, own in group_tracks_by_camera(sightings).items():
         seen = [sightings[k] for k in own]
-        rows = _build_displacement_rows(encoders, seen, np.array(lasting))
+        rows = _build_displacement_rows(encoders, seen, lasting)
         if rows is not None and (more := _measure_worn_play(encoders, rows)).any():
             slack = read_slack(encoders.t, encoders.values, np.maximum(more, LEAST_PLAY))
             encoders = replace(encoders, values=encoders.values + more * slack)
@@ -204,7 +208,7 @@ def detect_moved_camera(evidence: Evidence, body: BodyModel) -> Evidence:
                 )
             )
             if found.nats > EVIDENCE_THRESHOLD_NATS:
-                faults.append(_displacement_fault(name, found))
+                faults.append(_make_displacement_fault(name, found))
                 for k in own:
                     sightings[k] = subtract_displacement(sightings[k], found)
     found_in = replace(evidence, sightings=tuple(sightings), faults=(*evidence.faults, *faults))
@@ -217,14 +221,14 @@ def _remove_blunders(encoders: Encoders) -> Encoders:
     """
     y = encoders.values
     near = np.stack([y[:-2], y[1:-1], y[2:]])
-    limit = np.maximum(BLUNDER_MEDIANS * np.sqrt(noise_variance(y)), OFFSET_STD)
+    limit = np.maximum(BLUNDER_MEDIANS * np.sqrt(estimate_noise_variance(y)), OFFSET_STD)
     off = np.abs(y[1:-1] - np.median(near, axis=0)) > limit
     values = y.copy()
     values[1:-1][off] = np.nan
     return replace(encoders, values=values)
 
 
-def _displacement_fault(name: str, found: SensorChange) -> Fault:
+def _make_displacement_fault(name: str, found: SensorChange) -> Fault:
     size = float(np.linalg.norm(found.size))
     std = float(np.sqrt(found.size @ found.cov @ found.size)) / size
     unit = TRACK_AXES[len(found.size)][1]
@@ -290,30 +294,30 @@ class _Explanation:
 
 
 def find_displacements(
-    encoders: Encoders, seen: Sequence[Sighting], lasting: Sequence[tuple[float, float]]
+    encoders: Encoders, seen: Sequence[Sighting], lasting: Array
 ) -> list[SensorChange]:
     """Return the displacements of one camera's tracks that win EVIDENCE_THRESHOLD_NATS, by time, or
-    else the most likely one.
+    else the most likely one; none where too little is seen.
 
-    lasting: σ (rad) and τ (s) of each encoder's errors that last. Empty where too little is seen.
+    lasting (M,2): σ (rad) and τ (s) of each encoder's errors that last.
     """
 
     def predict_rows(read: Encoders) -> _DisplacementRows | None:
-        return _build_displacement_rows(read, seen, np.array(lasting))
+        return _build_displacement_rows(read, seen, lasting)
 
     rows = predict_rows(encoders)
     if rows is None:
         return []
-    first = _best_change(rows)
+    first = _find_best_change(rows)
     if first.nats <= EVIDENCE_THRESHOLD_NATS:
         return [first]
-    settled = _best_step(rows, rows.jac, PRIOR_STD_RAD, until=True)
+    settled = _find_best_step(rows, rows.jac, PRIOR_STD_RAD, until=True)
     at_first = settled.t - rows.t.min() <= MAX_MEMORY_S
     if at_first and (more := settled.nats + first.nats - rows.cost) < 0.0:
         return [replace(first, nats=more)]
     joints = list(product(range(rows.jac.shape[1]), (False, True)))
     fixed = _explain_rows(rows, encoders, predict_rows, joints)
-    found = _explain_rows(rows, encoders, predict_rows, [CAMERA, *joints])
+    found = _explain_rows(rows, encoders, predict_rows, [CAMERA_CHANGE, *joints])
     moves = found.displacements
     if not moves:
         cost = rows.measure_cost_beside(found.removed or found.changes)
@@ -322,8 +326,8 @@ def find_displacements(
     keys = np.intersect1d(fixed.rows.keys, found.rows.keys)
     gain = min(
         (fixed.measure_cost(keys) - found.measure_cost(keys)) / len(moves),
-        _gain_over_settling(found.rows, found.changes),
-        _gain_over_encoders(found.rows.allow_for_changes(found.encoder_changes), moves),
+        _measure_gain_over_settling(found.rows, found.changes),
+        _measure_gain_over_encoders(found.rows.allow_for_changes(found.encoder_changes), moves),
     )
     if gain <= EVIDENCE_THRESHOLD_NATS:
         return [replace(first, nats=gain)]
@@ -338,13 +342,13 @@ def _measure_worn_play(encoders: Encoders, rows: _DisplacementRows) -> Array:
     A step or a drift of an encoder may resemble play: beside the most likely displacement, play
     must win over such a change, too.
     """
-    first = _best_change(rows)
+    first = _find_best_change(rows)
     beside = rows.allow_for_changes([first])
     half, cost = _fit_play(encoders, beside)
     none = np.zeros(len(half))
     if beside.cost - cost <= EVIDENCE_THRESHOLD_NATS:
         return none
-    pair = _best_pair(rows, [CAMERA, *product(range(len(half)), (False, True))])
+    pair = _find_best_pair(rows, [CAMERA_CHANGE, *product(range(len(half)), (False, True))])
     gain = rows.measure_cost_beside(pair or [first]) - cost
     return half if gain > EVIDENCE_THRESHOLD_NATS else none
 
@@ -395,12 +399,12 @@ def _search_changes(
 
     kinds: joint, None for the camera, and whether it grows.
     """
-    found = _best_pair(rows, kinds)
+    found = _find_best_pair(rows, kinds)
     while True:
         left = rows.allow_for_changes(found)
         more = [
             *found,
-            max((_best_change(left, *kind) for kind in kinds), key=lambda one: one.nats),
+            max((_find_best_change(left, *kind) for kind in kinds), key=lambda one: one.nats),
         ]
         more = _refine_changes(rows, more)
         if not _stand_apart(more):
@@ -408,15 +412,15 @@ def _search_changes(
         found = more
 
 
-def _best_pair(
+def _find_best_pair(
     rows: _DisplacementRows, kinds: Sequence[tuple[int | None, bool]]
 ) -> list[SensorChange]:
     """The most likely two changes of these kinds that stand apart; empty where none do."""
     # alone, a displacement may look like the error of a sound encoder
-    begin = [CAMERA] if CAMERA in kinds else kinds
-    first = max((_best_change(rows, *kind) for kind in begin), key=lambda one: one.nats)
+    begin = [CAMERA_CHANGE] if CAMERA_CHANGE in kinds else kinds
+    first = max((_find_best_change(rows, *kind) for kind in begin), key=lambda one: one.nats)
     beside = rows.allow_for_changes([first])
-    pairs = [_refine_changes(rows, [first, _best_change(beside, *kind)]) for kind in kinds]
+    pairs = [_refine_changes(rows, [first, _find_best_change(beside, *kind)]) for kind in kinds]
     apart = [pair for pair in pairs if _stand_apart(pair)]
     return min(apart, key=rows.measure_cost_beside, default=[])
 
@@ -435,15 +439,15 @@ def _refine_changes(rows: _DisplacementRows, changes: Sequence[SensorChange]) ->
     found = list(changes)
     for k, one in enumerate(changes):
         others = rows.allow_for_changes(found[:k] + found[k + 1 :])
-        found[k] = _best_change(others, one.joint, one.grows)
+        found[k] = _find_best_change(others, one.joint, one.grows)
     return found
 
 
-def _best_change(
+def _find_best_change(
     rows: _DisplacementRows, joint: int | None = None, grows: bool = False
 ) -> SensorChange:
     """The most likely displacement, or change of what one encoder reads, and the nats it wins."""
-    found = _best_step(rows, rows.form_basis(joint), rows.prior_std(joint), grows=grows)
+    found = _find_best_step(rows, rows.form_basis(joint), rows.choose_prior_std(joint), grows=grows)
     return replace(found, nats=rows.cost - found.nats, joint=joint, grows=grows)
 
 
@@ -467,14 +471,15 @@ def _size_changes(rows: _DisplacementRows, changes: Sequence[SensorChange]) -> l
             others.chol, np.column_stack([rows.r, rows.stack_columns([one])])
         )
         info = (
-            white[:, 1:].T @ white[:, 1:] + np.eye(len(one.size)) / rows.prior_std(one.joint) ** 2
+            white[:, 1:].T @ white[:, 1:]
+            + np.eye(len(one.size)) / rows.choose_prior_std(one.joint) ** 2
         )
         cov = np.linalg.inv(info)
         found.append(replace(one, size=cov @ (white[:, 1:].T @ white[:, 0]), cov=cov))
     return found
 
 
-def _gain_over_encoders(rows: _DisplacementRows, moves: list[SensorChange]) -> float:
+def _measure_gain_over_encoders(rows: _DisplacementRows, moves: list[SensorChange]) -> float:
     """Nats won by each move against encoders that wander, and one that steps.
 
     Negative where residuals exceed the noise: the model is not linear
@@ -485,15 +490,15 @@ def _gain_over_encoders(rows: _DisplacementRows, moves: list[SensorChange]) -> f
     # the mean square is 1 where all noise is as stated
     if (poor := 4.0 * len(white) - np.square(white).sum()) < 0.0:
         return 0.5 * float(poor)
-    wandering = [rows.wandering(walk).cost for walk in (RANDOM_WALKS[0], RANDOM_WALKS[2])]
-    steps = min(_best_step(rows, lean[:, None], PRIOR_STD_RAD).nats for lean in rows.jac.T)
-    first = rows.cost - _best_change(rows).nats
+    wandering = [rows.allow_for_wandering(walk).cost for walk in (RANDOM_WALKS[0], RANDOM_WALKS[2])]
+    steps = min(_find_best_step(rows, lean[:, None], PRIOR_STD_RAD).nats for lean in rows.jac.T)
+    first = rows.cost - _find_best_change(rows).nats
     return min(steps - first, (min(wandering) - rows.measure_cost_beside(moves)) / len(moves))
 
 
-def _gain_over_settling(rows: _DisplacementRows, changes: Sequence[SensorChange]) -> float:
+def _measure_gain_over_settling(rows: _DisplacementRows, changes: Sequence[SensorChange]) -> float:
     """Nats won by each change against encoders that all err at first."""
-    settled = _best_step(rows, rows.jac, PRIOR_STD_RAD, until=True).nats
+    settled = _find_best_step(rows, rows.jac, PRIOR_STD_RAD, until=True).nats
     return (settled - rows.measure_cost_beside(changes)) / len(changes)
 
 
@@ -505,7 +510,7 @@ def _build_displacement_rows(
 
     lasting (M,2): σ (rad) and τ (s) of each encoder's errors that last.
     """
-    curves = [(s, track_curve(encoders, s, MAX_READING_MEANS // len(seen))) for s in seen]
+    curves = [(s, build_track_curve(encoders, s, MAX_READING_MEANS // len(seen))) for s in seen]
     found = [(sighting, curve) for sighting, curve in curves if curve is not None]
     if not found:
         return None
@@ -537,7 +542,7 @@ def _build_displacement_rows(
     if not len(t):
         return None
     # rows of one time share the same means of encoder readings
-    cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _offset_covariance(
+    cov = (t[:, None] == t) * ((jac * encoder) @ jac.T) + _build_offset_covariance(
         t, jac, RANDOM_WALKS[-1]
     )
     for (std, seconds), lean in zip(lasting, jac.T, strict=True):
@@ -549,7 +554,7 @@ def _build_displacement_rows(
     return _DisplacementRows(keys, t, output, r, jac, np.linalg.cholesky(cov))
 
 
-def _offset_covariance(t: Array, jac: Array, walk: float) -> Array:
+def _build_offset_covariance(t: Array, jac: Array, walk: float) -> Array:
     """Covariance (R,R) px² added by encoders' offsets
     that wander by `walk` rad²/s; jac (R,M) px/rad.
     """
@@ -557,7 +562,7 @@ def _offset_covariance(t: Array, jac: Array, walk: float) -> Array:
     return np.asarray((jac @ jac.T) * (OFFSET_STD**2 + walk * np.minimum.outer(since, since)))
 
 
-def _best_step(
+def _find_best_step(
     rows: _DisplacementRows, basis: Array, wide: float, until: bool = False, grows: bool = False
 ) -> SensorChange:
     """The most likely step along a basis (R,D), with D ~ N(0, wide²), and its time.
@@ -578,14 +583,14 @@ def _best_step(
     pull = np.einsum("rdk,r->kd", s, r)
     size = np.linalg.solve(info, pull[..., None])[..., 0]
     won = 0.5 * (pull * size).sum(axis=1) - 0.5 * np.linalg.slogdet(wide**2 * info)[1]
-    cost = _nats_at_best_scale(r @ r - 2.0 * won, rows.chol)
+    cost = _measure_nats_at_best_scale(r @ r - 2.0 * won, rows.chol)
     best = int(cost.argmin())
     # all times are equally likely
     total = float(cost[best] - np.log(np.exp(cost[best] - cost).mean()))
     return SensorChange(float(times[best]), size[best], np.linalg.inv(info[best]), total)
 
 
-def _nats_at_best_scale(square: Array, chol: Array) -> Array:
+def _measure_nats_at_best_scale(square: Array, chol: Array) -> Array:
     """−ln p (nats) from squared whitened residuals, at the most likely common noise scale ≥ 1."""
     scale = np.maximum(square / len(chol), 1.0)
     return np.asarray(

@@ -1,15 +1,13 @@
-"""Repeated readings and silence: of frozen and dead encoders, and of sound ones at rest.
+"""Repeated readings and silence: of frozen and dead encoders, of sound ones at rest, and of frozen
+cameras.
 
 An encoder at rest repeats its reading, too, if it counts in steps or is read only after motion. So
-repeats alone are a fault only of encoders that are noisy all the time, at rest and in motion.
+repeats alone are a fault only of encoders that are noisy all the time, at rest and in motion. Other
+encoders that repeat are frozen if images show that their joint moved: residuals of the images
+against the encoders' predictions are explained by motion of one joint at a time, and motion of
+this joint explains them and motion of no other joint does.
 
-Encoders that repeat one reading while images show that their joint moved.
-
-Residuals of the images against the encoders' predictions are explained
-by motion of one joint at a time. A repeating encoder is frozen if
-motion of its joint explains them and motion of no other joint does.
-
-Frozen cameras: images repeat while the encoders show motion.
+A camera is frozen if images repeat while the encoders show motion.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -29,8 +27,22 @@ from ..noise.quantisation import find_reading_step
 from .jumping import find_level_shifts
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
+MAX_REPEAT_SHARE = 0.02
+"""Largest share of repeats of a noisy encoder; one that repeats more often counts in steps."""
 
-def motion_nats(
+
+class RepeatedReadings(NamedTuple):
+    """Readings [begin, end) that a frozen or dead encoder
+    repeats, none if it is silent, and the nats it wins.
+    """
+
+    kind: FaultKind
+    begin: int
+    end: int
+    nats: float
+
+
+def measure_motion_nats(
     encoders: Encoders, images: Sequence[Sighting], joint: int, begin: int, end: int
 ) -> float:
     """Nats that motion of a joint wins in images while
@@ -38,14 +50,14 @@ def motion_nats(
     """
     return max(
         (
-            _joint_motion_nats(encoders, joint, s, encoders.t[begin], encoders.t[end - 1])
+            _measure_joint_motion_nats(encoders, joint, s, encoders.t[begin], encoders.t[end - 1])
             for s in images
         ),
         default=0.0,
     )
 
 
-def _joint_motion_nats(
+def _measure_joint_motion_nats(
     encoders: Encoders, joint: int, sighting: Sighting, begin: float, end: float
 ) -> float:
     """Nats that motion of this joint alone wins in images from begin to end (s); 0 if it leaves
@@ -55,17 +67,19 @@ def _joint_motion_nats(
     parts = split_stretch(sighting.t[rows])
     if len(parts) < 2:
         return 0.0
-    x = encoders.at(sighting.t[rows])
+    x = encoders.interpolate_at(sighting.t[rows])
     y = sighting.values[rows]
     var = sighting.var[rows]
     middle = np.stack([np.median(x[p], axis=0) for p in parts])
     # motion within a part, as the encoders predict it, is subtracted before averaging
-    known, (at, jac, model) = sighting.model.predict(x)[0], sighting.model.predict(middle)
+    known = sighting.model.predict(x)[0]
+    at, jac, model = sighting.model.predict(middle)
     place = np.stack([np.median(y[p] - known[p], axis=0) for p in parts]) + at
     noise = np.stack([1.6 * var[p].mean(axis=0) / len(p) for p in parts]) + model
     noise += np.square(jac) @ encoders.variance
     found = [_explain_by_joint_motion(sighting, place, noise, middle, k) for k in range(x.shape[1])]
-    (gain, left, apart), others = found[joint], [g for k, (g, *_) in enumerate(found) if k != joint]
+    gain, left, apart = found[joint]
+    others = [nats for k, (nats, *_) in enumerate(found) if k != joint]
     least = max(
         OFFSET_STD,
         2.0 * find_reading_step(encoders.values[np.isfinite(encoders.values[:, joint]), joint]),
@@ -112,11 +126,10 @@ def detect_frozen_camera(evidence: Evidence, body: BodyModel) -> Evidence:
     sightings = list[Sighting]()
     faults = list[Fault]()
     for sighting in evidence.sightings:
-        values, found = (
-            _remove_false_repeats(sighting, evidence.encoders)
-            if sighting.name != "touch"
-            else (sighting.values, [])
-        )
+        values = sighting.values
+        found = list[Fault]()
+        if sighting.name != "touch":
+            values, found = _remove_false_repeats(sighting, evidence.encoders)
         if found:
             health = used[sighting.name]
             left = int(find_finite_rows(values).sum())
@@ -158,7 +171,7 @@ def _predict_largest_motion(
     the first part of a stretch on; 0 if not significant.
     """
     inside = (encoders.t >= begin) & (encoders.t <= end)
-    x = encoders.at(encoders.t[inside])
+    x = encoders.interpolate_at(encoders.t[inside])
     parts = split_stretch(encoders.t[inside])
     if not parts or not np.isfinite(x).all():
         return 0.0
@@ -172,26 +185,8 @@ def _predict_largest_motion(
     places = np.stack([sighting.model.predict(some)[0] for some in without])
     apart = float(np.linalg.norm(places - places[:, :1], axis=2).max(axis=1).min())
     # the largest of as many distances as there are parts
-    return (
-        apart
-        if 0.5 * apart**2 > (EVIDENCE_THRESHOLD_NATS + np.log(len(parts))) * noise and apart > 1.0
-        else 0.0
-    )
-
-
-MAX_REPEAT_SHARE = 0.02
-"""Largest share of repeats of a noisy encoder; one that repeats more often counts in steps."""
-
-
-class RepeatedReadings(NamedTuple):
-    """Readings [begin, end) that a frozen or dead encoder
-    repeats, none if it is silent, and the nats it wins.
-    """
-
-    kind: FaultKind
-    begin: int
-    end: int
-    nats: float
+    least = (EVIDENCE_THRESHOLD_NATS + np.log(len(parts))) * noise
+    return apart if 0.5 * apart**2 > least and apart > 1.0 else 0.0
 
 
 def find_frozen_readings(

@@ -1,9 +1,7 @@
 """One pass of all fault detectors over the measurements.
 
-Warnings for joints and stretches without encoder
-readings, where images alone may not determine the angles.
-
-Whether encoder readings lie in the range, and have the unit, that the body was learned with.
+It also warns of readings beyond the range that the body was learned in, or in another unit, and of
+joints and stretches without encoder readings, where images alone may not determine the angles.
 """
 
 from collections.abc import Iterator
@@ -26,23 +24,14 @@ from .moved_camera import detect_moved_camera
 from .repeats import detect_frozen_camera
 
 
-def warn_of_undetermined_joints(evidence: Evidence, poses: bool) -> Evidence:
-    """Warn where images must determine joints that have no
-    encoder readings, ever or (unless still poses) for long.
-    """
-    return replace(
-        evidence, findings=(*evidence.findings, *_undetermined_findings(evidence, poses))
-    )
-
-
-def _undetermined_findings(evidence: Evidence, poses: bool) -> Iterator[Finding]:
-    """Yield warnings where images give fewer numbers
-    than there are joints without encoder readings.
+def _warn_of_undetermined_joints(evidence: Evidence, poses: bool) -> Iterator[Finding]:
+    """Yield warnings where images must determine joints that have no encoder readings, ever or
+    (unless still poses) for long, and give fewer numbers than there are such joints.
     """
     names = evidence.joints
     encoders = evidence.encoders
     sightings = [sighting for sighting in evidence.sightings if sighting.name != "touch"]
-    mute = list_unread_joints(names, encoders)
+    mute = list_unread_joints(evidence)
     seen = sum(sighting.values.shape[1] for sighting in sightings)
     if 0 < seen < len(mute):
         yield Finding(
@@ -86,14 +75,9 @@ def _find_long_silence(frames: Array, known: Array) -> Iterator[str]:
         yield f"the first image to {known[0]:.3f} s"
 
 
-def detect_out_of_range(evidence: Evidence, body: BodyModel) -> Evidence:
-    """Check the range of all readings, unused encoders included: they give the initial belief."""
-    return replace(evidence, findings=(*evidence.findings, *_range_findings(evidence.read, body)))
-
-
-def _range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
-    """Yield a warning for each joint whose readings (N,M)
-    rad are mostly out of range; ModelError for degrees.
+def _warn_of_unexplored_range(readings: Array, body: BodyModel) -> Iterator[Finding]:
+    """Yield a warning for each joint whose readings (N,M) rad are mostly out of the range that the
+    body was learned in; ModelError for degrees.
     """
     known = [
         getattr(model, "samples", np.empty((0, len(body.joints)))) for model in body.senses.values()
@@ -112,7 +96,7 @@ def _range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
     if wide and all(
         _lies_in_explored_range(np.deg2rad(y), low, high) for _, y, low, high in ranges
     ):
-        text = "; ".join(_ranges_text(*one) for one in beyond)
+        text = "; ".join(_describe_ranges(*one) for one in beyond)
         raise ModelError(
             f'joints: {text}: these are degrees; type [body] unit = "deg" in robot.toml'
         )
@@ -121,7 +105,7 @@ def _range_findings(readings: Array, body: BodyModel) -> Iterator[Finding]:
         off = turns and _lies_in_explored_range(y - turns * tau, low, high)
         why = f"{turns:+d} whole turns off, home it again" if off else "beyond that"
         text = (
-            f"joints: {_ranges_text(name, y, low, high)}: {why}, or fit a body from a log that "
+            f"joints: {_describe_ranges(name, y, low, high)}: {why}, or fit a body from a log that "
             "explores it"
         )
         yield Finding("warning", f"{text}; images are of little use there")
@@ -140,7 +124,7 @@ def _lies_in_explored_range(readings: Array, low: float, high: float) -> bool:
     )
 
 
-def _ranges_text(name: str, readings: Array, low: float, high: float) -> str:
+def _describe_ranges(name: str, readings: Array, low: float, high: float) -> str:
     least, most = np.nanpercentile(readings, [5, 95])
     return (
         f"{name} reads {least:.4g} to {most:.4g} rad, the body was learned from {low:.4g} to "
@@ -159,7 +143,8 @@ def screen_measurements(
     encoder faults are named, but the readings stay as they were.
     """
     gathered = gather_measurements(features, body, settings)
-    found = detect_out_of_range(gathered, body)
+    # readings of unused encoders, too: they give the initial belief
+    found = replace(gathered, findings=tuple(_warn_of_unexplored_range(gathered.read, body)))
     # still poses have no motion, and no time from which a sensor is wrong
     if not features.poses:
         named = detect_encoder_faults(found, body)
@@ -170,4 +155,5 @@ def screen_measurements(
     found = require_measurements(
         found if repairs else replace(found, encoders=gathered.encoders), features, body, settings
     )
-    return warn_of_undetermined_joints(found, features.poses)
+    warnings = _warn_of_undetermined_joints(found, features.poses)
+    return replace(found, findings=(*found.findings, *warnings))

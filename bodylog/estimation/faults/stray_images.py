@@ -25,12 +25,12 @@ from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
 from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..noise.evidence_search import cut_problem
-from .encoder_offset import total_free_energy
+from .encoder_offset import measure_free_energy, sum_free_energy
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 JUMP_MEDIANS = 4.0
 """Median changes of a track's velocity from image to image beyond which it jumps."""
-AROUND = 8
+IMAGES_AROUND_JUMP = 8
 """Images before and after a jump among which it must be large: stamps that jitter make a track that
 moves fast jump all the time.
 """
@@ -38,9 +38,9 @@ ALONE_SHARE = 0.75
 """Share of a jump's size that those beside it may have: half where a run begins or ends, all of it
 where a single image is off.
 """
-LONGEST_S = 1.0
+LONGEST_RUN_S = 1.0
 """s: images that are displaced for longer are those of a camera that moved, or of a load."""
-BESIDE_S = 4.0
+FILTERED_BESIDE_RUN_S = 4.0
 """s of the log before and after a run that are filtered with it and without."""
 MOST_RUNS = 16
 """Runs of a track that are compared in one round: those with the largest jumps. What is left out
@@ -93,7 +93,7 @@ def _list_runs(number: int, t: Array, places: Array) -> list[StrayRun]:
     jump_at = np.pad(jumps, ((1, 1), (0, 0)))
     runs = []
     for first, end in product(bounds, bounds):
-        if end - first < 2 or t[end - 1] - t[first] > LONGEST_S:
+        if end - first < 2 or t[end - 1] - t[first] > LONGEST_RUN_S:
             continue
         leap = jump_at[first]
         back = jump_at[end]
@@ -108,7 +108,9 @@ def _list_runs(number: int, t: Array, places: Array) -> list[StrayRun]:
 
 def _measure_usual_sizes(sizes: Array) -> Array:
     """The median size (N,) of the jumps around each, or of all if that is larger."""
-    around = sliding_window_view(np.pad(sizes, AROUND, "reflect"), 2 * AROUND + 1)
+    around = sliding_window_view(
+        np.pad(sizes, IMAGES_AROUND_JUMP, "reflect"), 2 * IMAGES_AROUND_JUMP + 1
+    )
     return np.asarray(np.maximum(np.median(around, axis=1), np.median(sizes)))
 
 
@@ -142,7 +144,7 @@ def _share_images(one: StrayRun, other: StrayRun) -> bool:
 
 def _weigh_run(problem: FilterProblem, run: StrayRun) -> float:
     """Nats that a log wins without a run, over what the run costs."""
-    part = cut_problem(problem, run.begin - BESIDE_S, run.end + BESIDE_S)
+    part = cut_problem(problem, run.begin - FILTERED_BESIDE_RUN_S, run.end + FILTERED_BESIDE_RUN_S)
     sighting = part.evidence.sightings[run.number]
     seen = np.flatnonzero(find_finite_rows(sighting.values))
     own = _select_images(sighting.t[seen], run)
@@ -152,8 +154,8 @@ def _weigh_run(problem: FilterProblem, run: StrayRun) -> float:
     whole = filter_roughly(part)
 
     def measure_surprise(rows: Array) -> float:
-        less = filter_roughly(_without_images(part, run.number, rows), whole)
-        return total_free_energy(whole) - total_free_energy(less)
+        less = _without_images(part, run.number, rows)
+        return sum_free_energy(whole) - measure_free_energy(less, whole)
 
     begins = np.linspace(0, len(sound) - run.images, SOUND_RUNS).astype(int).tolist()
     each = [measure_surprise(sound[one : one + run.images]) for one in begins]

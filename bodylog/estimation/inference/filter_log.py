@@ -304,7 +304,7 @@ def group_frames_by_instant(
     ):
         scale = precision.scale.get(sighting.name, 1.0)
         like = correlate_errors(precision, sighting.name, sighting.model, whole)
-        values, var, mix = sighting.independent
+        values, var, mix = sighting.independent_rows
         early = sighting.values[: np.searchsorted(events, before)]
         for row in np.flatnonzero(find_finite_rows(early)):
             t = float(sighting.t[row])

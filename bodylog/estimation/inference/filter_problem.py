@@ -209,7 +209,7 @@ def build_encoder_rows(problem: FilterProblem, until: int | None = None) -> tupl
     if encoders is not None:
         rows = int(np.searchsorted(at, len(t)))
         values[at[:rows]] = encoders.values[:rows]
-        var[at[:rows]] *= encoders.relative[:rows]
+        var[at[:rows]] *= encoders.relative_variance[:rows]
     if problem.posture_prior is None:
         return values, var
     return problem.posture_prior.fill_encoder_rows(t, values, var)

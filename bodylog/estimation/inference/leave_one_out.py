@@ -76,7 +76,7 @@ def _predict_left_out_encoders(
         return np.empty((0, m)), np.empty((0, m))
     offset = problem.dynamics.offset
     read = x[at, :m] if offset is None else x[at, :m] + x[at, offset:]
-    noise = problem.precision.encoder * encoders.relative
+    noise = problem.precision.encoder * encoders.relative_variance
     used = np.abs(d[at]) <= gate
     a = np.maximum(var[at, -m:], 0.0)  # not below 0 by rounding
     total = np.where(used, np.maximum(noise - a, MIN_VARIANCE_SHARE * noise), noise + a)
@@ -96,7 +96,7 @@ def _predict_left_out_frames(
     sighting = problem.evidence.sightings[index]
     at = problem.timeline.sightings[index]
     m = len(problem.start)
-    values, _, mix = sighting.independent
+    values, _, mix = sighting.independent_rows
     select = smooth.fold.select_events
     x = select(smooth.z[:, :m], at)
     removed = np.isnan(select(smooth.readings.y, at)[:, index, 0])

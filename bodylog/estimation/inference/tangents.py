@@ -133,14 +133,14 @@ class Tangents:
 
     def _compute_y(self, index: int) -> Array:
         """Readings (F,D) of the angles by one sighting's frames: s − g + J x°."""
-        return self._sightings[index].independent.values - self._intercept[index]
+        return self._sightings[index].independent_rows.values - self._intercept[index]
 
     def _compute_variances(self, index: int, precision: NoiseModel, whole: bool) -> Array:
         """Variances (F,D) of one sighting's frames, inflated such that correlated frames together
         do not count more than they inform.
         """
         sighting = self._sightings[index]
-        var = precision.scale.get(sighting.name, 1.0) * sighting.independent.var
+        var = precision.scale.get(sighting.name, 1.0) * sighting.independent_rows.var
         seen = self._seen[index]
         var[seen] = inflate_variances(
             correlate_errors(precision, sighting.name, sighting.model, whole),
@@ -200,7 +200,7 @@ def _predict_independent_rows(
     """Mean, Jacobian and the model's variance of the
     independent rows of some (F,) bool of a sighting's frames.
     """
-    mix = sighting.independent.mix
+    mix = sighting.independent_rows.mix
     return mix_rows(mix if mix is None else mix[some], sighting.model.predict(x))
 
 

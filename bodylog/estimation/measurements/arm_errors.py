@@ -12,7 +12,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...errors import ModelError
 from ...types import Array, Features, Finding, Series
-from .long_arrays import find_finite_rows, median_step, noise_variance
+from .long_arrays import estimate_noise_variance, find_finite_rows, measure_median_step
 from .records import interpolate_values
 
 ARM_ERRORS = "arm_errors"
@@ -30,8 +30,7 @@ same links are off by 0.36, 0.23, 0.16, 0.17 and 0.22 mrad.
 PLAY_STD = 0.01
 """rad: prior standard deviation of half a play, 1.1° of play."""
 LEAST_PLAY = 5e-4
-"""rad: half of a play that is assumed at least,
-so that noise of the angle does not turn the link.
+"""rad: half of a play that is assumed at least, so that noise of the angle does not turn the link.
 """
 LEAST_NEES = 1.5
 """Mean squared error over the stated variance from which error bars are worth a warning: 2σ then
@@ -82,12 +81,13 @@ class ArmErrors:
 
     def as_provenance(self) -> dict[str, Any]:
         """Plain numbers for a body's provenance."""
-        rows = {name: asdict(one) for name, one in self.rows.items()}
-        play, lasting = (
-            {name: list(pair) for name, pair in one.items()} for one in (self.play, self.lasting)
-        )
-        held_out = dict(self.held_out)
-        return {ARM_ERRORS: {"play": play, "rows": rows, "lasting": lasting, "held_out": held_out}}
+        numbers = {
+            "play": {name: list(pair) for name, pair in self.play.items()},
+            "rows": {name: asdict(one) for name, one in self.rows.items()},
+            "lasting": {name: list(pair) for name, pair in self.lasting.items()},
+            "held_out": dict(self.held_out),
+        }
+        return {ARM_ERRORS: numbers}
 
     def warn_of_narrow_bars(self) -> Iterator[Finding]:
         """Yield a warning for each track whose images
@@ -103,10 +103,8 @@ class ArmErrors:
             )
 
 
-def learned_arm_errors(body: BodyModel | None) -> ArmErrors:
-    """The errors that a body was learned with; ModelError
-    for anything else in its provenance.
-    """
+def read_arm_errors(body: BodyModel | None) -> ArmErrors:
+    """The errors that a body was learned with; ModelError for anything else in its provenance."""
     given = {} if body is None else body.provenance.get(ARM_ERRORS, {})
     try:
         play, lasting = (
@@ -135,7 +133,7 @@ def shift_by_rows(track: Series, rows: RowExposure | None) -> Array:
     seen = find_finite_rows(track.values)
     if rows is None or seen.sum() < 2:
         return track.t
-    most = MOST_OF_STEP * median_step(track.t)
+    most = MOST_OF_STEP * measure_median_step(track.t)
     later = rows.seconds * (np.where(seen, track.values[:, -1], rows.row) - rows.row)
     return np.asarray(track.t + np.clip(later, -most, most))
 
@@ -171,10 +169,10 @@ def smooth_motors(t: Array, readings: Array) -> tuple[Array, Array]:
     averaged, and how far these are known (M,) rad.
     """
     motors = np.nan_to_num(interpolate_values(t, readings, t))
-    width = max(int(SMOOTH_S / median_step(t)) | 1, 1)
+    width = max(int(SMOOTH_S / measure_median_step(t)) | 1, 1)
     ends = ((width // 2, width // 2), (0, 0))
     sums = np.cumsum(np.pad(np.pad(motors, ends, "edge"), ((1, 0), (0, 0))), axis=0)
-    noise = NOISE_SIGMAS * np.sqrt(noise_variance(motors) / width)
+    noise = NOISE_SIGMAS * np.sqrt(estimate_noise_variance(motors) / width)
     return (sums[width:] - sums[:-width]) / width, noise
 
 

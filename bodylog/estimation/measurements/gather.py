@@ -38,7 +38,7 @@ def gather_measurements(
     used = {"encoders": Health(0, 0)}
     read = np.empty((0, len(body.joints)))
     if joints is not None:
-        read = joints.values[:, joint_columns(joints, body.joints)]
+        read = joints.values[:, find_joint_columns(joints, body.joints)]
         encoders, used["encoders"] = _select_encoder_rows(joints, read, body.joints, wanted)
     measured = {name: one for _, found in groups for name, one in found.items() if name in wanted}
     used |= {name: one.health for name, one in measured.items()}
@@ -52,9 +52,7 @@ def gather_measurements(
 def require_measurements(
     evidence: Evidence, features: Features, body: BodyModel, settings: EstimationSettings
 ) -> Evidence:
-    """Keep the senses with measurements; EvidenceError
-    where a named one, or every one, has none.
-    """
+    """Keep the senses with measurements; EvidenceError where a named one, or every one, has none."""
     used = evidence.used
     encoders = evidence.encoders
     apart = [
@@ -63,9 +61,7 @@ def require_measurements(
         if "touch" in used and reason in used["touch"].rejected
     ]
     read = set(features.joints.names if features.joints is not None else ())
-    members = {
-        name: {"encoders"} for name in read.difference(list_unread_joints(body.joints, encoders))
-    }
+    members = {name: {"encoders"} for name in read.difference(list_unread_joints(evidence))}
     members["vision"] = used.keys() - {"encoders", "touch"}
     for name in settings.senses or ():
         kept = any(used[member].used for member in members.get(name, {name}) if member in used)
@@ -100,13 +96,12 @@ def require_measurements(
     return replace(evidence, sightings=sightings, findings=(*evidence.findings, *findings))
 
 
-def list_unread_joints(names: tuple[str, ...], encoders: Encoders | None) -> list[str]:
+def list_unread_joints(evidence: Evidence) -> list[str]:
     """Joints without any encoder reading."""
-    return [
-        n
-        for j, n in enumerate(names)
-        if encoders is None or not np.isfinite(encoders.values[:, j]).any()
-    ]
+    if evidence.encoders is None:
+        return list(evidence.joints)
+    columns = zip(evidence.joints, evidence.encoders.values.T, strict=True)
+    return [name for name, column in columns if not np.isfinite(column).any()]
 
 
 def choose_senses(visual: Iterable[str], body: BodyModel, settings: EstimationSettings) -> set[str]:
@@ -122,10 +117,11 @@ def choose_senses(visual: Iterable[str], body: BodyModel, settings: EstimationSe
                 f"senses: {name!r} found, possible: {', '.join([*groups, *sorted(singles)])}"
             )
 
-    def spread(names: Iterable[str]) -> set[str]:
+    def expand_groups(names: Iterable[str]) -> set[str]:
         return {single for name in names for single in groups.get(name, [name])}
 
-    return spread(groups if settings.senses is None else settings.senses) - spread(settings.without)
+    asked = groups if settings.senses is None else settings.senses
+    return expand_groups(asked) - expand_groups(settings.without)
 
 
 def _select_encoder_rows(
@@ -155,7 +151,7 @@ def _select_encoder_rows(
     )
 
 
-def joint_columns(joints: Series, names: tuple[str, ...]) -> list[int]:
+def find_joint_columns(joints: Series, names: tuple[str, ...]) -> list[int]:
     """Column numbers of joints in a series; ModelError for a missing joint."""
     missing = [name for name in names if name not in joints.names]
     if missing:
@@ -180,7 +176,7 @@ def _describe_health(found: Health) -> str:
     )
 
 
-def given_start(settings: EstimationSettings, names: tuple[str, ...]) -> Array | None:
+def read_given_start(settings: EstimationSettings, names: tuple[str, ...]) -> Array | None:
     """Initial mean (M,) rad as set; UsageError for another number of angles."""
     if settings.start is not None and len(settings.start) != len(names):
         raise UsageError(
@@ -189,13 +185,12 @@ def given_start(settings: EstimationSettings, names: tuple[str, ...]) -> Array |
     return None if settings.start is None else np.array(settings.start, float)
 
 
-def choose_initial_angles(
-    evidence: Evidence, settings: EstimationSettings, names: tuple[str, ...]
-) -> Array:
+def choose_initial_angles(evidence: Evidence, settings: EstimationSettings) -> Array:
     """Initial mean (M,) rad: as set, or each joint's
     first sound reading, else its first one, used or not.
     """
-    if (given := given_start(settings, names)) is not None:
+    names = evidence.joints
+    if (given := read_given_start(settings, names)) is not None:
         return given
     known = np.isfinite(evidence.read)
     if unknown := [name for j, name in enumerate(names) if not known[:, j].any()]:

@@ -17,7 +17,7 @@ from ..noise.correlated_noise import ErrorCorrelation
 from .records import Measured, Sighting, build_health
 from .track import find_ascending_times, find_longest_gap
 
-LASTS_S = 0.3
+POSTURE_ERROR_S = 0.3
 """Correlation time of what a posture is off by. A corner's own error lasts longer (1.1 s), but its
 place on the link follows that: of three rendered logs the errors of postures are correlated by 0.5
 after 0.1 to 0.25 s.
@@ -76,7 +76,7 @@ def inflate_lasting_errors(t: Array, cov: Array, process: Array) -> Array:
     # how quickly motion outgrows the error, along the axes of its own
     drift, axes = np.linalg.eigh(white * like.scaled_process @ white.swapaxes(1, 2))
     span = np.maximum(drift, 1e-12) ** -like.span_exponent
-    kept = np.exp(-steps[:, None] * (2.0 / span + 1.0 / LASTS_S))
+    kept = np.exp(-steps[:, None] * (2.0 / span + 1.0 / POSTURE_ERROR_S))
     spread = root @ axes
     factor = (1.0 + kept) / (1.0 - kept)
     return np.asarray((spread * factor[:, None]) @ spread.swapaxes(1, 2))

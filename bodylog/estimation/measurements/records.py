@@ -13,7 +13,7 @@ import numpy as np
 from ...body_model import BodyModel, ForwardModel
 from ...types import TRACK_AXES, Array, Fault, Features, Finding, Health, Hypothesis
 from ..noise.quantisation import compute_quantisation_variance
-from .long_arrays import index_true_rows, noise_variance
+from .long_arrays import estimate_noise_variance, index_true_rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,16 +29,17 @@ class Encoders:
     source_ns: Array
     own_variance: Array | None = None
 
-    def at(self, t: Array) -> Array:
-        """Readings (F,M) rad at t (F,) s, as `interpolate_values`."""
+    def interpolate_at(self, t: Array) -> Array:
+        """Readings (F,M) rad at other times t (F,) s, as `interpolate_values` gives them."""
         return interpolate_values(self.t, self.values, t)
 
     def select_rows(self, rows: Array | slice) -> "Encoders":
         """Some of the readings."""
-        return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], self.relative[rows])
+        relative = self.relative_variance[rows]
+        return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], relative)
 
     @cached_property
-    def relative(self) -> Array:
+    def relative_variance(self) -> Array:
         """Variance (N,M) of each reading over its encoder's."""
         return np.ones(self.values.shape) if self.own_variance is None else self.own_variance
 
@@ -50,7 +51,7 @@ class Encoders:
     @cached_property
     def variance(self) -> Array:
         """Variance (M,) rad² of quantisation, or of noise where that is larger."""
-        return np.asarray(np.fmax(self.count_variance, noise_variance(self.values)))
+        return np.asarray(np.fmax(self.count_variance, estimate_noise_variance(self.values)))
 
 
 def interpolate_values(t: Array, values: Array, at: Array) -> Array:
@@ -94,27 +95,24 @@ class Sighting:
         """Whether it shows where a point is, in images or in space."""
         return self.name != "touch" and self.model.outputs in TRACKED
 
-    def cut(self, begin: float, end: float) -> "Sighting":
+    def select_span(self, begin: float, end: float) -> "Sighting":
         """The measurements from `begin` to before `end`, s."""
         return self.select_rows((self.t >= begin) & (self.t < end))
 
     def select_rows(self, rows: Array | slice) -> "Sighting":
         """Some of the measurements."""
-        cov, displaced = (
-            None if part is None else part[rows] for part in (self.cov, self.displaced)
-        )
         return replace(
             self,
             t=self.t[rows],
             values=self.values[rows],
             var=self.var[rows],
             source_ns=self.source_ns[rows],
-            cov=cov,
-            displaced=displaced,
+            cov=None if self.cov is None else self.cov[rows],
+            displaced=None if self.displaced is None else self.displaced[rows],
         )
 
     @cached_property
-    def independent(self) -> "IndependentRows":
+    def independent_rows(self) -> "IndependentRows":
         """The values as independent rows: cov = L
         diag(var) Lᵀ, and mix = L⁻¹ has the determinant 1.
         """
@@ -156,7 +154,8 @@ def unmix_rows(
     """
     if mix is None:
         return predicted
-    (mean, cov, var), back = predicted, np.linalg.inv(mix)
+    mean, cov, var = predicted
+    back = np.linalg.inv(mix)
     squares = np.linalg.solve(mix * mix, var[..., None])
     return (back @ mean[..., None])[..., 0], back @ cov @ back.swapaxes(-1, -2), squares[..., 0]
 

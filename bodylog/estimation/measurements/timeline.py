@@ -1,6 +1,5 @@
-"""The time axis of a log: the measurements of each instant, and the output times.
-
-Tracks in view over time.
+"""The time axis of a log: the measurements of each instant, the output times, and the tracks in
+view over time.
 
 White acceleration fits no motion at all time scales, and the images
 determine the time scale: where fewer tracks than usual are in view,
@@ -14,48 +13,21 @@ import numpy as np
 
 from ...errors import EvidenceError, UsageError
 from ...types import Array
-from .long_arrays import find_finite_rows as seen_rows
-from .long_arrays import median_step
+from .long_arrays import find_finite_rows, measure_median_step
 from .records import Evidence, Sighting
 
 GAP_STEPS = 10
 """Usual steps after which there is a gap: an unseen track is out of view, a filter of encoder
 readings restarts. A few lost messages leave none.
 """
-
-View = tuple[str, ...]
-
-
-def select_visual_sightings(sightings: Sequence[Sighting]) -> list[Sighting]:
-    """Sightings of tracks seen at least once, without touch."""
-    return [s for s in sightings if s.name != "touch" and seen_rows(s.values).any()]
-
-
-def list_track_sets(sightings: Sequence[Sighting], t: Array) -> tuple[list[View], Array]:
-    """The distinct sets of tracks in view at the times t (E,) s, and the index (E,) of the set."""
-    tracks = select_visual_sightings(sightings)
-    code = np.zeros(len(t), int)
-    for bit, track in enumerate(tracks):
-        code |= _is_in_view(track, t).astype(int) << bit
-    found, which = np.unique(code, return_inverse=True)
-    return [tuple(s.name for bit, s in enumerate(tracks) if one >> bit & 1) for one in found], which
-
-
-def _is_in_view(track: Sighting, t: Array) -> Array:
-    """Whether a track is in view at times t (E,), with sightings shortly before and after."""
-    seen = track.t[seen_rows(track.values)]
-    around = np.concatenate([[min(t[0], seen[0])], seen, [max(t[-1], seen[-1])]])
-    if len(track.t) < 2:
-        return np.zeros(len(t), bool)
-    quick = np.diff(around) <= GAP_STEPS * median_step(track.t)
-    return np.asarray(quick[np.searchsorted(seen, t)])
-
-
 MAX_OUTPUT_RATE_HZ = 100.0
 """Hz: encoders faster than this are all used, but the output is on a grid of this rate, and noise
 is learned from means of so many a second, because a shorter stretch shows no acceleration."""
 MAX_EXTRA_INSTANTS = 1_000_000
 """A grid of so many more instants than there are stamps mostly covers silence and is refused."""
+
+View = tuple[str, ...]
+"""Names of the tracks in view."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,23 +43,48 @@ class Timeline:
     source_ns: Array
 
 
+def select_visual_sightings(sightings: Sequence[Sighting]) -> list[Sighting]:
+    """Sightings of tracks seen at least once, without touch."""
+    return [s for s in sightings if s.name != "touch" and find_finite_rows(s.values).any()]
+
+
+def list_track_sets(sightings: Sequence[Sighting], t: Array) -> tuple[list[View], Array]:
+    """The distinct sets of tracks in view at the times t (E,) s, and the index (E,) of the set."""
+    tracks = select_visual_sightings(sightings)
+    code = np.zeros(len(t), int)
+    for bit, track in enumerate(tracks):
+        code |= _is_in_view(track, t).astype(int) << bit
+    found, which = np.unique(code, return_inverse=True)
+    return [tuple(s.name for bit, s in enumerate(tracks) if one >> bit & 1) for one in found], which
+
+
+def _is_in_view(track: Sighting, t: Array) -> Array:
+    """Whether a track is in view at times t (E,), with sightings shortly before and after."""
+    seen = track.t[find_finite_rows(track.values)]
+    around = np.concatenate([[min(t[0], seen[0])], seen, [max(t[-1], seen[-1])]])
+    if len(track.t) < 2:
+        return np.zeros(len(t), bool)
+    quick = np.diff(around) <= GAP_STEPS * measure_median_step(track.t)
+    return np.asarray(quick[np.searchsorted(seen, t)])
+
+
 def build_timeline(evidence: Evidence, rate: float | None) -> Timeline:
     """Union of all stamps and output times; equal times
     are one instant, so simultaneous senses have no order.
     """
     clock = np.empty(0) if evidence.encoders is None else evidence.encoders.t
-    wanted = output_times(evidence, rate)
+    wanted = choose_output_times(evidence, rate)
     regular = np.array_equal(wanted, clock)
-    t = merge_clocks(clock, *(s.t for s in evidence.sightings), wanted[:0] if regular else wanted)
+    clocks = [clock, *(s.t for s in evidence.sightings), wanted[:0] if regular else wanted]
+    t = np.unique(np.concatenate(clocks))
     encoders = np.searchsorted(t, clock)
     sightings = tuple(np.searchsorted(t, s.t) for s in evidence.sightings)
     outputs = encoders if regular else np.searchsorted(t, wanted)
-    return Timeline(
-        t, encoders, sightings, outputs, _latest_source(evidence, t, encoders, sightings)[outputs]
-    )
+    source_ns = _find_latest_source(evidence, t, encoders, sightings)[outputs]
+    return Timeline(t, encoders, sightings, outputs, source_ns)
 
 
-def output_times(evidence: Evidence, rate: float | None) -> Array:
+def choose_output_times(evidence: Evidence, rate: float | None) -> Array:
     """Times (O,) s: encoder stamps (frames without encoders)
     up to 100 Hz, else a 100 Hz grid; `rate` overrides.
     """
@@ -96,10 +93,10 @@ def output_times(evidence: Evidence, rate: float | None) -> Array:
     clocks = (
         [s.t for s in evidence.sightings] if evidence.encoders is None else [evidence.encoders.t]
     )
-    t = merge_clocks(*clocks)
+    t = np.unique(np.concatenate(clocks))
     if len(t) == 0:
         raise EvidenceError("joints: no sound time stamp to estimate at")
-    if rate is None and (len(t) < 2 or median_step(t) > 0.99 / MAX_OUTPUT_RATE_HZ):
+    if rate is None and (len(t) < 2 or measure_median_step(t) > 0.99 / MAX_OUTPUT_RATE_HZ):
         return t
     rate = rate or MAX_OUTPUT_RATE_HZ
     _check_grid(rate, t)
@@ -119,11 +116,6 @@ def _check_grid(rate: float, t: Array) -> None:
         )
 
 
-def merge_clocks(*clocks: Array) -> Array:
-    """Distinct times (E,) of ascending clocks, in order."""
-    return np.unique(np.concatenate(clocks))
-
-
 def list_span_starts(t: Array, width: float) -> Array:
     """Starts (B,) s of the spans of `width` s, counted
     from t[0], that contain any of ascending t (N,) s.
@@ -141,7 +133,7 @@ def snap_to_stamps(grid: Array, t: Array) -> Array:
     return np.where(np.abs(t[near] - grid) < 1e-6, t[near], grid)
 
 
-def _latest_source(
+def _find_latest_source(
     evidence: Evidence, t: Array, encoders: Array, sightings: tuple[Array, ...]
 ) -> Array:
     """Log time (E,) of the last message up to each instant."""

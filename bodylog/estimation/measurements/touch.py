@@ -9,7 +9,7 @@ import numpy as np
 from ...body_model import BodyModel
 from ...types import Array, Features, Series, Synchrony
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
-from .long_arrays import find_finite_rows as rows_seen
+from .long_arrays import find_finite_rows
 from .records import Measured, Sighting, build_health
 from .track import find_ascending_times
 
@@ -26,7 +26,8 @@ def read_touch(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     """Read the effector's positions by touch, where the body predicts the effector."""
     if "effector" not in body.senses:
         return {}
-    (found, count), seen = read_touch_sighting(features, body), len(features.touches or ())
+    found, count = read_touch_sighting(features, body)
+    seen = len(features.touches or ())
     paired = sum(
         bool(np.isfinite(pair.delay)) and not is_synchronous(pair) for pair in features.synchrony
     )
@@ -34,8 +35,8 @@ def read_touch(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     reasons = {
         "not synchronous": min(paired, seen - count),
         "no common cause": min(apart, seen - count),
+        "no stroke seen": max(seen - count - paired - apart, 0),
     }
-    reasons["no stroke seen"] = max(seen - count - paired - apart, 0)
     return {"touch": Measured(found, build_health(seen, count, reasons))}
 
 
@@ -51,28 +52,24 @@ def read_touch_sighting(features: Features, body: BodyModel) -> tuple[Sighting, 
     count = 0
     if hand is None:
         hand = Series(np.empty(0), np.empty((0, 2)), ("u", "v"), "px", np.empty(0, np.int64))
-    sound, (_, pairs) = (
-        find_ascending_times(hand.t) & rows_seen(hand.values),
-        find_strongest_touches(features, hand.t),
-    )
+    sound = find_ascending_times(hand.t) & find_finite_rows(hand.values)
+    _, pairs = find_strongest_touches(features, hand.t)
     places = np.full(hand.values.shape, np.nan)
     variance = np.ones(hand.values.shape)
     for number, pair in enumerate(features.synchrony):
         during = sound & (pairs == number)
         if has_weight(pair) and during.any():
-            u, v, spread = place_of_cell(body, touches[pair.touch].strongest)
+            u, v, spread = find_cell_place(body, touches[pair.touch].strongest)
             places[during] = hand.values[during] - (u, v)
             variance[during] = spread / pair.event_weight * during.sum()
             count += is_synchronous(pair) and has_common_cause(pair)
-    kept = rows_seen(places)
+    kept = find_finite_rows(places)
     found = (hand.t[kept], places[kept], variance[kept], hand.source_ns[kept])
     return Sighting("touch", body.senses["effector"], *found), count
 
 
 def is_synchronous(pair: Synchrony) -> bool:
-    """Whether a touch counts as used: its weight is
-    the likelihood of its delay, over that of none.
-    """
+    """Whether a touch counts as used: its weight is the likelihood of its delay, over that of none."""
     return bool(pair.weight > np.exp(-EVIDENCE_THRESHOLD_NATS))
 
 
@@ -88,7 +85,7 @@ def has_common_cause(pair: Synchrony) -> bool:
     return pair.common_cause >= 0.5
 
 
-def place_of_cell(body: BodyModel, cell: int) -> tuple[float, float, float]:
+def find_cell_place(body: BodyModel, cell: int) -> tuple[float, float, float]:
     """A cell's position relative to the effector (u, v) px, and its variance px²."""
     if cell not in body.cells:
         return 0.0, 0.0, 1.0 / (2.0 * body.touch.b1)
@@ -106,5 +103,6 @@ def find_strongest_touches(features: Features, t: Array) -> tuple[Array, Array]:
     for k, pair in enumerate(features.synchrony if touches else ()):
         touch = touches[pair.touch]
         more = (t >= touch.onset) & (t <= touch.offset) & (pair.event_weight > weight)
-        weight[more], number[more] = pair.event_weight, k
+        weight[more] = pair.event_weight
+        number[more] = k
     return weight, number

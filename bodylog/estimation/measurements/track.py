@@ -6,15 +6,14 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
 from ...types import Array, Features, Series
-from .arm_errors import RowExposure, learned_arm_errors, shift_by_rows
-from .long_arrays import find_finite_rows as seen_rows
-from .long_arrays import index_true_rows
+from .arm_errors import RowExposure, read_arm_errors, shift_by_rows
+from .long_arrays import find_finite_rows, index_true_rows
 from .records import Measured, Sighting, build_health
 
 
 def read_tracks(features: Features, body: BodyModel) -> Mapping[str, Measured]:
     """Read every track that the body predicts, in the log's order; NaN where it was not seen."""
-    rows = learned_arm_errors(body).rows
+    rows = read_arm_errors(body).rows
     return {
         name: _read_track(name, track, body, rows.get(camera_of_track(name)))
         for name, track in features.tracks.items()
@@ -39,16 +38,17 @@ def group_tracks_by_camera(sightings: Sequence[Sighting]) -> Mapping[str, list[i
 def _read_track(name: str, track: Series, body: BodyModel, rows: RowExposure | None) -> Measured:
     times = shift_by_rows(track, rows)
     rising = find_ascending_times(times)
-    seen = seen_rows(track.values)
+    seen = find_finite_rows(track.values)
     reasons = {"time runs backwards": (~rising).sum(), "out of view": (rising & ~seen).sum()}
     counts = build_health(
         len(track.t), (rising & seen).sum(), reasons, find_longest_gap(times[rising & seen])
     )
     model = body.senses[name]
     noise = np.asarray(body.noise.senses.get(name, (1.0,)), float)
-    var = np.array(np.broadcast_to(pixel_variance(track.std, model, noise), track.values.shape))
+    pixels = choose_pixel_variance(track.std, model, noise)
+    var = np.array(np.broadcast_to(pixels, track.values.shape))
     values = np.where(seen[:, None], track.values, np.nan)
-    share = _common_variance_share(model, noise)
+    share = _measure_common_share(model, noise)
     every = Sighting(name, model, times, values, var, track.source_ns, share)
     return Measured(every.select_rows(index_true_rows(rising)), counts)
 
@@ -65,7 +65,7 @@ def find_longest_gap(t: Array) -> float:
     return float(np.diff(t).max()) if len(t) > 1 else 0.0
 
 
-def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> Array:
+def choose_pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> Array:
     """Variance px²: stated std (…,D) squared plus the
     model's learned excess, or `fallback` (D,) without a std.
     """
@@ -75,7 +75,7 @@ def pixel_variance(std: Array | None, model: ForwardModel, fallback: Array) -> A
     return np.where(np.isfinite(std) & (std > 0), np.square(std) + beyond, fallback)
 
 
-def _common_variance_share(model: ForwardModel, noise: Array) -> float:
+def _measure_common_share(model: ForwardModel, noise: Array) -> float:
     """Share of a model's variance that comes from encoder
     errors in exploration; `noise` (D,) px² is the pixels'.
     """

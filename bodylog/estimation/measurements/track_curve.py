@@ -6,8 +6,12 @@ from functools import cached_property
 import numpy as np
 
 from ...types import Array
-from .long_arrays import MIN_READINGS, median_step, noise_variance
-from .long_arrays import find_finite_rows as seen_rows
+from .long_arrays import (
+    MIN_READINGS,
+    estimate_noise_variance,
+    find_finite_rows,
+    measure_median_step,
+)
 from .records import Encoders, Sighting
 from .timeline import list_span_starts
 
@@ -62,18 +66,18 @@ class Curve:
     walking: tuple[int, ...]
 
     @cached_property
-    def root(self) -> Array:
+    def whitening(self) -> Array:
         """Square root (B,2,2) of the inverse covariance of positions less predictions."""
         cov = np.einsum("bdm,bm,bem->bde", self.jac, self.encoder, self.jac)
         np.einsum("bdd->bd", cov)[:] += self.model + self.noise / self.images
         return np.asarray(np.linalg.cholesky(np.linalg.inv(cov)).swapaxes(1, 2))
 
     @cached_property
-    def offsets(self) -> Array:
+    def offset_slopes(self) -> Array:
         """Slopes (B,2,P) of whitened predictions in encoder offsets at the
         knots, all of a joint together, and then in steps of those that walk.
         """
-        turned = self.root @ self.jac
+        turned = self.whitening @ self.jac
         parts = ((turned, self.bends), (turned[..., list(self.walking)], self.walks))
         return np.concatenate(
             [
@@ -101,28 +105,28 @@ class RegressionRows:
     frames: Array
     image: Array
 
-    def some(self, rows: Array | slice) -> "RegressionRows":
+    def select_instants(self, rows: Array | slice) -> "RegressionRows":
         """Some of the instants."""
         return RegressionRows(
             *(getattr(self, name)[rows] for name in RegressionRows.__annotations__)
         )
 
 
-def regression_rows(curve: Curve, late: float) -> RegressionRows:
+def build_regression_rows(curve: Curve, late: float) -> RegressionRows:
     """Residuals and slopes of a curve delayed by `late` s."""
     place, slope, value, speed, first, sound = interpolate_curve(curve, late)
-    image = curve.root * np.sqrt(curve.blur / curve.images)
+    image = curve.whitening * np.sqrt(curve.blur / curve.images)
     blur = np.square(image).sum(axis=(1, 2))
     misfit, slope = (
-        np.einsum("bde,be->bd", curve.root, part) for part in (curve.predicted - place, slope)
+        np.einsum("bde,be->bd", curve.whitening, part) for part in (curve.predicted - place, slope)
     )
-    slopes = np.concatenate([slope[..., None], curve.offsets], axis=-1)
+    slopes = np.concatenate([slope[..., None], curve.offset_slopes], axis=-1)
     cross = blur * (value * speed).sum(axis=1)
     own = blur * np.square(speed).sum(axis=1)
     frames = first[:, None] + np.arange(4)
     return RegressionRows(
         curve.at, misfit, slopes, cross, own, frames, value[:, :, None, None] * image[:, None]
-    ).some(sound)
+    ).select_instants(sound)
 
 
 def interpolate_curve(curve: Curve, late: float) -> tuple[Array, Array, Array, Array, Array, Array]:
@@ -138,22 +142,24 @@ def interpolate_curve(curve: Curve, late: float) -> tuple[Array, Array, Array, A
     after = h / (t[i + 2] - t[i])
     s = (at - t[i]) / h
 
-    def four(here: Array, leave: Array, there: Array, arrive: Array) -> Array:
+    def weigh_four(here: Array, leave: Array, there: Array, arrive: Array) -> Array:
         return np.stack(
             [-leave * before, here - arrive * after, there + leave * before, arrive * after], axis=1
         )
 
-    value = four(1 + s * s * (2 * s - 3), s * (s - 1) ** 2, s * s * (3 - 2 * s), s * s * (s - 1))
-    speed = (
-        four(6 * s * (s - 1), (3 * s - 1) * (s - 1), 6 * s * (1 - s), s * (3 * s - 2)) / h[:, None]
+    square = s * s
+    value = weigh_four(
+        1 + square * (2 * s - 3), s * (s - 1) ** 2, square * (3 - 2 * s), square * (s - 1)
     )
+    speed = weigh_four(6 * s * (s - 1), (3 * s - 1) * (s - 1), 6 * s * (1 - s), s * (3 * s - 2))
+    speed /= h[:, None]
     close = np.maximum(np.maximum(t[i] - t[i - 1], h), t[i + 2] - t[i + 1]) <= MAX_FRAME_GAP_S
     near = curve.places[(i - 1)[:, None] + np.arange(4)]
     place, slope = (np.einsum("bk,bkd->bd", weights, near) for weights in (value, speed))
     return place, slope, value, speed, i - 1, close & (s >= 0) & (s <= 1)
 
 
-def track_curve(
+def build_track_curve(
     encoders: Encoders, seen: Sighting, most: int, walking: tuple[int, ...] = ()
 ) -> Curve | None:
     """The curve of a track beside at most `most` means
@@ -165,22 +171,22 @@ def track_curve(
     if (
         len(t) < MIN_READINGS
         or len(encoders.t) < MIN_READINGS
-        or (step := median_step(t)) > MAX_FRAME_GAP_S
+        or (step := measure_median_step(t)) > MAX_FRAME_GAP_S
     ):
         return None
     # slightly more than a step, so that readings and frames do not stay in phase
     at, x, count = _average_span_readings(
-        encoders, max(step, 1.0001 * median_step(encoders.t)), most
+        encoders, max(step, 1.0001 * measure_median_step(encoders.t)), most
     )
     if len(at) < MIN_READINGS:
         return None
     predicted, jac, model = seen.model.predict(x)
-    encoder = noise_variance(encoders.values) / count
+    encoder = estimate_noise_variance(encoders.values) / count
     bends = _share_knots(encoders.t, at, OFFSET_KNOT_S)
     walks = np.cumsum(_share_knots(encoders.t, at, 0.5 * OFFSET_KNOT_S)[:, :0:-1], axis=1)
     # stated variance may include a model's misfit, scatter
     # the arm's jerk: a frame's own noise is below both
-    blur = np.minimum(var, noise_variance(places))
+    blur = np.minimum(var, estimate_noise_variance(places))
     curve = Curve(
         t, places, step, 1, var, blur, at, x, predicted, jac, model, encoder, bends, walks, walking
     )
@@ -206,7 +212,7 @@ def _clean_track(seen: Sighting) -> tuple[Array, Array, Array]:
     """Times (N,), positions (N,2) and typical variance
     (2,), without repeated frames and single blunders.
     """
-    shown = np.flatnonzero(seen_rows(seen.values))
+    shown = np.flatnonzero(find_finite_rows(seen.values))
     shown = shown[
         np.append(True, (np.diff(seen.values[shown], axis=0) != 0.0).any(axis=1))[: len(shown)]
     ]
@@ -247,7 +253,7 @@ def _average_span_readings(
 
 def _is_blurred(curve: Curve) -> bool:
     """Whether noise is too large a share of the curve's speed."""
-    rows = regression_rows(curve, 0.0)
+    rows = build_regression_rows(curve, 0.0)
     return bool(rows.own.sum() > MAX_SPEED_NOISE_SHARE * np.square(rows.slopes[..., 0]).sum())
 
 

@@ -1,12 +1,11 @@
-"""The paper's Algorithm 1 with its errata (docs/paper.md)
-corrected, for any senses and many runs at once.
+"""The paper's Algorithm 1 with its errata (docs/paper.md) corrected, for any senses and many runs
+at once.
 
 An explicit step integrates belief, errors and prior as printed. A step at equilibrium sets the
 errors to what they tend to, (s − g)/σ. A linearly implicit one also divides by I + Δt·H, H the
 Gauss–Newton Hessian, which is stable at any Δt.
 
-Touch as printed in the paper: g_t = f_s f_t itself
-enters the prediction errors, not its logarithm.
+Touch as printed in the paper: g_t = f_s f_t itself enters the prediction errors, not its logarithm.
 """
 
 from collections.abc import Callable, Iterator
@@ -16,7 +15,11 @@ import numpy as np
 
 from ...body_model import BodyModel, ForwardModel, TouchConstants
 from ...types import Array, Features
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.touch import find_strongest_touches
+
+DIVERGENCE_RAD = 100.0
+"""A belief beyond this has diverged: no joint turns 16 times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +34,7 @@ class PaperTouch:
     hand: Array
     temporal: Array
 
-    def pull(self, k: int, x: Array) -> tuple[float, Array]:
+    def measure_touch_error(self, k: int, x: Array) -> tuple[float, Array]:
         """s_t − g_t, s_t being g_t's best value, NaN where
         nothing is felt; and ∂g_t/∂x (M,) at step k and x (M,).
         """
@@ -39,11 +42,15 @@ class PaperTouch:
             return float("nan"), np.zeros(len(x))
         mean, jac, _ = self.model.predict(x[None])
         best = np.array([self.constants.a1 * self.temporal[k]])
-        g, slope = spatial_coherence(mean - self.hand[k], jac, best, np.array([self.constants.b1]))
+        g, slope = evaluate_spatial_coherence(
+            mean - self.hand[k], jac, best, np.array([self.constants.b1])
+        )
         return float(best[0] - g[0]), slope[0]
 
 
-def spatial_coherence(apart: Array, jac: Array, best: Array, b1: Array) -> tuple[Array, Array]:
+def evaluate_spatial_coherence(
+    apart: Array, jac: Array, best: Array, b1: Array
+) -> tuple[Array, Array]:
     """g_t = best exp(−b₁ |g_v − o_v|²) (B,), best being
     a₁ f_t, and ∂g_t/∂x = −2 b₁ g_t (g_v − o_v)ᵀ J (B,M).
 
@@ -58,15 +65,11 @@ def build_paper_touch(features: Features, body: BodyModel, t: Array, dt: float) 
     hand = features.hand
     assert hand is not None
     rows = np.maximum(np.searchsorted(hand.t, t + 1e-9, "right") - 1, 0)
-    seen = np.isfinite(hand.values[rows]).all(axis=1) & (np.abs(t - hand.t[rows]) < max(dt, 0.2))
+    seen = find_finite_rows(hand.values[rows]) & (np.abs(t - hand.t[rows]) < max(dt, 0.2))
     temporal, _ = find_strongest_touches(features, t)
     return PaperTouch(
         body.senses["effector"], body.touch, seen & (temporal > 0), hand.values[rows], temporal
     )
-
-
-DIVERGENCE_RAD = 100.0
-"""A belief beyond this has diverged: no joint turns 16 times."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +82,7 @@ class SensedErrors:
     slope: Array
     sigma: Array
 
-    def present(self) -> "SensedErrors":
+    def zero_absent_readings(self) -> "SensedErrors":
         """The same with absent readings as rows of zeros, which contribute nothing."""
         here = np.isfinite(self.off)
         return SensedErrors(
@@ -137,7 +140,7 @@ def descend_free_energy(
     for k in range(count):
         sensed = sense(k, x)
         here = np.isfinite(sensed.off)
-        present = sensed.present()
+        present = sensed.zero_absent_readings()
         errors = np.where(here, errors, 0.0) if k else np.zeros(here.shape)
         prior_off = x - mu
         error = np.where(at_rest, present.off / present.sigma, errors)
@@ -146,7 +149,7 @@ def descend_free_energy(
         # corrected: μ̇ = λ e_x, and ė_x = x̂ − μ − σ_x e_x
         prior_move = dynamics.dt * rate * error_x
         if len(implicit):
-            hessian = gauss_newton_hessian(present, dynamics.sigma_x, implicit)
+            hessian = build_gauss_newton_hessian(present, dynamics.sigma_x, implicit)
             move[implicit] = _divide_by_hessian(hessian, move[implicit], dynamics.dt)
             reach = dynamics.dt * rate[implicit]
             ahead = prior_off[implicit] + move[implicit]
@@ -161,7 +164,7 @@ def descend_free_energy(
             return
 
 
-def gauss_newton_hessian(present: SensedErrors, sigma_x: Array, runs: Array) -> Array:
+def build_gauss_newton_hessian(present: SensedErrors, sigma_x: Array, runs: Array) -> Array:
     """H = 1/σ_x + Σ g′ᵀ g′/σ (K,M,M) of the free energy of `runs` (K,)."""
     slope = present.slope[runs]
     sigma = present.sigma[runs]

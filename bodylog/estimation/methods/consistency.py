@@ -1,8 +1,7 @@
-"""The last check of every estimate: a number that is
-not finite is an error with joint, sense and time.
+"""Checks of every estimate without ground truth.
 
-Consistency of an estimate with its own log, without
-ground truth: readings far from their predictions.
+A number that is not finite is an error that names joint or sense, and time. Readings far from their
+predictions are warnings.
 """
 
 from collections.abc import Iterator
@@ -14,7 +13,11 @@ from ...errors import EvidenceError
 from ...settings import EstimationSettings
 from ...types import Array, Estimate, Finding
 from ..faults.threshold import SIGNIFICANT_SIGMA
-from ..measurements import long_arrays
+from ..measurements.long_arrays import MIN_READINGS
+
+NOISY_STD_RAD = 0.1
+"""rad: an encoder with more noise than this, 5.7°, gets a warning: servos of hobby arms err by 2°
+under load, and readings of two robots by turns differ by more."""
 
 
 def require_finite_estimate(found: Estimate) -> Estimate:
@@ -26,7 +29,7 @@ def require_finite_estimate(found: Estimate) -> Estimate:
         if not good.all():
             at = float(t[good.argmin()])
             bad = len(good) - np.count_nonzero(good)
-            raise _contradiction_error(
+            raise _make_contradiction_error(
                 f"{what} at {at:.3f} s is not a number by {found.method} ({bad} of {len(good)}):"
             )
     return found
@@ -38,10 +41,10 @@ def report_numerical_errors(method: str) -> Iterator[None]:
     try:
         yield
     except np.linalg.LinAlgError as problem:
-        raise _contradiction_error(f"no estimate by {method}: {problem};") from None
+        raise _make_contradiction_error(f"no estimate by {method}: {problem};") from None
 
 
-def _contradiction_error(what: str) -> EvidenceError:
+def _make_contradiction_error(what: str) -> EvidenceError:
     advice = "type --method kalman, or --without a sense"
     return EvidenceError(f"{what} the readings may contradict each other or the body; {advice}")
 
@@ -63,38 +66,29 @@ def _list_checked_numbers(found: Estimate) -> Iterator[tuple[str, Array, Array]]
         yield f"the covariance predicted of {name}", track.t, found.predicted_cov[name]
 
 
-NOISY_STD_RAD = 0.1
-"""rad: an encoder with more noise than this, 5.7°, gets a warning: servos of hobby arms err by 2°
-under load, and readings of two robots by turns differ by more."""
-
-
-def consistency_findings(
-    found: Estimate, settings: EstimationSettings, unit: str = "rad", rad_per_unit: float = 1.0
+def check_consistency(
+    found: Estimate, settings: EstimationSettings, unit: str, rad_per_unit: float
 ) -> Iterator[Finding]:
     """Yield a warning for each sense whose residuals
     exceed its error bars, and for each very noisy encoder.
 
-    unit of the joints' readings, and its size in rad.
+    unit: of the joints' readings · rad_per_unit: its size.
     """
     learned = found.settings.get("encoder", found.settings.get("sigma_encoders"))
-    for name, variance in zip(
-        found.joints.names, learned if isinstance(learned, list) else (), strict=False
-    ):
-        if (
-            settings.precision == "auto"
-            and settings.preset != "paper"
-            and variance * rad_per_unit**2 > NOISY_STD_RAD**2
-        ):
-            text = (
-                f"encoders: {name} has noise of {variance**0.5:.2g} {unit}; do two nodes publish "
-                "on its topic?"
-            )
-            yield Finding("warning", text)
+    is_learned = settings.precision == "auto" and settings.preset != "paper"
+    if is_learned and isinstance(learned, list):
+        for name, variance in zip(found.joints.names, learned, strict=False):
+            if variance * rad_per_unit**2 > NOISY_STD_RAD**2:
+                text = (
+                    f"encoders: {name} has noise of {variance**0.5:.2g} {unit}; do two nodes "
+                    "publish on its topic?"
+                )
+                yield Finding("warning", text)
     for sense, errors in found.errors.items():
         off = np.abs(errors.values[np.isfinite(errors.values)]) > SIGNIFICANT_SIGMA
         # of true errors of one peak, however distributed, no more are beyond (Vysochanskij, Petunin)
         most = 4.0 / (9.0 * SIGNIFICANT_SIGMA**2)
-        if len(off) > long_arrays.MIN_READINGS and off.mean() > most:
+        if len(off) > MIN_READINGS and off.mean() > most:
             yield Finding(
                 "warning",
                 f"{sense}: {off.mean():.0%} of its readings are more than {SIGNIFICANT_SIGMA:g} "
@@ -115,7 +109,7 @@ def _advise_on_inconsistency(found: Estimate, settings: EstimationSettings, sens
         return f"noise differs from that of --precision {settings.precision}; type --precision auto"
     if settings.bias == "off":
         return "an encoder may have an offset; type --bias auto"
-    if sense == "encoders" and len(found.errors[sense].values) <= long_arrays.MIN_READINGS:
+    if sense == "encoders" and len(found.errors[sense].values) <= MIN_READINGS:
         return "readings are too few to learn their noise from"
     if sense == "encoders":
         return (

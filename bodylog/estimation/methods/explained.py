@@ -11,40 +11,38 @@ import numpy as np
 from ...body_model import BodyModel
 from ...fault_kinds import OFF_FROM_START_S
 from ...settings import EstimationSettings
-from ...types import HARDWARE_ERRORS, Array, Estimate, Fault, FaultKind, Finding
+from ...types import Array, Estimate, Fault, FaultKind, Finding
 from ..factors.columns import ImageShift, Play, describe_displacement
 from ..factors.factor_problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from ..factors.hypotheses import DRIFTS_S, Explanation
 from ..factors.load import FIRST_BEND, Load, bend_under_load, build_load_columns, describe_load
-from ..factors.whole_log import (
-    ExplainedLog,
-    Instants,
-    SolvedLog,
-    explain_log,
-    resembles_load,
-    solve_log,
-)
+from ..factors.whole_log import ExplainedLog, SolvedLog, explain_log, resembles_load, solve_log
 from ..faults.moved_camera import restore_displacements
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..inference.filter_problem import FilterProblem
-from ..measurements.arm_errors import LEAST_NEES, learned_arm_errors
+from ..measurements.arm_errors import LEAST_NEES, read_arm_errors
 from ..noise.lasting_error import LastingError
 from . import results
-from .results import Beliefs, find_evident_error, nees_if_white, predict_frames, with_lasting_error
+from .results import (
+    Beliefs,
+    estimate_white_nees,
+    find_evident_error,
+    predict_frames,
+    with_lasting_error,
+)
 from .stick_slip import estimate_stick_slip
-from .trust import measure_rough_motion, reason_of_disagreement, reason_of_misfit, reason_to_widen
-
-Place = tuple[Array, Array, Array]
-"""Of a sighting's frames: mean (F,D), covariance (F,D,D)
-without their own noise, and the model's variance (F,D).
-"""
+from .trust import (
+    find_reason_of_disagreement,
+    find_reason_of_misfit,
+    find_reason_to_widen,
+    measure_rough_motion,
+)
 
 LIKE_OFFSETS = "offsets of encoders explain the log as well as a load does, or better"
 """Why a load that a log resembles is not taken out of its angles."""
 
 
-def explained_estimate(
-    method: str,
+def estimate_with_hardware_errors(
     body: BodyModel,
     problem: FilterProblem,
     first: FilterProblem,
@@ -57,9 +55,9 @@ def explained_estimate(
     first: the problem before encoder offsets were looked for. Offsets that other errors of the
     hardware explain, too, are no faults.
     """
-    kept = results.build_estimate(method, body, problem.evidence, problem.timeline, beliefs)
-    halves = _known_halves(body)
-    prior = _known_lasting(body)
+    kept = results.build_estimate(settings.method, problem.evidence, problem.timeline, beliefs)
+    halves = _read_play_halves(body)
+    prior = _choose_lasting_prior(body)
     lasting = find_evident_error(kept, problem, beliefs.z, settings, kept.faults)
     if lasting is None and (halves.any() or prior.known) and settings.precision == "auto":
         square = float(np.mean(np.square(halves)))
@@ -69,9 +67,7 @@ def explained_estimate(
     def try_explanation(std: float, is_white: bool) -> Estimate | str:
         known = (halves, prior)
         try:
-            return _explain_estimate(
-                method, body, problem, first, beliefs, settings, std, known, is_white
-            )
+            return _explain_estimate(body, problem, first, beliefs, settings, std, known, is_white)
         except np.linalg.LinAlgError as singular:
             return f"their explanation has no solution ({singular})"
 
@@ -81,13 +77,13 @@ def explained_estimate(
         if isinstance(made, Estimate):
             return made
     # a load looks like an encoder that drifts, by less than counts as a fault, too
-    if lasting is None and not beliefs.faults and not has_offsets(problem, first):
+    if lasting is None and not beliefs.faults and not _has_offsets(problem, first):
         if settings.precision != "auto":
             return kept
         rough = measure_rough_motion(problem, beliefs, settings.method != "smoother")
-        if rough is None or nees_if_white(kept, rough.variance) < LEAST_NEES:
+        if rough is None or estimate_white_nees(kept, rough.variance) < LEAST_NEES:
             return kept
-        slipping = estimate_stick_slip(method, body, problem, beliefs, settings, rough)
+        slipping = estimate_stick_slip(problem, beliefs, settings, rough)
         return results.with_rough_motion(kept, rough.variance) if slipping is None else slipping
     made = try_explanation(FIRST_BEND if lasting is None else lasting.std, lasting is None)
     if isinstance(made, Estimate):
@@ -119,7 +115,6 @@ def _suspect_error(
 
 
 def _explain_estimate(
-    method: str,
     body: BodyModel,
     problem: FilterProblem,
     first: FilterProblem,
@@ -134,7 +129,7 @@ def _explain_estimate(
     known: half of each joint's play (M,) rad in the exploration, and its encoders' errors ·
     is_white: encoders that are off are all that the log shows.
     """
-    why = reason_to_widen(problem, body.joints, std, settings)
+    why = find_reason_to_widen(problem, std, settings)
     if why is not None:
         return why
     assert problem.evidence.encoders is not None  # or bars are widened
@@ -153,40 +148,33 @@ def _explain_estimate(
     elif is_white:
         return LIKE_OFFSETS
     else:
-        why = reason_of_disagreement(problem, beliefs, found, causal)
+        why = find_reason_of_disagreement(problem, beliefs, found, causal)
         if why is not None:
             return why
     if found.explanation.is_sound:
         return "white noise explains the log as well"
     solved = solve_log(problem, found, causal)
-    why = reason_of_misfit(problem, found, solved, causal)
+    why = find_reason_of_misfit(problem, found, solved, causal)
     if why is not None:
         return why
     explained = _with_explanation(problem, beliefs, found, solved)
-    made = results.build_estimate(method, body, problem.evidence, problem.timeline, explained)
+    made = results.build_estimate(settings.method, problem.evidence, problem.timeline, explained)
     errors = _describe_errors(found, problem.evidence.joints)
-    text = "; ".join(_error_sentences(errors)) or "encoders: errors last"
-    finding = Finding(
-        "warning", f'{text}: angles allow for it; see "What real arms do" in docs/validation.md'
-    )
-    return replace(
-        made,
-        settings={**made.settings, HARDWARE_ERRORS: errors},
-        findings=(*made.findings, finding),
-    )
+    text = "; ".join(_describe_errors_in_words(errors)) or "encoders: errors last"
+    return results.with_hardware_errors(made, errors, f"{text}: angles allow for it")
 
 
-def _known_halves(body: BodyModel) -> Array:
+def _read_play_halves(body: BodyModel) -> Array:
     """Half of the play (M,) rad that each joint had in the exploration."""
-    play = learned_arm_errors(body).play
+    play = read_arm_errors(body).play
     return np.array([0.5 * play[name][0] if name in play else 0.0 for name in body.joints])
 
 
-def _known_lasting(body: BodyModel) -> LastingPrior:
+def _choose_lasting_prior(body: BodyModel) -> LastingPrior:
     """What is known of errors of encoders before a log: those of the
     exploration, if it had any, to about half of their size.
     """
-    found = learned_arm_errors(body).lasting
+    found = read_arm_errors(body).lasting
     if not found:
         return ANY_ERRORS
     each = [found[name] for name in body.joints if name in found]
@@ -211,7 +199,7 @@ def _explain_without_faults(
         simpler = explain_log(without, *known, loads)
         assert simpler is not None  # as the log with faults has one
         cameras = len(first.evidence.faults) - len(without.evidence.faults)
-        allowance = _allowance_for_faults(simpler, found, problem, faults, cameras)
+        allowance = _choose_fault_allowance(simpler, found, problem, faults, cameras)
         if simpler.nats - found.nats <= allowance and (best is None or simpler.nats < best[1].nats):
             best = (without, simpler)
     return best
@@ -224,13 +212,13 @@ def _drop_faults(problem: FilterProblem, first: FilterProblem) -> Iterator[Filte
     drift = replace(problem.precision, drift=first.precision.drift)
     evidence = replace(first.evidence, hypotheses=problem.evidence.hypotheses)
     plain = replace(problem, evidence=evidence, precision=drift, alternatives={})
-    if has_offsets(problem, first):
+    if _has_offsets(problem, first):
         yield plain
     if any(one.kind == FaultKind.DISPLACED for one in evidence.faults):
         yield replace(plain, evidence=restore_displacements(evidence))
 
 
-def _allowance_for_faults(
+def _choose_fault_allowance(
     found: ExplainedLog,
     beside: ExplainedLog,
     problem: FilterProblem,
@@ -291,7 +279,7 @@ def _count_from_start(problem: FilterProblem, faults: tuple[Fault, ...]) -> int:
     return off if all(fault.since < begin for fault in faults) else 0
 
 
-def has_offsets(problem: FilterProblem, first: FilterProblem) -> bool:
+def _has_offsets(problem: FilterProblem, first: FilterProblem) -> bool:
     """Whether encoder offsets were found since the first problem."""
     return problem.evidence.faults != first.evidence.faults or bool(problem.alternatives)
 
@@ -304,41 +292,34 @@ def _with_explanation(
     parts = [instants.angles, instants.rates]
     if problem.precision.drift is not None:
         parts.append(instants.offsets)
-    names = [one.name for one in problem.evidence.sightings]
     scale = {**beliefs.scale, **dict(zip(found.senses, found.noise.scales, strict=True))}
-    places = tuple(
-        solved.places[name] if name in solved.places else _place(problem, instants, number)
-        for number, name in enumerate(names)
-    )
+    places = [
+        solved.places[sighting.name]
+        if sighting.name in solved.places
+        else predict_frames(sighting, instants.before[at], instants.before_cov[at])
+        for sighting, at in zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
+    ]
     return replace(
         beliefs,
         z=np.concatenate(parts, axis=1),
-        cov=instants.cov + np.diag(_resting_variances(found.noise)),
+        cov=instants.cov + np.diag(_estimate_resting_variances(found.noise)),
         nats=instants.nats,
         before=instants.before,
         before_cov=instants.before_cov,
         encoder_errors=instants.encoder_errors,
         scale=scale,
         findings=(),  # they are of beliefs that are not reported
-        places=places,
+        places=tuple(places),
     )
 
 
-def _resting_variances(noise: Noise) -> Array:
+def _estimate_resting_variances(noise: Noise) -> Array:
     """Variances (M,) of the errors of joints that rest, taken from the joints that turn."""
     joints = noise.joints
     found = np.zeros(len(joints.white))
     if joints.error is not None and noise.resting is not None and joints.learned.any():
         found[noise.resting] = np.mean(np.square(joints.error[joints.learned]))
     return found
-
-
-def _place(problem: FilterProblem, instants: Instants, number: int) -> Place:
-    """Where a sense that shows nothing would have been."""
-    at = problem.timeline.sightings[number]
-    return predict_frames(
-        problem.evidence.sightings[number], instants.before[at], instants.before_cov[at]
-    )
 
 
 def _describe_errors(found: ExplainedLog, names: tuple[str, ...]) -> dict[str, Any]:
@@ -407,7 +388,7 @@ def _describe_load(
     }
 
 
-def _error_sentences(errors: Mapping[str, Any]) -> Iterator[str]:
+def _describe_errors_in_words(errors: Mapping[str, Any]) -> Iterator[str]:
     """The errors in words."""
     for joint, one in errors["play"].items():
         width, std = np.rad2deg([one["rad"], one["std"]])

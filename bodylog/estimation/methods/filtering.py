@@ -2,7 +2,8 @@
 look for encoder offsets, and return the beliefs.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from typing import TypeVar
@@ -15,7 +16,6 @@ from ...motion import MAX_ORDER, PROCESS_UNITS
 from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Fault, Features, Finding
 from ..faults import encoder_offset
-from ..faults.encoder_offset import total_free_energy
 from ..faults.screening import screen_measurements
 from ..faults.stray_images import StrayRun, find_stray_runs, list_possible_runs, remove_stray_runs
 from ..inference.filter_log import (
@@ -36,7 +36,7 @@ from ..noise.evidence_search import tune_by_evidence, with_motion, with_preferre
 from ..noise.noise_model import resolve_noise_model, warn_of_few_readings, weigh_repeated_readings
 from ..noise.posture_prior import learn_posture_prior
 from .contract import Method
-from .explained import explained_estimate
+from .explained import estimate_with_hardware_errors
 from .results import Beliefs
 
 S = TypeVar("S", bound=Solution)
@@ -50,41 +50,35 @@ def estimate_by_filter(
     `filter` linearises frames at the belief until it
     converges; `ekf` does so once, at the prior mean.
     """
-    at = "prior" if settings.method == "ekf" else "posterior"
     start_problem = pose_filter_problem(features, body, settings)
 
-    def solved(problem: FilterProblem) -> tuple[FilterProblem, Solution]:
+    def solve_problem(problem: FilterProblem) -> tuple[FilterProblem, Solution]:
         problem, warm = tune_noise(problem, settings)
-        stepwise = at == "posterior" and problem.stepwise
-        solver = (
-            (lambda posed, _: filter_sequentially(posed))
-            if stepwise
-            else partial(solve_by_gauss_newton, at=at)
-        )
+        solver: Callable[[FilterProblem, Solution | None], Solution] | None
+        if settings.method == "ekf":
+            solver = partial(solve_by_gauss_newton, at="prior")
+        else:
+            solver = None if problem.stepwise else solve_by_gauss_newton
         return solve_with_offsets(problem, warm, settings, solver, filter_sequentially)
 
-    problem, solution = solve_with_reacquisition(start_problem, solved)
+    problem, solution = solve_with_reacquisition(start_problem, solve_problem)
     trace = solution.trace
     unfold = solution.fold.unfold_events
     m = len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(
-        select_reported_states(unfold(trace.z), problem),
-        with_repairs(
-            precision.stated_covariance(unfold(trace.cov[:, :m, :m]), problem.left_open),
-            problem,
-            solution,
-        ),
-        unfold(trace.nats),
-        unfold(trace.prior),
-        unfold(trace.prior_cov),
-        unfold(trace.encoder_d),
-        precision.scale,
-        precision.plain_numbers(),
-        find_offset_faults(problem, solution),
-        tuple(warn_of_lost_belief(problem, body.joints, solution)),
+        z=select_reported_states(unfold(trace.z), problem),
+        cov=report_angle_covariance(unfold(trace.cov[:, :m, :m]), problem, solution),
+        nats=unfold(trace.nats),
+        before=unfold(trace.prior),
+        before_cov=unfold(trace.prior_cov),
+        encoder_errors=unfold(trace.encoder_d),
+        scale=precision.scale,
+        settings=precision.plain_numbers(),
+        faults=find_offset_faults(problem, solution),
+        findings=warn_of_lost_belief(problem, solution),
     )
-    return explained_estimate(settings.method, body, problem, start_problem, beliefs, settings)
+    return estimate_with_hardware_errors(body, problem, start_problem, beliefs, settings)
 
 
 def pose_filter_problem(
@@ -94,10 +88,11 @@ def pose_filter_problem(
     costs is judged by it.
     """
     built = build_filter_problem(features, body, settings)
+    if settings.precision != "auto" or built.stepwise:
+        return built
     problem = built
     runs = list[StrayRun]()
-    may_judge = settings.precision == "auto" and not built.stepwise
-    while may_judge and (possible := list_possible_runs(problem)):
+    while possible := list_possible_runs(problem):
         more = find_stray_runs(tune_noise(problem, settings)[0], possible)
         if not more:
             break
@@ -111,27 +106,21 @@ def build_filter_problem(
 ) -> FilterProblem:
     """The problem with the encoders' noise model."""
     evidence = warn_of_few_readings(screen_measurements(features, body, settings), body, settings)
-    evidence = replace(
-        evidence, sightings=noise_model.with_typed_variances(evidence.sightings, settings)
-    )
-    first = choose_initial_angles(evidence, settings, body.joints)
+    sightings = noise_model.with_typed_variances(evidence.sightings, settings)
+    evidence = replace(evidence, sightings=sightings)
+    start = choose_initial_angles(evidence, settings)
     precision = noise_model.with_typed_noise(
         resolve_noise_model(evidence, body, settings), settings, body.joints
     )
-    evidence = replace(
-        evidence,
-        findings=(
-            *evidence.findings,
-            *noise_model.remark_on_precision(settings, precision, evidence.sightings),
-        ),
-    )
+    remarks = noise_model.remark_on_precision(settings, precision, evidence.sightings)
+    evidence = replace(evidence, findings=(*evidence.findings, *remarks))
     evidence = weigh_repeated_readings(evidence, precision, settings)
-    usual = learn_posture_prior(evidence, precision.process, first)
-    problem = FilterProblem(
-        evidence, build_timeline(evidence, settings.rate), first, precision, posture_prior=usual
-    )
-    allowed = encoder_offset.preset_walks(settings.bias, evidence)
-    problem = problem if allowed is None else encoder_offset.with_drift(problem, allowed)
+    prior = learn_posture_prior(evidence, precision.process, start)
+    timeline = build_timeline(evidence, settings.rate)
+    problem = FilterProblem(evidence, timeline, start, precision, posture_prior=prior)
+    walks = encoder_offset.choose_preset_walks(settings.bias, evidence)
+    if walks is not None:
+        problem = encoder_offset.with_drift(problem, walks)
     if settings.motion != "auto":
         problem = with_named_motion(problem, settings)
     elif settings.process is None:  # it is a white acceleration
@@ -159,23 +148,21 @@ def with_named_motion(problem: FilterProblem, settings: EstimationSettings) -> F
 
 
 def solve_with_reacquisition(
-    problem: FilterProblem, solved: Callable[[FilterProblem], tuple[FilterProblem, S]]
+    problem: FilterProblem, solve: Callable[[FilterProblem], tuple[FilterProblem, S]]
 ) -> tuple[FilterProblem, S]:
-    """The problem as `solved`, and solved again with
+    """The problem as solved and its solution, with
     re-acquisition if the belief loses an encoder for long.
     """
-    found, solution = solved(problem)
+    found, solution = solve(problem)
     if found.stepwise or not loses_encoder(found, solution):
         return found, solution
-    return solved(find_initial_path(problem, lost=True))
+    return solve(find_initial_path(problem, lost=True))
 
 
 def tune_noise(
     problem: FilterProblem, settings: EstimationSettings
 ) -> tuple[FilterProblem, Solution | None]:
-    """The problem with process and pixel noise by
-    the log's evidence, if the settings ask for that.
-    """
+    """The problem with process and pixel noise by the log's evidence, if the settings ask for that."""
     if settings.precision != "auto":
         return problem, None
     found, warm = tune_by_evidence(problem, whole=settings.method == "smoother")
@@ -189,42 +176,40 @@ def solve_with_offsets(
     problem: FilterProblem,
     warm: Solution | None,
     settings: EstimationSettings,
-    solver: Callable[[FilterProblem, Solution | None], S],
-    patient: Callable[[FilterProblem], S],
+    solver: Callable[[FilterProblem, Solution | None], S] | None,
+    fallback: Callable[[FilterProblem], S],
 ) -> tuple[FilterProblem, S]:
     """Solve the problem, with encoder offsets if the
     settings allow them and the evidence asks for them.
 
-    `patient`, slower but robust, takes over if the solver does not converge.
+    warm: a solution to start from · fallback, slower but robust, takes over if there is no solver,
+    or if it does not converge. Returns the problem that was solved, which holds the offsets, and
+    its solution.
     """
 
-    def sure(posed: FilterProblem, begin: Solution | None) -> S:
-        try:
-            return solver(posed, begin)
-        except DidNotConverge:
-            return patient(posed)
+    def solve_or_fall_back(posed: FilterProblem, begin: Solution | None) -> S:
+        if solver is not None:
+            with suppress(DidNotConverge):
+                return solver(posed, begin)
+        return fallback(posed)
 
-    solved = sure(problem, warm)
+    solution = solve_or_fall_back(problem, warm)
     if settings.bias != "auto" or problem.evidence.encoders is None:
-        return problem, solved
-    found, suspected = encoder_offset.find_suspected_encoders(problem, solved)
-    if (
-        suspected.any()
-        and not problem.stepwise
-        and loses_encoder(problem, filter_roughly(problem, solved))
-    ):
+        return problem, solution
+    scored, suspected = encoder_offset.find_suspected_encoders(problem, solution)
+    if not suspected.any():
+        return scored, solution
+    if not problem.stepwise and loses_encoder(problem, filter_roughly(problem, solution)):
         # a filter that is lost makes offsets of sound readings: with re-acquisition first
         again, begin = tune_noise(find_initial_path(problem, lost=True), settings)
-        return solve_with_offsets(again, begin, settings, lambda posed, _: patient(posed), patient)
-    if suspected.any():
-        known = partial(filter_free_energy, warm=solved)
-        found = encoder_offset.choose_encoder_offsets(
-            found, solved, suspected, known, lambda posed: relearn_noise(posed, settings)[0]
-        )
-    if not found.alternatives:
-        return found, solved
-    found, begin = relearn_noise(found, settings)
-    return found, sure(found, begin)
+        return solve_with_offsets(again, begin, settings, None, fallback)
+    with_offsets = encoder_offset.choose_encoder_offsets(
+        scored, solution, suspected, lambda posed: relearn_noise(posed, settings)[0]
+    )
+    if not with_offsets.alternatives:
+        return with_offsets, solution
+    relearned, begin = relearn_noise(with_offsets, settings)
+    return relearned, solve_or_fall_back(relearned, begin)
 
 
 def relearn_noise(
@@ -248,31 +233,23 @@ def relearn_noise(
     return tune_noise(replace(problem, precision=held), settings)
 
 
-def filter_free_energy(problem: FilterProblem, warm: Solution | None = None) -> float:
-    """Free energy (nats) of the whole log, filtered from where `warm` ended."""
-    return total_free_energy(filter_roughly(problem, warm))
-
-
 def select_reported_states(z: Array, problem: FilterProblem) -> Array:
     """Angles, rates and, if there are any, offsets (E,·) of states z (E,K)."""
     m = len(problem.start)
-    size = problem.dynamics.order * len(problem.start)
-    return np.concatenate([z[:, : 2 * m], z[:, size:]], axis=1)
+    offsets = problem.dynamics.order * m
+    return np.concatenate([z[:, : 2 * m], z[:, offsets:]], axis=1)
 
 
-def warn_of_lost_belief(
-    problem: FilterProblem, names: tuple[str, ...], solved: Solution
-) -> Iterator[Finding]:
+def warn_of_lost_belief(problem: FilterProblem, solved: Solution) -> tuple[Finding, ...]:
     """A warning where the belief was reset."""
     resets = solved.readings.reset
-    return (
-        iter(())
-        if resets is None
-        else warn_of_resets(names, problem.timeline.t, solved.fold.unfold_events(resets))
-    )
+    if resets is None:
+        return ()
+    names = problem.evidence.joints
+    return tuple(warn_of_resets(names, problem.timeline.t, solved.fold.unfold_events(resets)))
 
 
-def offset_variance(problem: FilterProblem, solved: Solution) -> Array:
+def unfold_offset_variance(problem: FilterProblem, solved: Solution) -> Array:
     """Variances (E,M) rad² of the encoder offsets in the filter's state."""
     m = len(problem.start)
     return np.asarray(
@@ -280,10 +257,15 @@ def offset_variance(problem: FilterProblem, solved: Solution) -> Array:
     )
 
 
-def with_repairs(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
-    """Covariances (E,M,M) rad² of angles and the variance that repaired jumps add."""
-    offset_var = None if problem.precision.drift is None else offset_variance(problem, solved)
-    added = encoder_offset.repaired_variance(problem, offset_var)
+def report_angle_covariance(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
+    """Covariances (E,M,M) rad² of angles as the noise model states them, and the variance that
+    repaired jumps add.
+    """
+    cov = problem.precision.stated_covariance(cov, problem.left_open)
+    offset_var = (
+        None if problem.precision.drift is None else unfold_offset_variance(problem, solved)
+    )
+    added = encoder_offset.measure_repair_variance(problem, offset_var)
     return np.asarray(cov + added[:, :, None] * np.eye(added.shape[1]))
 
 
@@ -292,7 +274,7 @@ def find_offset_faults(problem: FilterProblem, solved: Solution) -> tuple[Fault,
     if problem.precision.drift is None:
         return ()
     unfold = solved.fold.unfold_events
-    var = offset_variance(problem, solved)
+    var = unfold_offset_variance(problem, solved)
     offsets = unfold(solved.trace.z[:, problem.dynamics.offset :])
     return encoder_offset.list_drifting_encoders(problem, offsets, var)
 

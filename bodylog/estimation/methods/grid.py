@@ -12,6 +12,7 @@ from ...settings import EstimationSettings
 from ...types import Array, Features, Finding
 from ..faults.screening import screen_measurements
 from ..measurements.gather import choose_initial_angles
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Evidence, Sighting, interpolate_values
 from ..measurements.timeline import Timeline, build_timeline
 from ..noise import noise_model
@@ -73,16 +74,14 @@ class GridProblem:
         return next((sense for sense in self.senses if sense.name == "encoders"), None)
 
     @cached_property
-    def rows(self) -> tuple[Array, Array]:
+    def stacked_readings(self) -> tuple[Array, Array]:
         """Readings (N,R), NaN where absent, and variances (N,R) of all senses beside each other."""
-        pairs = [
-            (np.empty((len(self.t), 0)),) * 2,
-            *((sense.s, sense.sigma) for sense in self.senses),
-        ]
-        s, sigma = (np.hstack(part) for part in zip(*pairs, strict=True))
+        none = np.empty((len(self.t), 0))
+        s = np.hstack([none, *(sense.s for sense in self.senses)])
+        sigma = np.hstack([none, *(sense.sigma for sense in self.senses)])
         return s, sigma
 
-    def predict(self, x: Array) -> tuple[Array, Array, Array]:
+    def predict_senses(self, x: Array) -> tuple[Array, Array, Array]:
         """g (N,R), J (N,R,M) and the models' own variances (N,R) of all senses at x (N,M)."""
         none = x[:, :0], np.empty((len(x), 0, x.shape[1])), x[:, :0]
         parts = zip(none, *(sense.predict(x) for sense in self.senses), strict=True)
@@ -119,7 +118,7 @@ def build_grid_problem(
     )
     sigma_x, moved = _learn_static_variances(encoders, noise.encoder, gains)
     felt = settings.touch == "literal" and any(s.name == "touch" for s in evidence.sightings)
-    width = image_width(features, body) if paper else None
+    width = find_image_width(features, body) if paper else None
     seen = [
         s
         for s in noise_model.with_typed_variances(evidence.sightings, settings)
@@ -138,10 +137,10 @@ def build_grid_problem(
     ]
     touch = build_paper_touch(features, body, t, 1.0 / rate) if felt else None
     learning = GridProblem.learning if settings.lambda_ is None else settings.lambda_
-    first = choose_initial_angles(evidence, settings, body.joints)
+    first = choose_initial_angles(evidence, settings)
     angles = encoders is not None and encoders.model is None
     read = evidence.encoders.values if evidence.encoders is not None and angles else first[None]
-    postures = np.concatenate([first[None], read[np.isfinite(read).all(axis=1)]])
+    postures = np.concatenate([first[None], read[find_finite_rows(read)]])
     return (
         GridProblem(tuple(senses), touch, t, 1.0 / rate, sigma_x, first, moved, postures, learning),
         evidence,
@@ -181,7 +180,7 @@ def find_nearest_index(t: Array, at: Array) -> Array:
     return np.asarray(np.searchsorted(0.5 * (t[1:] + t[:-1]), at))
 
 
-def beliefs_at_instants(
+def hold_beliefs_at_instants(
     line: Timeline,
     evidence: Evidence,
     encoders: GridSense | None,
@@ -198,9 +197,8 @@ def beliefs_at_instants(
     t = line.t[line.outputs]
     every = np.zeros(len(line.t))
     errors = np.full((len(line.t), x.shape[1]), np.nan)
-    held, before = (
-        np.maximum(np.searchsorted(t, line.t, side) - 1, 0) for side in ("right", "left")
-    )
+    held = np.maximum(np.searchsorted(t, line.t, "right") - 1, 0)
+    before = np.maximum(np.searchsorted(t, line.t, "left") - 1, 0)
     every[line.outputs] = nats
     rate = np.diff(x, axis=0, prepend=x[:1]) / np.diff(t, prepend=-np.inf)[:, None]
     if evidence.encoders is not None and encoders is not None:
@@ -212,14 +210,20 @@ def beliefs_at_instants(
         )
     z = np.concatenate([x, rate], axis=1)[held]
     return Beliefs(
-        z, cov[held], every, x[before], moved[before], errors, {}, settings, (), findings
+        z=z,
+        cov=cov[held],
+        nats=every,
+        before=x[before],
+        before_cov=moved[before],
+        encoder_errors=errors,
+        scale={},
+        settings=settings,
+        findings=findings,
     )
 
 
-def image_width(features: Features, body: BodyModel) -> float:
-    """Pixels that count as 1: the image's width if
-    the body stores it, else the largest coordinate.
-    """
+def find_image_width(features: Features, body: BodyModel) -> float:
+    """Pixels that count as 1: the image's width if the body stores it, else the largest coordinate."""
     if "image_width" in body.provenance:
         return float(body.provenance["image_width"])
     seen = [

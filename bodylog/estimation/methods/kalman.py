@@ -16,7 +16,7 @@ from ..measurements.timeline import build_timeline
 from ..noise.noise_model import PAPER_VARIANCES
 from . import results
 from .contract import Method
-from .grid import GRID_RATE_HZ, GridSense, beliefs_at_instants, place_on_grid
+from .grid import GRID_RATE_HZ, GridSense, hold_beliefs_at_instants, place_on_grid
 
 STEP_VARIANCE_RAD2 = 0.001
 """rad² per step: motion, as printed."""
@@ -34,15 +34,15 @@ def estimate_by_kalman_filter(
     line = build_timeline(evidence, settings.rate or GRID_RATE_HZ)
     s, _ = place_on_grid(evidence.encoders.t, evidence.encoders.values, line.t[line.outputs])
     noise = PAPER_VARIANCES[1]
-    x, var, nats = filter_static_angles(
-        s, choose_initial_angles(evidence, settings, body.joints), noise
-    )
-    cov, moved = (v[:, :, None] * np.eye(s.shape[1]) for v in (var, var + STEP_VARIANCE_RAD2))
+    x, var, nats = filter_static_angles(s, choose_initial_angles(evidence, settings), noise)
+    eye = np.eye(s.shape[1])
+    cov = var[:, :, None] * eye
+    moved = (var + STEP_VARIANCE_RAD2)[:, :, None] * eye
     read = GridSense("encoders", s, None, np.full(s.shape, noise))
-    beliefs = beliefs_at_instants(
+    beliefs = hold_beliefs_at_instants(
         line, evidence, read, x, cov, moved, nats, {"process": STEP_VARIANCE_RAD2, "encoder": noise}
     )
-    return results.build_estimate("kalman", body, evidence, line, beliefs)
+    return results.build_estimate("kalman", evidence, line, beliefs)
 
 
 def _choose_encoders(body: BodyModel, settings: EstimationSettings) -> tuple[str, ...]:
@@ -75,7 +75,8 @@ def filter_static_angles(s: Array, x: Array, noise: float) -> tuple[Array, Array
         gain = present[k] * var / total
         x = x + gain * nu
         var = (1.0 - gain) * var
-        after[k], after_var[k] = x, var
+        after[k] = x
+        after_var[k] = var
     return after, after_var, nats
 
 

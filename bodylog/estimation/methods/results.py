@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ...body_model import BodyModel
 from ...linear_algebra import project_covariance
 from ...settings import EstimationSettings
-from ...types import LASTING_ERROR, Array, Estimate, Fault, Finding, Series
+from ...types import HARDWARE_ERRORS, LASTING_ERROR, Array, Estimate, Fault, Finding, Series
 from ..inference.filter_problem import FilterProblem
 from ..measurements.arm_errors import LEAST_NEES
-from ..measurements.long_arrays import find_finite_rows as seen_rows
+from ..measurements.long_arrays import find_finite_rows
 from ..measurements.posture import PostureModel
 from ..measurements.records import Evidence, Sighting
 from ..measurements.timeline import Timeline
@@ -43,52 +42,52 @@ class Beliefs:
     places: tuple[tuple[Array, Array, Array], ...] = ()
 
 
-def build_estimate(
-    method: str, body: BodyModel, evidence: Evidence, line: Timeline, beliefs: Beliefs
-) -> Estimate:
+def build_estimate(method: str, evidence: Evidence, line: Timeline, beliefs: Beliefs) -> Estimate:
     """The public record of one method's beliefs."""
-    m = len(body.joints)
+    m = len(evidence.joints)
     at = line.outputs
     t = line.t[at]
     z = beliefs.z[at]
 
-    def series(values: Array, unit: str) -> Series:
-        return Series(t, values, body.joints, unit, line.source_ns)
+    def make_series(values: Array, unit: str) -> Series:
+        return Series(t, values, evidence.joints, unit, line.source_ns)
 
-    both = zip(evidence.sightings, line.sightings, strict=True)
     places = beliefs.places or tuple(
-        predict_frames(s, beliefs.before[at], beliefs.before_cov[at]) for s, at in both
+        predict_frames(sighting, beliefs.before[rows], beliefs.before_cov[rows])
+        for sighting, rows in zip(evidence.sightings, line.sightings, strict=True)
     )
-    sights = {
-        s.name: standardise_sighting(s, place, beliefs.scale.get(s.name, 1.0))
-        for s, place in zip(evidence.sightings, places, strict=True)
-    }
-    errors = {name: error for name, (error, _, _) in sights.items()}
-    in_images = {
-        s.name
-        for s in evidence.sightings
-        if s.name != "touch" and not isinstance(s.model, PostureModel)
-    }
+    errors = dict[str, Series]()
+    predicted = dict[str, Series]()
+    predicted_cov = dict[str, Array]()
+    for sighting, place in zip(evidence.sightings, places, strict=True):
+        name = sighting.name
+        error, prediction, prediction_cov = standardise_sighting(
+            sighting, place, beliefs.scale.get(name, 1.0)
+        )
+        errors[name] = error
+        if name != "touch" and not isinstance(sighting.model, PostureModel):
+            predicted[name] = prediction
+            predicted_cov[name] = prediction_cov
     if evidence.encoders is not None and np.isfinite(evidence.encoders.values).any():
         rows = beliefs.encoder_errors[line.encoders]
         errors["encoders"] = Series(
-            evidence.encoders.t, rows, body.joints, "std", evidence.encoders.source_ns
+            evidence.encoders.t, rows, evidence.joints, "std", evidence.encoders.source_ns
         )
     hypotheses = (
         {"hypotheses": [asdict(one) for one in evidence.hypotheses]} if evidence.hypotheses else {}
     )
     return Estimate(
         method,
-        series(z[:, :m], "rad"),
-        series(z[:, m : 2 * m], "rad/s"),
+        make_series(z[:, :m], "rad"),
+        make_series(z[:, m : 2 * m], "rad/s"),
         beliefs.cov[at],
         errors,
         np.diff(np.cumsum(beliefs.nats)[at], prepend=0.0),
         evidence.used,
-        {name: predicted for name, (_, predicted, _) in sights.items() if name in in_images},
-        {name: cov for name, (_, _, cov) in sights.items() if name in in_images},
+        predicted,
+        predicted_cov,
         {**beliefs.settings, **hypotheses},
-        series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
+        make_series(z[:, 2 * m :], "rad") if z.shape[1] > 2 * m else None,
         (*evidence.faults, *beliefs.faults),
         (*evidence.findings, *beliefs.findings),
     )
@@ -119,15 +118,13 @@ def find_evident_error(
     lasting = find_lasting_error(
         evidence.encoders, evidence.sightings, beliefs, problem.precision.encoder
     )
-    if lasting is None or nees_if_white(found, lasting.std**2) < LEAST_NEES:
+    if lasting is None or estimate_white_nees(found, lasting.std**2) < LEAST_NEES:
         return None
     return lasting
 
 
-def nees_if_white(found: Estimate, more: Array | float) -> float:
-    """Mean squared error over stated variance, with variance
-    more (M,) rad² beside what is stated.
-    """
+def estimate_white_nees(found: Estimate, more: Array | float) -> float:
+    """Mean squared error over stated variance, with variance more (M,) rad² beside what is stated."""
     stated = np.einsum("nii->ni", found.cov)
     return float(np.median((stated + more) / stated))
 
@@ -137,7 +134,7 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
 
     kept_for: why the error is not taken out of the angles.
     """
-    nees = nees_if_white(found, lasting.std**2)
+    nees = estimate_white_nees(found, lasting.std**2)
     own = {LASTING_ERROR: {**asdict(lasting), "nees_if_white": nees}}
     seen = (
         f"errors last about {lasting.seconds:.2g} s, {1e3 * lasting.std:.2g} mrad "
@@ -156,6 +153,16 @@ def with_lasting_error(found: Estimate, lasting: LastingError, kept_for: str) ->
         cov=found.cov + lasting.std**2 * np.eye(found.cov.shape[1]),
         settings={**found.settings, **own},
         findings=(*found.findings, Finding("warning", text)),
+    )
+
+
+def with_hardware_errors(found: Estimate, errors: Mapping[str, Any], text: str) -> Estimate:
+    """The estimate with the errors of the hardware that its angles allow for, and a warning."""
+    warning = f'{text}; see "What real arms do" in docs/validation.md'
+    return replace(
+        found,
+        settings={**found.settings, HARDWARE_ERRORS: errors},
+        findings=(*found.findings, Finding("warning", warning)),
     )
 
 
@@ -194,7 +201,7 @@ def standardise_sighting(
     )
     np.einsum("fdd->fd", cov)[:] += var
     std = np.sqrt(np.einsum("fdd->fd", cov))
-    seen = seen_rows(sighting.values)
+    seen = find_finite_rows(sighting.values)
     error = ((sighting.values - mean) / std)[seen]
     mean = mean if sighting.displaced is None else mean + sighting.displaced
     errors = Series(sighting.t[seen], error, names, "std", sighting.source_ns[seen])

@@ -40,16 +40,16 @@ from ..inference.solution import (
     smooth_states,
 )
 from .contract import Method
-from .explained import explained_estimate
+from .explained import estimate_with_hardware_errors
 from .filtering import (
     find_offset_faults,
     pose_filter_problem,
+    report_angle_covariance,
     select_reported_states,
     solve_with_offsets,
     solve_with_reacquisition,
     tune_noise,
     warn_of_lost_belief,
-    with_repairs,
 )
 from .results import Beliefs
 
@@ -59,45 +59,42 @@ def estimate_by_smoother(
 ) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
     start_problem = pose_filter_problem(features, body, settings)
-    problem, beliefs = _smooth_log(start_problem, body, settings)
-    return explained_estimate("smoother", body, problem, start_problem, beliefs, settings)
+    problem, beliefs = _smooth_log(start_problem, settings)
+    return estimate_with_hardware_errors(body, problem, start_problem, beliefs, settings)
 
 
 def _smooth_log(
-    start_problem: FilterProblem, body: BodyModel, settings: EstimationSettings
+    start_problem: FilterProblem, settings: EstimationSettings
 ) -> tuple[FilterProblem, Beliefs]:
     """The smoothed beliefs; what they are made of, most of a log's memory, ends here."""
 
-    def solved(problem: FilterProblem) -> tuple[FilterProblem, SmoothedWithResiduals]:
+    def solve_problem(problem: FilterProblem) -> tuple[FilterProblem, SmoothedWithResiduals]:
         problem, warm = tune_noise(problem, settings)
-        solver = (
-            (lambda posed, _: smooth_across_silence(posed)) if problem.stepwise else solve_map_path
-        )
+        solver = None if problem.stepwise else solve_map_path
         problem, smooth = solve_with_offsets(problem, warm, settings, solver, smooth_across_silence)
         return problem, remove_outliers(problem, smooth)
 
-    problem, smooth = solve_with_reacquisition(start_problem, solved)
+    problem, smooth = solve_with_reacquisition(start_problem, solve_problem)
     found = smooth.left_out
     unfold = smooth.fold.unfold_events
     m = len(problem.start)
     precision = problem.precision
     z = unfold(smooth.z)
-    cov = precision.stated_covariance(unfold(smooth.cov)[:, :m, :m], problem.left_open)
-    cov = with_repairs(cov, problem, smooth)
+    cov = report_angle_covariance(unfold(smooth.cov)[:, :m, :m], problem, smooth)
     errors = np.full((*problem.timeline.t.shape, m), np.nan)
     errors[problem.timeline.encoders] = found.encoders
     beliefs = Beliefs(
-        select_reported_states(z, problem),
-        cov,
-        compute_smoothed_free_energy(problem, smooth, found),
-        z[:, :m],
-        cov,
-        errors,
-        precision.scale,
-        precision.plain_numbers(),
-        find_offset_faults(problem, smooth),
-        tuple(warn_of_lost_belief(problem, body.joints, smooth)),
-        found.places,
+        z=select_reported_states(z, problem),
+        cov=cov,
+        nats=compute_smoothed_free_energy(problem, smooth, found),
+        before=z[:, :m],
+        before_cov=cov,
+        encoder_errors=errors,
+        scale=precision.scale,
+        settings=precision.plain_numbers(),
+        faults=find_offset_faults(problem, smooth),
+        findings=warn_of_lost_belief(problem, smooth),
+        places=found.places,
     )
     return problem, beliefs
 

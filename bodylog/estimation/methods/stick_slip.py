@@ -14,26 +14,29 @@ from math import tau
 
 import numpy as np
 
-from ...body_model import BodyModel
 from ...motion import START_STD
 from ...settings import EstimationSettings
-from ...types import HARDWARE_ERRORS, Array, Estimate, Finding
+from ...types import Array, Estimate
 from ..factors.robust import OUTLIER_SHARE, measure_image_span
 from ..factors.whole_log import LEARNED_S
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.filter_problem import FilterProblem
-from ..measurements.long_arrays import find_finite_rows, median_step
+from ..measurements.long_arrays import find_finite_rows, measure_median_step
 from ..measurements.records import Encoders, Sighting
 from ..noise.quantisation import weigh_as_one
 from . import results
 from .results import Beliefs
 from .trust import RoughMotion
 
-GRID = ((1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0), (1.0, 3.0, 10.0, 30.0), (1.0, 4.0, 16.0, 64.0))
+TRIED_SLIPS = (
+    (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0),
+    (1.0, 3.0, 10.0, 30.0),
+    (1.0, 4.0, 16.0, 64.0),
+)
 """Tried first: variances of readings over that of a smooth motion, sizes of slips over its standard
 deviation, and slips a second.
 """
-FINER = (2.0, 1.4)
+REFINING_FACTORS = (2.0, 1.4)
 """Factors by which each of these is then moved to either side. Of 18 joints of 6 logs that were
 drawn from the model sizes are learned to 16 % and rates to 15 %; without, to 38 and 51 %, with 2
 alone to 25 and 23 %, with 1.2 as well to 12 and 17 %.
@@ -73,32 +76,25 @@ class StuckBelief:
 
 
 def estimate_stick_slip(
-    method: str,
-    body: BodyModel,
-    problem: FilterProblem,
-    beliefs: Beliefs,
-    settings: EstimationSettings,
-    rough: RoughMotion,
+    problem: FilterProblem, beliefs: Beliefs, settings: EstimationSettings, rough: RoughMotion
 ) -> Estimate | None:
     """The estimate with joints that stick and slip, where it predicts images, or all
     measurements, by EVIDENCE_THRESHOLD_NATS better than a smooth motion; else None.
 
     Rates are those of the smooth motion.
     """
-    if settings.hardware_errors == "widen" or settings.typed or problem.stepwise:
-        return None
-    if settings.motion != "auto":
+    if settings.hardware_errors == "widen" or settings.typed or settings.motion != "auto":
         return None
     encoders = problem.evidence.encoders
-    if encoders is None or problem.precision.drift is not None:
+    if encoders is None or problem.stepwise or problem.precision.drift is not None:
         return None
     encoders = _weigh_counts(encoders)
     problem = replace(problem, evidence=replace(problem.evidence, encoders=encoders))
     slips = learn_slips(encoders, problem.precision.encoder)
-    t = problem.timeline.t
-    early = range(int(np.searchsorted(t, t[0] + LEARNED_S, "right")))
     if not _sticks_and_slips(encoders, slips):
         return None
+    t = problem.timeline.t
+    early = range(int(np.searchsorted(t, t[0] + LEARNED_S, "right")))
     scales, first = _learn_image_noise(problem, slips, early)
     judged = rough.at < len(early)
     images = first.image_nats[np.unique(rough.at[judged])]
@@ -113,7 +109,7 @@ def estimate_stick_slip(
         after = follow_slips(problem, slips, scales, range(len(t) - 1, -1, -1))
         found = join_beliefs(problem.timeline.t, found, after, slips)
     z = beliefs.z.copy()
-    z[:, : len(body.joints)] = found.mean
+    z[:, : found.mean.shape[1]] = found.mean
     explained = replace(
         beliefs,
         z=z,
@@ -124,19 +120,12 @@ def estimate_stick_slip(
         encoder_errors=found.errors,
         places=(),
     )
-    made = results.build_estimate(method, body, problem.evidence, problem.timeline, explained)
-    sizes = dict(zip(body.joints, slips.size.tolist(), strict=True))
+    made = results.build_estimate(settings.method, problem.evidence, problem.timeline, explained)
+    sizes = dict(zip(problem.evidence.joints, slips.size.tolist(), strict=True))
     errors = {"play": {}, "lasting": None, "load": None, "late": {}, "gains": {}, "slips": sizes}
     each = ", ".join(f"{name} {np.rad2deg(size):.2g}°" for name, size in sizes.items())
-    text = (
-        f"joints stick and slip, by about {each} at once: angles follow the readings; "
-        'see "What real arms do" in docs/validation.md'
-    )
-    return replace(
-        made,
-        settings={**made.settings, HARDWARE_ERRORS: errors},
-        findings=(*made.findings, Finding("warning", text)),
-    )
+    text = f"joints stick and slip, by about {each} at once: angles follow the readings"
+    return results.with_hardware_errors(made, errors, text)
 
 
 def _weigh_counts(encoders: Encoders) -> Encoders:
@@ -152,16 +141,9 @@ def _weigh_counts(encoders: Encoders) -> Encoders:
 
 
 def _sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
-    """Whether some joint stands still between slips: errors that last make other steps
-    each time.
-    """
-    slipping = -np.expm1(-slips.rate * median_step(encoders.t))
-    return bool((~_find_constant(encoders) & (slipping < MOST_SLIPPING)).any())
-
-
-def _find_constant(encoders: Encoders) -> Array:
-    """Joints (M,) bool whose readings never change: they tell of no noise, and of no slip."""
-    return np.asarray(np.nanmax(encoders.values, axis=0) == np.nanmin(encoders.values, axis=0))
+    """Whether some joint stands still between slips: errors that last make other steps each time."""
+    slipping = -np.expm1(-slips.rate * measure_median_step(encoders.t))
+    return bool((slipping < MOST_SLIPPING).any())
 
 
 def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
@@ -170,21 +152,18 @@ def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
     """
     centre = 0.5 * (encoders.t[0] + encoders.t[-1])
     rows = np.abs(encoders.t - centre) <= 0.5 * LEARNED_S
-    read = (encoders.t[rows], encoders.values[rows], encoders.relative[rows])
-    # readings between two counts repeat, as those of a joint that stands still do
-    counts = np.where(_find_constant(encoders), variance, encoders.count_variance)
-    least = np.stack([counts, np.zeros(len(counts)), np.zeros(len(counts))])[:, None]
-    units = np.stack([variance, np.sqrt(variance), np.ones(len(counts))])[:, None]
-    grid = np.array(np.meshgrid(*GRID, indexing="ij")).reshape(3, -1)[..., None]
-    best = _most_evident(read, np.maximum(grid * units, least))
-    for factor in FINER:
+    read = (encoders.t[rows], encoders.values[rows], encoders.relative_variance[rows])
+    std = np.sqrt(variance)
+    grid = np.array(np.meshgrid(*TRIED_SLIPS, indexing="ij")).reshape(3, -1)[..., None]
+    best = _choose_most_evident(read, grid * np.stack([variance, std, np.ones(len(std))])[:, None])
+    for factor in REFINING_FACTORS:
         steps = np.array([1.0 / factor, 1.0, factor])
         grid = np.array(np.meshgrid(steps, steps, steps, indexing="ij")).reshape(3, -1)[..., None]
-        best = _most_evident(read, np.maximum(grid * best[:, None], least))
+        best = _choose_most_evident(read, grid * best[:, None])
     return StickSlip(*best)
 
 
-def _most_evident(read: tuple[Array, Array, Array], tried: Array) -> Array:
+def _choose_most_evident(read: tuple[Array, Array, Array], tried: Array) -> Array:
     """Of parameters (3,G,M), those (3,M) of most evidence by readings at t (N,), values (N,M), and
     relative variances (N,M).
     """
@@ -252,7 +231,7 @@ def follow_slips(
     readings = np.full((count, m), np.nan)
     readings[line.encoders] = encoders.values
     noise = np.tile(slips.white, (count, 1))
-    noise[line.encoders] *= encoders.relative
+    noise[line.encoders] *= encoders.relative_variance
     frames: list[list[tuple[int, int]]] = [[] for _ in range(count)]
     spans = {}
     for number, (sighting, at) in enumerate(

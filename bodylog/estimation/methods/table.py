@@ -13,7 +13,7 @@ METHODS: Mapping[str, Method] = {
 }
 
 
-def ignored_settings(settings: EstimationSettings) -> tuple[Finding, ...]:
+def warn_of_ignored_settings(settings: EstimationSettings) -> tuple[Finding, ...]:
     """Warnings for settings that differ from their defaults and that the method ignores."""
     heeds = METHODS[settings.method].heeds
     paper = settings.preset == "paper"

@@ -28,7 +28,7 @@ from ..factors.whole_log import (
 from ..faults.threshold import SIGNIFICANT_SIGMA
 from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
-from ..measurements.long_arrays import MIN_READINGS
+from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence
 from ..noise.lasting_error import MOST_COUNTS
@@ -64,10 +64,10 @@ a microrad would be.
 """
 
 
-def reason_to_widen(
-    problem: FilterProblem, names: tuple[str, ...], std: float, settings: EstimationSettings
+def find_reason_to_widen(
+    problem: FilterProblem, std: float, settings: EstimationSettings
 ) -> str | None:
-    """Why an error of std rad is not looked for in the log of these joints; None if it is."""
+    """Why an error of std rad is not looked for in the log; None if it is."""
     if settings.hardware_errors == "widen":
         return 'type hardware_errors = "explain" under [estimate] to have them taken out'
     if settings.motion not in ("auto", WHITE_JERK):
@@ -81,12 +81,12 @@ def reason_to_widen(
     turns = measure_turns(problem.evidence.encoders)
     still = (turns < LEAST_TURN * std) & ~find_resting_joints(problem)
     for j in np.flatnonzero(still).tolist():
-        turn = f"{names[j]} turns by {turns[j]:.2g} rad"
+        turn = f"{problem.evidence.joints[j]} turns by {turns[j]:.2g} rad"
         return f"{turn}, too little to tell them from the body's error"
     return None
 
 
-def reason_of_disagreement(
+def find_reason_of_disagreement(
     problem: FilterProblem, beliefs: Beliefs, found: ExplainedLog, causal: bool
 ) -> str | None:
     """Why the solution with white noise is not that of the beliefs; None if it is.
@@ -122,19 +122,21 @@ def reason_of_disagreement(
 def _move_readings_to_links(problem: FilterProblem, explanation: Explanation) -> FilterProblem:
     """The problem with readings of the links, which bend under the load that explains the log."""
 
-    def move(t: Array, angles: Array) -> Array:
+    def bend_with_load(t: Array, angles: Array) -> Array:
         return angles + bend_under_load(explanation.columns, explanation.learned.sizes, t, angles)
 
     encoders = problem.evidence.encoders
     assert encoders is not None  # of what is explained
-    read = replace(encoders, values=move(encoders.t, encoders.values))
+    read = replace(encoders, values=bend_with_load(encoders.t, encoders.values))
     evidence = replace(problem.evidence, encoders=read)
     return replace(
-        problem, evidence=evidence, start=move(problem.timeline.t[:1], problem.start[None])[0]
+        problem,
+        evidence=evidence,
+        start=bend_with_load(problem.timeline.t[:1], problem.start[None])[0],
     )
 
 
-def reason_of_misfit(
+def find_reason_of_misfit(
     problem: FilterProblem, found: ExplainedLog, solved: SolvedLog, causal: bool
 ) -> str | None:
     """Why the explained log is not to be trusted by what it leaves unexplained; None if it is."""
@@ -163,12 +165,11 @@ class RoughMotion:
 def measure_rough_motion(
     problem: FilterProblem, beliefs: Beliefs, causal: bool
 ) -> RoughMotion | None:
-    """What joints do beside the motion that is assumed;
-    None where a log shows no such thing.
+    """What joints do beside the motion that is assumed; None where a log shows no such thing.
 
     Where a filter's innovations are not white, all noise of readings may be motion; images show
-    what part of it is.
-    causal: whether problem and beliefs are those of a filter; a smoother's log is filtered here.
+    what part of it is. A smoother's log is filtered here: causal is whether problem and beliefs are
+    those of a filter.
     """
     encoders = problem.evidence.encoders
     if encoders is None or problem.stepwise:
@@ -189,7 +190,7 @@ def measure_rough_motion(
         x, cov, read, nats = map(solution.fold.unfold_events, found)
     products, weights, image_nats, at = _compare_images_with_readings(problem, x, cov, read)
     noise = problem.precision.encoder
-    coloured = _find_coloured(read[problem.timeline.encoders], encoders, noise)
+    coloured = _find_coloured_joints(read[problem.timeline.encoders], encoders, noise)
     variance = np.maximum(np.where(coloured, noise, 0.0), _measure_shared_motion(products, weights))
     if not variance.any():
         return None
@@ -215,7 +216,7 @@ def _compare_images_with_readings(
         if sighting.name == "touch" or sighting.cov is not None:
             continue
         before = np.searchsorted(line.encoders, at) - 1
-        usable = (before >= 0) & np.isfinite(sighting.values).all(axis=1)
+        usable = (before >= 0) & find_finite_rows(sighting.values)
         rows = at[usable]
         earlier = line.encoders[before[usable]]
         seen = sighting.values[usable]
@@ -227,7 +228,7 @@ def _compare_images_with_readings(
         pull = np.einsum("fdm,fd->fm", jac, off / np.sqrt(size))
         product = pull * stated * np.clip(read[earlier], -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
         weight = np.einsum("fdm,fd->fm", np.square(jac), 1.0 / size)
-        there, near = _with_readings_there(x[rows], cov[rows], read[rows], noise)
+        there, near = _weigh_readings_there(x[rows], cov[rows], read[rows], noise)
         mean, jac, model_var = sighting.model.predict(there)
         total = project_covariance(jac, near)
         np.einsum("fdd->fd", total)[:] += model_var + var
@@ -236,7 +237,7 @@ def _compare_images_with_readings(
         )
         found.append((product, weight, nats, rows))
     product, weight, nats, rows = map(np.concatenate, zip(*found, strict=True))
-    known = np.isfinite(product).all(axis=1)
+    known = find_finite_rows(product)
     return product[known], weight[known], nats[known], rows[known]
 
 
@@ -256,7 +257,7 @@ def _measure_shared_motion(products: Array, weights: Array) -> Array:
     return np.asarray(np.divide(shared, weight, out=np.zeros(len(weight)), where=shown))
 
 
-def _find_coloured(errors: Array, encoders: Encoders, noise: Array) -> Array:
+def _find_coloured_joints(errors: Array, encoders: Encoders, noise: Array) -> Array:
     """Joints (M,) bool whose innovations (N,M), in standard deviations, are not white. Those
     whose noise is that of whole counts have none that are.
     """
@@ -277,7 +278,7 @@ def _find_coloured(errors: Array, encoders: Encoders, noise: Array) -> Array:
     return found
 
 
-def _with_readings_there(x: Array, cov: Array, read: Array, noise: Array) -> tuple[Array, Array]:
+def _weigh_readings_there(x: Array, cov: Array, read: Array, noise: Array) -> tuple[Array, Array]:
     """Angles (F,M) and their covariances (F,M,M) with the readings of the same
     instant, of errors read (F,M) in standard deviations, NaN where there are none.
     """

@@ -13,7 +13,7 @@ from scipy.special import wrightomega
 from ...types import Array
 from ..inference.kernel_call import bind_kernel_call
 from ..inference.scan import GATE_SIGMA
-from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, median_step
+from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, measure_median_step
 from ..measurements.records import Encoders
 from ..measurements.timeline import GAP_STEPS, MAX_OUTPUT_RATE_HZ
 from .quantisation import compute_repeat_factor, dither_readings
@@ -202,7 +202,7 @@ def compute_least_process(t: Array, encoder: Array, order: int) -> Array:
     """Least density (M,), which bounds a filter's memory, (R
     Δt / q)^(1/2p), by MAX_MEMORY_S; p is the motion's order.
     """
-    step = median_step(t) if len(t) > 1 else 0.0
+    step = measure_median_step(t) if len(t) > 1 else 0.0
     return np.asarray(encoder * step / MAX_MEMORY_S ** (2 * order))
 
 
@@ -214,7 +214,7 @@ def find_likeliest_noise(
     usual: noise variance of a reading before any is known · known: that of a mean.
     """
     # a ratio of 1 per average has a memory of one average
-    ratios = TRIED_MEMORIES ** (-2 * order) / median_step(averages[0]) ** (2 * order - 1)
+    ratios = TRIED_MEMORIES ** (-2 * order) / measure_median_step(averages[0]) ** (2 * order - 1)
     score, noise, lag = compute_encoder_evidence(*averages, ratios, usual / each, order, known)
     ratio, variance, nats = _fit_evidence_peak(ratios, score, noise)
     if lag[score.argmax()] > GATE_SIGMA:
@@ -244,7 +244,7 @@ def count_readings_per_average(t: Array) -> int:
     """Readings at t (N,) s within one step of the fastest output."""
     if len(t) < 2:
         return 1
-    return max(1, round(1.0 / MAX_OUTPUT_RATE_HZ / max(median_step(t), 1e-9)))
+    return max(1, round(1.0 / MAX_OUTPUT_RATE_HZ / max(measure_median_step(t), 1e-9)))
 
 
 def average_close_readings(found: Encoders) -> Encoders:
@@ -262,7 +262,7 @@ def _average_rows(found: Encoders, part: Array) -> Encoders:
     each = count_readings_per_average(found.t[part])
     joints = found.values.shape[1]
     part = part[: len(part) // each * each]
-    weights = (1.0 / found.relative[part]).reshape(-1, each, joints)
+    weights = (1.0 / found.relative_variance[part]).reshape(-1, each, joints)
     values = found.values[part].reshape(-1, each, joints)
     total = weights.sum(axis=1)
     t = found.t[part].reshape(-1, each).mean(axis=1)
@@ -288,7 +288,7 @@ def _merge_encoders(parts: list[Encoders]) -> Encoders:
         read = np.isfinite(part.values[0])
         values[np.ix_(at, read)] = part.values[:, read]
         source[at] = part.source_ns
-        relative[np.ix_(at, read)] = part.relative[:, read]
+        relative[np.ix_(at, read)] = part.relative_variance[:, read]
     return Encoders(t, values, source, relative)
 
 
@@ -317,7 +317,7 @@ def _find_breaks(t: Array, y: Array) -> Array:
     at = np.flatnonzero(_find_far_bends(np.abs(np.diff(steps))))
     at = at[~_find_lasting_motion(steps, at)]
     fresh[at + 1] = fresh[at + 2] = True
-    fresh[1:] |= np.diff(t) > GAP_STEPS * median_step(t)
+    fresh[1:] |= np.diff(t) > GAP_STEPS * measure_median_step(t)
     return fresh
 
 

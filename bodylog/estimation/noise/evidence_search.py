@@ -37,7 +37,7 @@ from ..inference.scan import (
 )
 from ..inference.solution import Solution, hand_back_adjoints, smooth_states
 from ..inference.tangents import repeat_state_prior
-from ..measurements.long_arrays import find_finite_rows, median_step
+from ..measurements.long_arrays import find_finite_rows, measure_median_step
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import (
     GAP_STEPS,
@@ -323,7 +323,7 @@ def _tune_filter_noise(problem: FilterProblem, part: FilterProblem, solved: Solu
     alone = precision.process if precision.evidence_process is None else precision.evidence_process
     if encoders is None or len(encoders.t) < 2:
         return replace(part.precision, process=0.5 * (alone + part.precision.process))
-    density = precision.encoder * median_step(encoders.t)
+    density = precision.encoder * measure_median_step(encoders.t)
     var = solved.fold.unfold_events(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))
     together = np.sqrt(var).mean(axis=0)
     unknown, white = (
@@ -391,7 +391,9 @@ def compute_candidate_costs(
     ):
         if sighting.name in names:
             pixels = np.zeros_like(readings.var[:, index])
-            fold.write_events(pixels[:, : sighting.var.shape[1]], events, sighting.independent.var)
+            fold.write_events(
+                pixels[:, : sighting.var.shape[1]], events, sighting.independent_rows.var
+            )
             scale = part.precision.scale[sighting.name]
             more = candidates[:, m + names.index(sighting.name)] - scale
             # a lasting error counts less than its variance in a filter's
@@ -423,7 +425,7 @@ def cut_problem(problem: FilterProblem, low: float, high: float) -> FilterProble
     if found is None:
         return _replace_measurements(problem, None, sightings)
     part = found.select_rows((found.t >= low) & (found.t <= high))
-    start = found.at(np.array([low]))[0]
+    start = found.interpolate_at(np.array([low]))[0]
     return replace(
         _replace_measurements(problem, part, sightings),
         start=np.where(np.isfinite(start), start, problem.start),

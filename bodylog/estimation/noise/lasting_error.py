@@ -22,7 +22,7 @@ import numpy as np
 from ...linear_algebra import forward_substituted
 from ...types import Array
 from ..faults.threshold import SIGNIFICANT_SIGMA
-from ..measurements.long_arrays import MIN_READINGS, find_finite_rows, median_step
+from ..measurements.long_arrays import MIN_READINGS, find_finite_rows, measure_median_step
 from ..measurements.records import Encoders, Sighting, mix_rows
 from .correlated_noise import PIXEL_CORRELATION_PX, correlate_postures
 
@@ -173,7 +173,7 @@ def _list_stretch_residuals(
     tells = changes & (belief.offsets == 0.0).all(axis=0)
     has_reading = np.isfinite(read) & tells
     angles = np.where(has_reading, read, belief.angles)
-    values, var, mix = sighting.independent
+    values, var, mix = sighting.independent_rows
     usable = np.flatnonzero(find_finite_rows(values) & find_finite_rows(angles))
     if len(usable) < MIN_READINGS or not has_reading.any():
         return
@@ -213,7 +213,9 @@ def _interpolate_readings(encoders: Encoders, t: Array) -> Array:
     end = encoders.t[after]
     share = ((t - begin) / (end - begin))[:, None]
     read = (1.0 - share) * encoders.values[after - 1] + share * encoders.values[after]
-    usual = (t >= begin) & (t <= end) & (end - begin <= MOST_STEPS * median_step(encoders.t))
+    usual = (
+        (t >= begin) & (t <= end) & (end - begin <= MOST_STEPS * measure_median_step(encoders.t))
+    )
     return np.asarray(np.where(usual[:, None], read, np.nan))
 
 

@@ -15,7 +15,7 @@ from ...settings import EstimationSettings
 from ...types import Estimate, Fault, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import repair_readings
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, SIGNIFICANT_SIGMA
-from ..measurements.arm_errors import ArmErrors, learned_arm_errors, shift_by_rows, with_links
+from ..measurements.arm_errors import ArmErrors, read_arm_errors, shift_by_rows, with_links
 from ..measurements.gather import gather_measurements
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track import camera_of_track
@@ -42,7 +42,7 @@ class CorrectedFeatures:
 
 
 def correct_camera_delays(
-    features: Features, body: BodyModel, given: str | Mapping[str, float] = "auto"
+    features: Features, body: BodyModel, given: str | Mapping[str, float]
 ) -> CorrectedFeatures:
     """Subtract each camera's delay: as `given` {camera:
     s}, none if "off", else measured from the log.
@@ -51,39 +51,40 @@ def correct_camera_delays(
     UsageError for an unknown camera, ModelError for a body with invalid delays.
     """
     names = list_track_cameras([*features.tracks, *body.senses])
-    learned = learned_delays(body)
-    fixed = fixed_delays(given, names)
+    learned = read_learned_delays(body)
+    fixed = select_fixed_delays(given, names)
     delays = {name: fixed.get(name, learned.get(name, 0.0)) for name in ("joints", *names)}
     errors = dict[str, float]()
-    residuals = measured_delays(shift_features(features, delays), body)
+    residuals = measure_camera_delays(shift_features(features, delays), body)
     shown = {
-        name: Delay(
-            delays[name] + rest.seconds, rest.std_error, _reason_not_applied(rest, name in fixed)
-        )
+        name: Delay(delays[name] + rest.seconds, rest.std_error, _find_doubt(rest, name in fixed))
         for name, rest in residuals.items()
     }
     free = {name: rest for name, rest in residuals.items() if name not in fixed}
     unsure = {name: rest.seconds for name, rest in free.items() if rest.doubt and is_evident(rest)}
-    unapplied = tuple(unapplied_findings(free, delays))
-    for name, residual in residuals.items():
-        if is_significant(residual) and name not in fixed:
-            own = replace(residual, seconds=delays[name] + residual.seconds)
+    unapplied = tuple(report_unapplied_delays(free, delays))
+    for name, rest in free.items():
+        if not is_significant(rest):
+            continue
+        own = replace(rest, seconds=delays[name] + rest.seconds)
+        if not delays[name] or own.nats > EVIDENCE_THRESHOLD_NATS:
+            delays[name] = own.seconds
+            errors[name] = own.std_error
+        else:
             # a camera without its learned delay more likely has none than the measured rest
-            keep = not delays[name] or own.nats > EVIDENCE_THRESHOLD_NATS
-            delays[name], errors[name] = (own.seconds, own.std_error) if keep else (0.0, 0.0)
+            delays[name] = 0.0
     weighed = tuple(
         Hypothesis(
             "camera late",
             name,
-            residual.nats,
+            rest.nats,
             EVIDENCE_THRESHOLD_NATS,
-            name not in fixed and is_significant(residual),
+            name in free and is_significant(rest),
         )
-        for name, residual in residuals.items()
+        for name, rest in residuals.items()
     )
-    errors = {name: error for name, error in errors.items() if error}
     delays = {name: delay for name, delay in delays.items() if delay}
-    findings = (*delay_findings(delays, errors, residuals, fixed), *unapplied)
+    findings = (*report_delays(delays, errors, residuals, fixed), *unapplied)
     return CorrectedFeatures(
         shift_features(features, delays), delays, errors, shown, unsure, findings, weighed
     )
@@ -101,7 +102,7 @@ def measure_delays_left(
     off = {
         name for fault in faults if FORMS[fault.sense, fault.kind].offset for name in fault.names
     }
-    found = measured_delays(features, body, off) if off else {}
+    found = measure_camera_delays(features, body, off) if off else {}
     return {
         name: {"seconds": one.seconds, "std": one.std_error, "nats": one.nats}
         for name, one in found.items()
@@ -122,7 +123,7 @@ def reconsider_delays(
     left {camera: seconds, std, nats}: what is left of each delay with those errors accounted for. A
     delay is changed where what is left is evident, and where the whole of it no longer is.
     """
-    fixed = fixed_delays(given, list_track_cameras([*features.tracks, *body.senses]))
+    fixed = select_fixed_delays(given, list_track_cameras([*features.tracks, *body.senses]))
     totals = {
         name: Delay(timely.delays.get(name, 0.0) + one["seconds"], one["std"])
         for name, one in left.items()
@@ -139,30 +140,31 @@ def reconsider_delays(
     if not free:
         return None
     found = {name: total for name, total in free.items() if is_significant(total)}
-    delays, errors = (
-        {name: size for name, size in sizes.items() if name not in free}
-        for sizes in (timely.delays, timely.errors)
-    )
+    delays = {name: seconds for name, seconds in timely.delays.items() if name not in free}
+    errors = {name: error for name, error in timely.errors.items() if name not in free}
     delays |= {name: total.seconds for name, total in found.items()}
     errors |= {name: total.std_error for name, total in found.items()}
     explained = {
         name: replace(one, doubt="joints' errors explain it") for name, one in free.items()
     }
-    measured = {**timely.measured, **explained, **found}
-    threshold = EVIDENCE_THRESHOLD_NATS
     text = "camera late beside errors of joints"
-    weighed = tuple(
-        Hypothesis(text, name, total.nats, threshold, name in found) for name, total in free.items()
+    weighed = (
+        Hypothesis(text, name, total.nats, EVIDENCE_THRESHOLD_NATS, name in found)
+        for name, total in free.items()
     )
-    unsure = {name: seconds for name, seconds in timely.unsure.items() if name not in free}
     others = [one for one in timely.findings if one.text.partition(":")[0] not in free]
-    findings = (*others, *delay_findings({name: delays[name] for name in found}, errors, {}, fixed))
-    shown = shift_features(features, delays)
-    weighed = (*timely.hypotheses, *weighed)
-    return CorrectedFeatures(shown, delays, errors, measured, unsure, findings, weighed)
+    return CorrectedFeatures(
+        shift_features(features, delays),
+        delays,
+        errors,
+        {**timely.measured, **explained, **found},
+        {name: seconds for name, seconds in timely.unsure.items() if name not in free},
+        (*others, *report_delays({name: delays[name] for name in found}, errors, {}, fixed)),
+        (*timely.hypotheses, *weighed),
+    )
 
 
-def _reason_not_applied(residual: Delay, is_fixed: bool) -> str:
+def _find_doubt(residual: Delay, is_fixed: bool) -> str:
     """Why the rest of a delay is not applied; "" if it is."""
     if is_fixed:
         return "the delay is given"
@@ -175,14 +177,14 @@ def _reason_not_applied(residual: Delay, is_fixed: bool) -> str:
     return "" if is_significant(residual) else f"it is less than {1e3 * MIN_DELAY_S:g} ms"
 
 
-def unapplied_findings(
+def report_unapplied_delays(
     residuals: Mapping[str, Delay], applied: Mapping[str, float]
 ) -> Iterator[Finding]:
     """Yield a remark on each rest of a delay that is not
     applied: a warning where its evidence is sufficient.
     """
     for name, rest in residuals.items():
-        if doubt := _reason_not_applied(rest, False):
+        if doubt := _find_doubt(rest, False):
             sure = is_evident(rest)
             before = f"{applied[name]:.4f} s corrected; " if applied[name] else ""
             text = (
@@ -194,7 +196,7 @@ def unapplied_findings(
             yield Finding("warning" if sure else "info", text + advice)
 
 
-def fixed_delays(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
+def select_fixed_delays(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
     """Delays (s) of joints and cameras that are given,
     not measured; UsageError for an unknown name.
     """
@@ -249,28 +251,25 @@ def shift_features(
     return shifted if errors is None else with_links(shifted, errors.play)
 
 
-def measured_delays(
+def measure_camera_delays(
     features: Features, body: BodyModel, walking: Collection[str] = ()
 ) -> dict[str, Delay]:
     """Measure each camera's delay relative to the encoders, where the log determines it.
 
     walking: joints whose encoders drift or have been shifted.
     """
-    linked = with_links(features, learned_arm_errors(body).play)
-    encoders, seen = sound_measurements(linked, body)
+    linked = with_links(features, read_arm_errors(body).play)
+    encoders, seen = gather_sound_measurements(linked, body)
     joints = tuple(k for k, name in enumerate(body.joints) if name in walking)
-    found = (
-        {}
-        if encoders is None
-        else {
-            name: measure_delay_by_regression(encoders, tracks, joints)
-            for name, tracks in seen.items()
-        }
-    )
+    if encoders is None:
+        return {}
+    found = {
+        name: measure_delay_by_regression(encoders, tracks, joints) for name, tracks in seen.items()
+    }
     return {name: delay for name, delay in found.items() if delay is not None}
 
 
-def sound_measurements(
+def gather_sound_measurements(
     features: Features, body: BodyModel
 ) -> tuple[Encoders | None, Mapping[str, Sequence[Sighting]]]:
     """Sound encoder readings and each camera's tracks; None if a joint is missing."""
@@ -279,15 +278,16 @@ def sound_measurements(
     if joints is None or "encoders" in body.senses or not set(body.joints) <= set(joints.names):
         return None, {}
     found = gather_measurements(features, body, EstimationSettings(without=("touch",)))
-    for sighting in (one for one in found.sightings if one.name in features.tracks):
-        seen.setdefault(camera_of_track(sighting.name), []).append(sighting)
+    for sighting in found.sightings:
+        if sighting.name in features.tracks:
+            seen.setdefault(camera_of_track(sighting.name), []).append(sighting)
     return None if found.encoders is None else repair_readings(found.encoders), seen
 
 
 def restore_stamps(found: Estimate, features: Features) -> Estimate:
     """The estimate with the images' timestamps of `features`, whose times were corrected for it."""
 
-    def stamped(name: str, series: Series) -> Series:
+    def restore_times(name: str, series: Series) -> Series:
         track = features.tracks.get(name)
         if track is None:
             return series
@@ -295,10 +295,8 @@ def restore_stamps(found: Estimate, features: Features) -> Estimate:
         rows = np.searchsorted(track.source_ns, series.source_ns, sorter=order)
         return replace(series, t=track.t[order[rows]])
 
-    each = (found.errors, found.predicted)
-    errors, predicted = (
-        {name: stamped(name, series) for name, series in one.items()} for one in each
-    )
+    errors = {name: restore_times(name, series) for name, series in found.errors.items()}
+    predicted = {name: restore_times(name, series) for name, series in found.predicted.items()}
     return replace(found, errors=errors, predicted=predicted)
 
 
@@ -318,7 +316,7 @@ def add_delay_uncertainty(found: Estimate, timely: CorrectedFeatures) -> Estimat
     return replace(found, cov=found.cov + var * rate[:, :, None] * rate[:, None, :])
 
 
-def delay_findings(
+def report_delays(
     delays: Mapping[str, float],
     errors: Mapping[str, float],
     residuals: Mapping[str, Delay],
@@ -365,7 +363,7 @@ def _shift_series(series: Series, delay: float) -> Series:
     return replace(series, t=series.t - delay) if delay else series
 
 
-def learned_delays(body: BodyModel) -> dict[str, float]:
+def read_learned_delays(body: BodyModel) -> dict[str, float]:
     """Delays (s) by camera that a body was learned with;
     ModelError for anything else in its provenance.
     """

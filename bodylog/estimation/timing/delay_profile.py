@@ -64,7 +64,7 @@ def fit_profile_peak(left: Array, middle: Array, right: Array) -> tuple[Array, A
     return np.where(bend > 0.0, 0.5 * (right - left) / curved, 0.0), bend
 
 
-def jackknife_error(without: Array) -> Array:
+def measure_jackknife_error(without: Array) -> Array:
     """Standard errors from estimates (K,...) that leave out one of K parts each (Künsch 1989)."""
     spread = np.square(without - without.mean(axis=0)).sum(axis=0)
     return np.asarray(np.sqrt((1.0 - 1.0 / len(without)) * spread))

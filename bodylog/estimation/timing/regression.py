@@ -20,8 +20,13 @@ from ..faults.threshold import PRIOR_STD_RAD, SIGNIFICANT_SIGMA
 from ..inference.scan import CONVERGED_MOVE, MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Sighting
-from ..measurements.track_curve import MAX_CURVE_MEANS, RegressionRows, regression_rows, track_curve
-from .delay_profile import Delay, climb_profile, jackknife_error
+from ..measurements.track_curve import (
+    MAX_CURVE_MEANS,
+    RegressionRows,
+    build_regression_rows,
+    build_track_curve,
+)
+from .delay_profile import Delay, climb_profile, measure_jackknife_error
 
 HALF_WEIGHT_SQUARE = 4.0
 """Squared residuals over their variance that have half weight. With 1 to 16, delays of 8 drawn logs
@@ -35,7 +40,7 @@ a clock steps by 0.3 s. A log with play, sag and correlated errors has 0.58, too
 
 
 def measure_delay_by_regression(
-    encoders: Encoders, seen: Sequence[Sighting], walking: tuple[int, ...] = ()
+    encoders: Encoders, seen: Sequence[Sighting], walking: tuple[int, ...]
 ) -> Delay | None:
     """The delay of one camera's tracks; None where motion is too small or too short.
 
@@ -50,7 +55,7 @@ def measure_delay_by_regression(
     delay = whole[0]
     middle = float(np.median(np.concatenate([one.t for one in seen])))
     parts = [
-        _regress_delay(encoders, [one.cut(*span) for one in seen], walking)
+        _regress_delay(encoders, [one.select_span(*span) for one in seen], walking)
         for span in ((-np.inf, middle), (middle, np.inf))
     ]
     found = [part[0] for part in parts if part is not None]
@@ -72,50 +77,51 @@ def _regress_delay(
     curves = [
         curve
         for track in seen
-        if (curve := track_curve(encoders, track, MAX_CURVE_MEANS // len(seen), walking))
+        if (curve := build_track_curve(encoders, track, MAX_CURVE_MEANS // len(seen), walking))
         is not None
     ]
 
-    def regression_step(
+    def find_regression_step(
         late: float,
     ) -> tuple[float, float, tuple[RegressionRows, Array, Array, Array]] | None:
-        each = [regression_rows(curve, late) for curve in curves]
+        each = [build_regression_rows(curve, late) for curve in curves]
         if sum(len(one.t) for one in each) < MIN_READINGS:
             return None
         rows = _join_regression_rows(each)
         if rows.misfit.size < 2 * rows.slopes.shape[-1]:
             return None
         step, weight, spread, prior = _fit_delay_step(rows, len(walking), curves[0].walks.shape[1])
-        normal = _normal_sums(rows, weight)[0] + np.diag(prior)
+        normal = _sum_normal_equations(rows, weight)[0] + np.diag(prior)
         lean = np.linalg.solve(normal, np.eye(rows.slopes.shape[-1])[0])
         # the inverse of the information in the track's speed
         # without noise; below the noise, nothing moved
         if not 0.0 < lean[0] * float(weight @ rows.own) < 1.0:
             return None
-        pulled = _pull_variance(rows, weight[:, None] * (rows.slopes @ lean))
+        pulled = _measure_pull_variance(rows, weight[:, None] * (rows.slopes @ lean))
         own = np.sqrt(spread * (pulled + np.square(lean) @ prior))
         return step, float(own), (rows, weight, lean, prior)
 
-    found = climb_profile(regression_step)
+    found = climb_profile(find_regression_step)
     if found is None:
         return None
     delay, (rows, weight, lean, prior) = found
     information = np.square(rows.slopes @ lean).sum(axis=1)
     parts = isqrt(min(len(curve.t) for curve in curves))
-    error = max(delay.std_error, _error_of_parts(rows, weight, prior, parts))
+    error = max(delay.std_error, _jackknife_parts(rows, weight, prior, parts))
     return Delay(delay.seconds, error), float(weight @ information / information.sum())
 
 
-def _error_of_parts(rows: RegressionRows, weight: Array, prior: Array, parts: int) -> float:
+def _jackknife_parts(rows: RegressionRows, weight: Array, prior: Array, parts: int) -> float:
     """Standard error (s) of the delay by a jackknife over parts of the log."""
     bounds = np.linspace(0, len(rows.t), parts + 1).astype(int)
     sums = [
-        _normal_sums(rows.some(slice(*ends)), weight[slice(*ends)]) for ends in pairwise(bounds)
+        _sum_normal_equations(rows.select_instants(slice(*ends)), weight[slice(*ends)])
+        for ends in pairwise(bounds)
     ]
     normal, pull = (np.stack(each) for each in zip(*sums, strict=True))
     rest = normal.sum(axis=0) - normal + np.diag(prior)
     without = np.linalg.solve(rest, (pull.sum(axis=0) - pull)[..., None])[:, 0, 0]
-    return float(jackknife_error(without))
+    return float(measure_jackknife_error(without))
 
 
 def _fit_delay_step(
@@ -135,7 +141,7 @@ def _fit_delay_step(
     prior = np.zeros(size)
     prior[walks] = PRIOR_STD_RAD**-2.0
     for _ in range(MAX_SWEEPS):
-        normal, pull = _normal_sums(rows, weight)
+        normal, pull = _sum_normal_equations(rows, weight)
         cov = np.linalg.inv(normal + np.diag(prior))
         beta = cov @ pull
         squares = np.square(rows.misfit - rows.slopes @ beta).sum(axis=1)
@@ -155,7 +161,7 @@ def _fit_delay_step(
     return float(beta[0]), weight, spread, prior
 
 
-def _pull_variance(rows: RegressionRows, pull: Array) -> float:
+def _measure_pull_variance(rows: RegressionRows, pull: Array) -> float:
     """Variance of the sum of misfits (R,2) times `pull` (R,D), for a residual variance of 1.
 
     Neighbouring misfits are interpolated from the same images, so their noise is correlated, and
@@ -179,7 +185,7 @@ def _pull_variance(rows: RegressionRows, pull: Array) -> float:
     return float(total * size / (residual.mean() * free))
 
 
-def _normal_sums(rows: RegressionRows, weight: Array) -> tuple[Array, Array]:
+def _sum_normal_equations(rows: RegressionRows, weight: Array) -> tuple[Array, Array]:
     """Normal matrix and right side of the weighted
     regression, corrected for noise in the track's speed.
     """
@@ -208,4 +214,4 @@ def _join_regression_rows(parts: Sequence[RegressionRows]) -> RegressionRows:
             for name in RegressionRows.__annotations__
         )
     )
-    return rows.some(np.argsort(rows.t, kind="stable"))
+    return rows.select_instants(np.argsort(rows.t, kind="stable"))
