@@ -143,7 +143,12 @@ def _weigh_counts(encoders: Encoders) -> Encoders:
 def _sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
     """Whether some joint stands still between slips: errors that last make other steps each time."""
     slipping = -np.expm1(-slips.rate * measure_median_step(encoders.t))
-    return bool((slipping < MOST_SLIPPING).any())
+    return bool((~_find_constant_joints(encoders) & (slipping < MOST_SLIPPING)).any())
+
+
+def _find_constant_joints(encoders: Encoders) -> Array:
+    """Joints (M,) bool whose readings never change: they tell of no noise, and of no slip."""
+    return np.array([len(np.unique(y[np.isfinite(y)])) < 2 for y in encoders.values.T])
 
 
 def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
@@ -153,13 +158,16 @@ def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
     centre = 0.5 * (encoders.t[0] + encoders.t[-1])
     rows = np.abs(encoders.t - centre) <= 0.5 * LEARNED_S
     read = (encoders.t[rows], encoders.values[rows], encoders.relative_variance[rows])
-    std = np.sqrt(variance)
+    # readings between two counts repeat, as those of a joint that stands still do
+    counts = np.where(_find_constant_joints(encoders), variance, encoders.count_variance)
+    least = np.stack([counts, np.zeros(len(counts)), np.zeros(len(counts))])[:, None]
+    units = np.stack([variance, np.sqrt(variance), np.ones(len(counts))])[:, None]
     grid = np.array(np.meshgrid(*TRIED_SLIPS, indexing="ij")).reshape(3, -1)[..., None]
-    best = _choose_most_evident(read, grid * np.stack([variance, std, np.ones(len(std))])[:, None])
+    best = _choose_most_evident(read, np.maximum(grid * units, least))
     for factor in REFINING_FACTORS:
         steps = np.array([1.0 / factor, 1.0, factor])
         grid = np.array(np.meshgrid(steps, steps, steps, indexing="ij")).reshape(3, -1)[..., None]
-        best = _choose_most_evident(read, grid * best[:, None])
+        best = _choose_most_evident(read, np.maximum(grid * best[:, None], least))
     return StickSlip(*best)
 
 
