@@ -76,7 +76,7 @@ def test_walk_by_single_instants_equals_the_sweeps(world, seed):
     problem = filtering.build_filter_problem(drawn.features, drawn.body, EstimationSettings())
     problem, _ = filtering.tune_noise(problem, EstimationSettings())
     precision = replace(
-        problem.precision, fewer={(): problem.precision.process * np.array([1.0, 9.0, 4.0])}
+        problem.precision, process_by_view={(): problem.precision.process * np.array([1.0, 9.0, 4.0])}
     )
     problem = replace(problem, precision=precision)
     swept, walked = filter_log.solve_by_gauss_newton(problem), filter_log.filter_sequentially(problem)
