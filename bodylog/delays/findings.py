@@ -209,7 +209,8 @@ def _middle_observed(log: Path, settings: Settings, guess: bool) -> tuple[Record
 def middle_of_recording(read: Recording, longest_s: float, most_images: int) -> Recording:
     """The middle of a recording, at most longest_s, with at most most_images of each camera."""
     spare = max(0.0, 0.5 * (read.duration_s - longest_s))
-    begin, end = spare, read.duration_s - spare
+    begin = spare
+    end = read.duration_s - spare
     films = {"": read.cameras.frames, **read.cameras.views}
     counts = {
         name: _count_images(read, name) * min(1.0, longest_s / max(read.duration_s, longest_s))

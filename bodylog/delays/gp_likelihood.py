@@ -1,4 +1,4 @@
-"""What timing and play an exploration log shows, by the likelihood of the body's own Gaussian process.
+"""Timing and play of an exploration log, by the likelihood of the body's own Gaussian process.
 
 A track's curve y at t + τ − ρ r is a draw of the process at the link angles of t, with the delay τ
 of its camera and ρ s more for a row r further down. Where J is the body's slope and s the place of

@@ -186,7 +186,8 @@ def _turning_nats(
     """
     if left_out is not None:
         kept = np.arange(len(t)) * LEFT_OUT // len(t) != left_out
-        t, y = t[kept], y[kept]
+        t = t[kept]
+        y = y[kept]
     kernel = np.ones((len(t), len(t)))
     for joint in joints:
         angle = joint.angles[log].at(t)[0]

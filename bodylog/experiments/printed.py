@@ -123,7 +123,8 @@ def run_printed_model(signals: Signals, cases: Sequence[Case]) -> Runs:
         for k, step in enumerate(
             descend_free_energy(start, prior, count, senses.at, _printed_dynamics(cases, joints))
         ):
-            x[:, k], errors[:, k] = step.x, step.errors[:, : joints + 2]
+            x[:, k] = step.x
+            errors[:, k] = step.errors[:, : joints + 2]
     gone = np.maximum.accumulate(~(np.abs(x).max(axis=2) <= WIDEST_ANGLE_RAD), axis=1)
     return Runs(np.where(gone[:, :, None], np.nan, x), errors)
 
@@ -159,14 +160,10 @@ class CaseSenses:
         self.square = np.array([one.square for one in cases], bool)[:, None]
         self.unit = np.array([one.unit for one in cases], float)[:, None]
         models = [one.model for one in cases]
-        self.samples, self.weights = (
-            np.array([m.x for m in models]),
-            np.array([m.weights for m in models]),
-        )
-        self.scales, self.mean = (
-            np.array([m.scales for m in models])[:, None],
-            np.array([m.mean for m in models]),
-        )
+        self.samples = np.array([m.x for m in models])
+        self.weights = np.array([m.weights for m in models])
+        self.scales = np.array([m.scales for m in models])[:, None]
+        self.mean = np.array([m.mean for m in models])
         touch = [one.touch or Touching(0.0, 0.0, 0.0, 1.0, "best") for one in cases]
         self.feels = np.array([one.touch is not None for one in cases])
         self.a, self.b1, self.b2 = (

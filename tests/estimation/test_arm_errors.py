@@ -258,12 +258,12 @@ def test_a_load_with_a_urdf_bends_joints_by_the_levers_of_the_hand():
 
     sense = SimpleNamespace(hand_levers=levers)
     q = np.random.default_rng(5).uniform(-1.0, 1.0, (50, len(arm.joints)))
-    alike, *each = build_load_columns(SimpleNamespace(senses={"effector": sense}), q)
-    assert {one.name for one in (alike, *each)} == {"payload"}
+    common, *each = build_load_columns(SimpleNamespace(senses={"effector": sense}), q)
+    assert {one.name for one in (common, *each)} == {"payload"}
     carrying = [one.joints[0] for one in each]
     assert 0 not in carrying  # the first axis stands upright
     path = Path(np.arange(len(q)), q, q, q, q)
-    bends = alike.moves_links(path)
+    bends = common.moves_links(path)
     assert np.abs(bends).max() == pytest.approx(1.0)
     ratio = bends[:, carrying] / levers(q)[:, carrying]
     np.testing.assert_allclose(ratio, ratio[0, 0], atol=1e-9)  # one compliance for all
@@ -281,15 +281,15 @@ def test_a_load_bends_joints_that_stood_still_and_may_carry_the_marker():
     seen = SimpleNamespace(
         hand_levers=lambda x: 0.5 * np.cos(x), still_joints=("roll", "wrist"), show_still_joints=show
     )
-    alike, *each = build_load_columns(SimpleNamespace(senses={"effector": seen}), q)
+    common, *each = build_load_columns(SimpleNamespace(senses={"effector": seen}), q)
     # an axis that stands upright carries nothing
-    assert [(one.joints, one.still) for one in (alike, *each)] == [
+    assert [(one.joints, one.still) for one in (common, *each)] == [
         ((0, 1), ("wrist",)),
         ((0,), ()),
         ((1,), ()),
         ((), ("wrist",)),
     ]
-    assert count_groups((alike, *each)) == 1
+    assert count_groups((common, *each)) == 1
     t = np.arange(50.0)
     rest = np.zeros(q.shape)
     path = Path(t, q, rest, q, rest)
@@ -298,7 +298,7 @@ def test_a_load_bends_joints_that_stood_still_and_may_carry_the_marker():
         sighting = Sighting("effector", model, t, np.zeros((50, 2)), np.ones((50, 2)), t)
         images = place_images(sighting, t, nearest=True)
         sinks = -0.2 * np.sin(q[:, 0]) / longest
-        for one in (alike, each[-1]):
+        for one in (common, each[-1]):
             shown = one.displaces_images(images, path)
             np.testing.assert_allclose(shown, size * np.outer(sinks, [0.0, 1.0]), atol=1e-9)
         assert not each[-1].moves_images(images, path).any()

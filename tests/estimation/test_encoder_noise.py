@@ -102,7 +102,7 @@ def test_encoder_noise_of_constant_joints_is_the_bodys():
     )
     encoder, process = learned.encoder, learned.process
     # that all repeat one value is one error of it, not many
-    np.testing.assert_allclose(encoder, given[0] * [len(t) / quantisation.MOST_INDEPENDENT, 1.0])
+    np.testing.assert_allclose(encoder, given[0] * [t[-1] / quantisation.SHARED_ERROR_S, 1.0])
     np.testing.assert_array_equal(process, given[1])
 
 

@@ -73,6 +73,25 @@ def test_readings_that_repeat_because_they_are_counted_are_no_surer_than_a_count
     assert np.mean(off**2 / np.einsum("emm->em", found.cov)) < 1.0
 
 
+@pytest.mark.parametrize("method", ["filter", "smoother"])
+def test_joints_that_stick_and_are_counted_are_known_no_better_than_a_count(method):
+    """Where readings of one count were many readings: NEES of 500 to 1,600."""
+    world = resting.drawn(700, resting.Drawn("sines", 1.5e-3, 5e-4, 100.0, 20.0, slip=9e-3, pixel=0.3))
+    found = estimate_from_features(world.features, world.body, EstimationSettings(method=method))
+    assert set(found.settings[HARDWARE_ERRORS]["slips"]) == {"pan", "lift", "elbow"}
+    off = found.joints.values - truth_at_times(world.truth, list(found.joints.names), found.joints.t)
+    assert np.mean(off**2 / np.einsum("emm->em", found.cov)) < 2.0
+
+
+def test_a_joint_whose_readings_never_change_has_no_slips():
+    t, _, values = drawn(1)
+    values[:, 1] = 0.3
+    encoders = Encoders(t, values, (t * 1e9).astype(np.int64))
+    found = stick_slip.learn_slips(encoders, np.full(2, 4e-6))
+    assert found.size[0] > 1e-3 and found.size[1] == 0.0
+    assert found.white[1] >= 4e-6 / (t[-1] / 0.15)
+
+
 def test_beliefs_of_slips_are_as_wrong_as_they_say_and_the_whole_log_knows_more():
     squares = {"filter": [], "smoother": []}
     errors = {"filter": [], "smoother": []}

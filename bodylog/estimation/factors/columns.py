@@ -77,7 +77,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Play(Column):
-    """Half of the play between a joint's motor and its link, rad: the link trails the motor by it."""
+    """Half of the play between a joint's motor and its link, rad: the link trails by it."""
 
     bends: ClassVar[bool] = True
     joint: int = 0
@@ -91,7 +91,7 @@ class Play(Column):
 
 @dataclass(frozen=True)
 class Delay(Column):
-    """How late a camera's images are against the encoders, s: they show links as they were before."""
+    """Delay (s) of a camera's images against the encoders: they show links as they were before."""
 
     camera: str = ""
 

@@ -193,7 +193,7 @@ def _add_square(square: Array, left: Array, right: Array) -> None:
 
 
 def compute_normalisation(var: Array, believed: Array) -> Array:
-    """½ ln 2πR of each reading as far as it is believed, where its variance is var = R / believed."""
+    """½ ln 2πR of each reading as far as it is believed; its variance is var = R / believed."""
     return np.asarray(0.5 * believed * np.log(tau * var * np.where(believed > 0.0, believed, 1.0)))
 
 

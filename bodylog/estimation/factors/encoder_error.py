@@ -52,7 +52,7 @@ class JointNoise:
 
     @property
     def start_precision(self) -> Array:
-        """Precision (M,p,p) of the state at the first knot, about the angles that are read first."""
+        """Precision (M,p,p) of the state at the first knot, about the first angles read."""
         var = np.tile(np.square(np.array(motion.START_STD[:MOTION_ORDER])), (len(self.white), 1))
         if self.error is not None:
             var = np.column_stack([var, self.error_variance])

@@ -3,7 +3,8 @@
 An image of a link at the angles l shows h(l), with the noise of the image and the error of the
 learned model, which is the same for the same posture. Linearised at l₀:
 
-    z − h(l₀) + J l₀ = J l + s u + n,    l = stands · state + Σ C g,    u_k = κ_k u_{k−1} + √(1 − κ²) ν,
+    z − h(l₀) + J l₀ = J l + s u + n,    l = stands · state + Σ C g,
+    u_k = κ_k u_{k−1} + √(1 − κ²) ν,
 
 with s² the model's variance and κ = exp(−½ |Δq / reach|) by the step of the posture. The model's
 error correlates by exp(−½ |Δq / reach|²), but a chain multiplies what its steps keep: small ones

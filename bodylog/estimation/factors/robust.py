@@ -50,7 +50,7 @@ def _compute_log_mixture(residual: Array, cov: Array, span: Array) -> tuple[Arra
 
 
 def compute_outlier_nats(share: Array, span: Array) -> float:
-    """−ln p of measurements as far as they are outliers: shares (F,) that are believed, span (D,)."""
+    """−ln p of measurements as far as they are outliers: believed shares (F,), span (D,)."""
     return float(((1.0 - share) * (np.log(span).sum() - np.log(OUTLIER_SHARE))).sum())
 
 

@@ -476,7 +476,7 @@ def _add_hypotheses(
 
 
 def _with_offset_hypothesis(offset: OffsetHypothesis, joint: int, near: list[int]) -> FilterProblem:
-    """The problem with an offset of one joint, or of the others in `near`, which explain as much."""
+    """The problem with an offset of one joint, or of those in `near`, which explain as much."""
     evidence = offset.problem.evidence
     others = tuple(j for j in near if j != joint)
     if offset.fault is not None:
@@ -539,7 +539,7 @@ def _with_walk(problem: FilterProblem, joint: int, walk: float) -> FilterProblem
 
 
 def with_drift(problem: FilterProblem, drift: Array) -> FilterProblem:
-    """Return the problem with random walks `drift` (M,) rad²/s of encoder offsets; 0 for no offset."""
+    """The problem with random walks `drift` (M,) rad²/s of encoder offsets; 0 for no offset."""
     return replace(problem, precision=replace(problem.precision, drift=drift))
 
 

@@ -55,7 +55,7 @@ def _fit_jump_size(t: Array, v: Array, at: int) -> tuple[float, float]:
 
 
 def _estimate_reading_noise(v: Array) -> float:
-    """Scatter (rad) of readings v (N,), by their second differences, and at least that of rounding."""
+    """Scatter (rad) of readings v (N,), by second differences, and at least that of rounding."""
     bends = np.abs(np.diff(v, 2))
     # a normal scatter σ has second differences of √6 σ, whose median size is 0.67 of that
     scatter = float(np.median(bends)) / (0.6745 * 6.0**0.5) if len(bends) else 0.0
@@ -111,7 +111,7 @@ def _measure_level_shift(v: Array, k: int) -> float:
 
 
 def unwrap_turns(y: Array) -> Array:
-    """Return readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
+    """Readings y (N,) rad, NaN where missing, with whole turns between neighbours removed."""
     # a shift nearer to half a turn is a false reading
     found = y.copy()
     known = np.isfinite(y)

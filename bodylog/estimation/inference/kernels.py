@@ -44,7 +44,7 @@ NOISE_SHARES = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 
 
 @compile_inner
 def integrate_noise(dt: Array, order: int, growth: Array) -> None:
-    """Write into growth (O,O,C) the covariance that white noise of density 1 adds within dt (C,)."""
+    """Write into growth (O,O,C) the covariance that white noise of density 1 adds in dt (C,)."""
     for r in range(order):
         for q in range(order):
             for c in range(len(dt)):
@@ -147,7 +147,7 @@ def choose_motion(
 
 @compile_inner
 def move_joint(belief: Array, j: int, joints: int, c: int, motion: Array, old: Array) -> None:
-    """Replace the rows and columns of a joint's states by motion (S,S) times them; old (S,): room."""
+    """Multiply rows and columns of a joint's states by motion (S,S); old (S,): room."""
     states, width, _ = belief.shape
     for b in range(width):
         for r in range(len(old)):
@@ -1132,8 +1132,11 @@ def weigh_noise_ratios(
         product = 1.0
         for i in range(len(dt)):
             if fresh[i]:
-                x0, x1, x2 = y[i], 0.0, 0.0
-                p00, p11 = vague, vague / (usual * usual)
+                x0 = y[i]
+                x1 = 0.0
+                x2 = 0.0
+                p00 = vague
+                p11 = vague / (usual * usual)
                 p22 = p11 / (usual * usual) if order == 3 else 0.0
                 p01 = p02 = p12 = 0.0
             else:
@@ -1162,14 +1165,18 @@ def weigh_noise_ratios(
                     p11 = f11 + once
             off = y[i] - x0
             size = p00 + 1.0
-            gain0, gain1, gain2 = p00 / size, p01 / size, p02 / size
+            gain0 = p00 / size
+            gain1 = p01 / size
+            gain2 = p02 / size
             x0 += gain0 * off
             x1 += gain1 * off
             x2 += gain2 * off
             p11 -= gain1 * p01
             p12 -= gain1 * p02
             p22 -= gain2 * p02
-            p00, p01, p02 = gain0, gain1, gain2
+            p00 = gain0
+            p01 = gain1
+            p02 = gain2
             if counts[i]:
                 off /= math.sqrt(size)
                 product *= size

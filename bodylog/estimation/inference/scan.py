@@ -224,10 +224,10 @@ class FilterTrace:
     them, O = M or 2 M · end_p (K,K,C): covariance of the state at the end · nats (L,C) of the
     readings · encoder_d (L,M,C): innovations of encoders, in standard deviations.
 
-    For the smoother: p (L,O,K,C) or (L,K,K,C), rows of the state's covariance · information (L,R,C):
-    inverse noise of each reading, 0 of missing ones · back: gains (L,R,K,C) and weights (L,R,C) of
-    readings · marks (B,K,K+1,C): the belief before every BLOCK_INSTANTS instants, the upper
-    triangle of its covariance beside its mean.
+    For the smoother: p (L,O,K,C) or (L,K,K,C), rows of the state's covariance · information
+    (L,R,C): inverse noise of each reading, 0 of missing ones · back: gains (L,R,K,C) and weights
+    (L,R,C) of readings · marks (B,K,K+1,C): the belief before every BLOCK_INSTANTS instants, the
+    upper triangle of its covariance beside its mean.
     """
 
     prior: Array

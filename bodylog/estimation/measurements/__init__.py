@@ -1,1 +1,1 @@
-"""What each sense measured: records, gathering from features, one file per sense, and the timeline."""
+"""What each sense measured: records, gathering from features, a file per sense, the timeline."""

@@ -52,7 +52,7 @@ def gather_measurements(
 def require_measurements(
     evidence: Evidence, features: Features, body: BodyModel, settings: EstimationSettings
 ) -> Evidence:
-    """Keep the senses with measurements; EvidenceError where a named one, or every one, has none."""
+    """Keep the senses with measurements; EvidenceError where a named one, or each, lacks them."""
     used = evidence.used
     encoders = evidence.encoders
     apart = [

@@ -38,6 +38,17 @@ class Encoders:
         relative = self.relative_variance[rows]
         return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], relative)
 
+    def weigh_joints(self, weigh: Callable[[Array, Array, int], Array]) -> "Encoders":
+        """The encoders with other variances over their own: weigh(t (N,) s, readings (N,) rad,
+        joint) gives those (N,) of the joint's readings.
+        """
+        weights = np.ones(self.values.shape)
+        for joint, column in enumerate(self.values.T):
+            known = np.isfinite(column)
+            if known.any():
+                weights[known, joint] = weigh(self.t[known], column[known], joint)
+        return replace(self, own_variance=weights)
+
     @cached_property
     def relative_variance(self) -> Array:
         """Variance (N,M) of each reading over its encoder's."""

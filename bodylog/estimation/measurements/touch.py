@@ -69,7 +69,7 @@ def read_touch_sighting(features: Features, body: BodyModel) -> tuple[Sighting, 
 
 
 def is_synchronous(pair: Synchrony) -> bool:
-    """Whether a touch counts as used: its weight is the likelihood of its delay, over that of none."""
+    """Whether a touch counts as used. Its weight is its delay's likelihood over that of none."""
     return bool(pair.weight > np.exp(-EVIDENCE_THRESHOLD_NATS))
 
 

@@ -244,7 +244,9 @@ def _average_span_readings(
         np.add.reduceat(np.append(part, part[:1], axis=0), bounds)[::2] for part in parts
     )
     full = count.min(axis=1) >= np.maximum(0.5 * np.median(count), 1.0)
-    count, total, time = count[full], total[full], time[full] / count[full]
+    time = time[full] / count[full]
+    count = count[full]
+    total = total[full]
     # a delay is known to a millisecond at best: joints
     # whose mean times differ by more were not read together
     together = np.ptp(time, axis=1) < 1e-3

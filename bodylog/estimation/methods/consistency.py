@@ -86,7 +86,7 @@ def check_consistency(
                 yield Finding("warning", text)
     for sense, errors in found.errors.items():
         off = np.abs(errors.values[np.isfinite(errors.values)]) > SIGNIFICANT_SIGMA
-        # of true errors of one peak, however distributed, no more are beyond (Vysochanskij, Petunin)
+        # of true errors with one peak, no more are beyond (Vysochanskij, Petunin)
         most = 4.0 / (9.0 * SIGNIFICANT_SIGMA**2)
         if len(off) > MIN_READINGS and off.mean() > most:
             yield Finding(

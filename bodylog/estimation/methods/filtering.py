@@ -112,8 +112,8 @@ def build_filter_problem(
     precision = noise_model.with_typed_noise(
         resolve_noise_model(evidence, body, settings), settings, body.joints
     )
-    remarks = noise_model.remark_on_precision(settings, precision, evidence.sightings)
-    evidence = replace(evidence, findings=(*evidence.findings, *remarks))
+    findings = noise_model.remark_on_precision(settings, precision, evidence.sightings)
+    evidence = replace(evidence, findings=(*evidence.findings, *findings))
     evidence = weigh_repeated_readings(evidence, precision, settings)
     prior = learn_posture_prior(evidence, precision.process, start)
     timeline = build_timeline(evidence, settings.rate)
@@ -162,7 +162,7 @@ def solve_with_reacquisition(
 def tune_noise(
     problem: FilterProblem, settings: EstimationSettings
 ) -> tuple[FilterProblem, Solution | None]:
-    """The problem with process and pixel noise by the log's evidence, if the settings ask for that."""
+    """The problem with process and pixel noise by the log's evidence, if settings ask for that."""
     if settings.precision != "auto":
         return problem, None
     found, warm = tune_by_evidence(problem, whole=settings.method == "smoother")

@@ -223,7 +223,7 @@ def hold_beliefs_at_instants(
 
 
 def find_image_width(features: Features, body: BodyModel) -> float:
-    """Pixels that count as 1: the image's width if the body stores it, else the largest coordinate."""
+    """Pixels that count as 1: the image's width if the body has it, else the largest coordinate."""
     if "image_width" in body.provenance:
         return float(body.provenance["image_width"])
     seen = [

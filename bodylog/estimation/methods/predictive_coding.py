@@ -108,7 +108,8 @@ def warn_of_unstable_step(problem: GridProblem) -> tuple[Finding, ...]:
     rate = 1.0 / find_largest_stable_step(problem)
     unit = 10.0 ** (np.floor(np.log10(rate)) - 1.0)
     rate = float(np.ceil(rate / unit) * unit)  # rounded up to two digits
-    text = f"explicit with Δt {problem.dt:g} s is unstable, the largest stable Δt is {1.0 / rate:.2g} s"
+    stable = f"the largest stable Δt is {1.0 / rate:.2g} s"
+    text = f"explicit with Δt {problem.dt:g} s is unstable, {stable}"
     return (Finding("warning", f"step: {text}; type --rate {rate:g} or --step implicit"),)
 
 

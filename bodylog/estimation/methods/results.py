@@ -124,7 +124,7 @@ def find_evident_error(
 
 
 def estimate_white_nees(found: Estimate, more: Array | float) -> float:
-    """Mean squared error over stated variance, with variance more (M,) rad² beside what is stated."""
+    """Mean squared error over stated variance, with a variance more (M,) rad² beside it."""
     stated = np.einsum("nii->ni", found.cov)
     return float(np.median((stated + more) / stated))
 

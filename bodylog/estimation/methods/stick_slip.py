@@ -23,7 +23,7 @@ from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.filter_problem import FilterProblem
 from ..measurements.long_arrays import find_finite_rows, measure_median_step
 from ..measurements.records import Encoders, Sighting
-from ..noise.quantisation import weigh_as_one
+from ..noise.quantisation import compute_rest_factor, weigh_as_one
 from . import results
 from .results import Beliefs
 from .trust import RoughMotion
@@ -61,7 +61,7 @@ class StickSlip:
 
 
 @dataclass(frozen=True, eq=False)
-class StuckBelief:
+class SlipBelief:
     """Beliefs at E instants: mean (E,M), cov (E,M,M), before them mean (E,M) and cov (E,M,M),
     errors of readings (E,M) in standard deviations, and nats (E,), those of images (E,), too.
     """
@@ -121,7 +121,8 @@ def estimate_stick_slip(
         places=(),
     )
     made = results.build_estimate(settings.method, problem.evidence, problem.timeline, explained)
-    sizes = dict(zip(problem.evidence.joints, slips.size.tolist(), strict=True))
+    joints = zip(problem.evidence.joints, slips.size.tolist(), strict=True)
+    sizes = {name: size for name, size in joints if size > 0.0}
     errors = {"play": {}, "lasting": None, "load": None, "late": {}, "gains": {}, "slips": sizes}
     each = ", ".join(f"{name} {np.rad2deg(size):.2g}°" for name, size in sizes.items())
     text = f"joints stick and slip, by about {each} at once: angles follow the readings"
@@ -132,16 +133,11 @@ def _weigh_counts(encoders: Encoders) -> Encoders:
     """The encoders with all readings of one count as one reading: a joint that stands still for
     long is known no better, as no process noise makes a belief forget.
     """
-    weights = np.ones(encoders.values.shape)
-    for own, column in zip(weights.T, encoders.values.T, strict=True):
-        known = np.isfinite(column)
-        if known.any():
-            own[known] = weigh_as_one(encoders.t[known], column[known])
-    return replace(encoders, own_variance=weights)
+    return encoders.weigh_joints(lambda t, y, _: weigh_as_one(t, y))
 
 
 def _sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
-    """Whether some joint stands still between slips: errors that last make other steps each time."""
+    """Whether some joint stands still between slips: errors that last move at each reading."""
     slipping = -np.expm1(-slips.rate * measure_median_step(encoders.t))
     return bool((~_find_constant_joints(encoders) & (slipping < MOST_SLIPPING)).any())
 
@@ -153,13 +149,16 @@ def _find_constant_joints(encoders: Encoders) -> Array:
 
 def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
     """The slips of most evidence by the encoders alone; variance
-    (M,) rad²: of a reading beside a smooth motion. No reading is surer than its count.
+    (M,) rad²: of a reading beside a smooth motion. No reading is surer than its count, and a
+    joint whose readings never change has no slips.
     """
     centre = 0.5 * (encoders.t[0] + encoders.t[-1])
     rows = np.abs(encoders.t - centre) <= 0.5 * LEARNED_S
     read = (encoders.t[rows], encoders.values[rows], encoders.relative_variance[rows])
     # readings between two counts repeat, as those of a joint that stands still do
-    counts = np.where(_find_constant_joints(encoders), variance, encoders.count_variance)
+    constant = _find_constant_joints(encoders)
+    alone = variance / compute_rest_factor(encoders.t)
+    counts = np.where(constant, alone, encoders.count_variance)
     least = np.stack([counts, np.zeros(len(counts)), np.zeros(len(counts))])[:, None]
     units = np.stack([variance, np.sqrt(variance), np.ones(len(counts))])[:, None]
     grid = np.array(np.meshgrid(*TRIED_SLIPS, indexing="ij")).reshape(3, -1)[..., None]
@@ -168,7 +167,8 @@ def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
         steps = np.array([1.0 / factor, 1.0, factor])
         grid = np.array(np.meshgrid(steps, steps, steps, indexing="ij")).reshape(3, -1)[..., None]
         best = _choose_most_evident(read, np.maximum(grid * best[:, None], least))
-    return StickSlip(*best)
+    white, size, rate = best
+    return StickSlip(white, np.where(constant, 0.0, size), rate)
 
 
 def _choose_most_evident(read: tuple[Array, Array, Array], tried: Array) -> Array:
@@ -208,7 +208,7 @@ def _choose_most_evident(read: tuple[Array, Array, Array], tried: Array) -> Arra
 
 def _learn_image_noise(
     problem: FilterProblem, slips: StickSlip, order: Sequence[int]
-) -> tuple[list[float], StuckBelief]:
+) -> tuple[list[float], SlipBelief]:
     """Factors on the variance of each sighting's images by their evidence, halved while
     that grows, and the beliefs: a smooth motion takes slips for noise of images.
     """
@@ -226,7 +226,7 @@ def _learn_image_noise(
 
 def follow_slips(
     problem: FilterProblem, slips: StickSlip, scales: Sequence[float], order: Sequence[int]
-) -> StuckBelief:
+) -> SlipBelief:
     """The beliefs at these of the problem's instants, each by what came before it in this order.
 
     scales: factor on the variance of each sighting's images.
@@ -250,7 +250,7 @@ def follow_slips(
             frames[at[row]].append((number, row))
         if len(rows):
             spans[number] = measure_image_span(sighting.values[rows], sighting.var[rows])
-    found = StuckBelief(
+    found = SlipBelief(
         np.empty((count, m)),
         np.empty((count, m, m)),
         np.empty((count, m)),
@@ -377,9 +377,7 @@ def _merge_parts(
     return mean + step, cov, -float(np.log(dense.sum()))
 
 
-def join_beliefs(
-    t: Array, before: StuckBelief, after: StuckBelief, slips: StickSlip
-) -> StuckBelief:
+def join_beliefs(t: Array, before: SlipBelief, after: SlipBelief, slips: StickSlip) -> SlipBelief:
     """The beliefs at instants t (E,) s by the whole log, of those
     by what came up to them and by what came from them on.
 

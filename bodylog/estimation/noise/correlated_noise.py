@@ -115,8 +115,8 @@ def correlate_postures(model: ForwardModel, x: Array) -> Array:
     """Correlation (F,F) of the model's errors at angles x (F,M) rad, by its own covariance; 1
     where it has none.
 
-    `read_correlation_length` is a mean over postures: beyond what a body was learned from, errors last
-    for much longer steps than beside it.
+    `read_correlation_length` is a mean over postures: beyond what a body was learned from, errors
+    last for much longer steps than beside it.
     """
     covariance = getattr(model, "covariance", None)
     if covariance is None:

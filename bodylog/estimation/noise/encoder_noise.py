@@ -16,7 +16,7 @@ from ..inference.scan import GATE_SIGMA
 from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, measure_median_step
 from ..measurements.records import Encoders
 from ..measurements.timeline import GAP_STEPS, MAX_OUTPUT_RATE_HZ
-from .quantisation import compute_repeat_factor, dither_readings
+from .quantisation import compute_rest_factor, dither_readings
 
 SKIPPED_READINGS = 10
 """Readings that do not count at the start, as a vague start costs white jerk more, nor
@@ -141,7 +141,7 @@ def _average_one_joint(t: Array, y: Array) -> AveragedReadings:
     t = t[begin : begin + most]
     y = y[begin : begin + most]
     if len(t) // count_readings_per_average(t) <= SKIPPED_READINGS or np.ptp(y) == 0.0:
-        return AveragedReadings(None, repeated=compute_repeat_factor(t, y) if len(t) else 1.0)
+        return AveragedReadings(None, repeated=compute_rest_factor(t) if len(t) else 1.0)
     spread, added, least = dither_readings(t, y)
     return AveragedReadings(*_average_between_breaks(t, spread), added, least)
 

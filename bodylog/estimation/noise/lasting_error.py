@@ -4,13 +4,15 @@ Encoders and images that have white errors alone disagree afresh in every
 image. Play, load and electronics make errors that last for several images.
 With J the slope of a track, its residual from the readings is then
 
-    r(t) = −J e(t) + n(t),   e of each joint an Ornstein–Uhlenbeck process of variance σ² and time constant τ.
+    r(t) = −J e(t) + n(t).
 
-n has what a sound log may have: the noise of image and reading, alike or not where places or counts
-are, times factors; the stated error of the learned body, a function of the posture; and a delay, by
-rows of the picture. The evidence of σ and τ over that of noise alone decides. An error that the log
-shows adds σ² to the variances: the belief follows the readings, so it has their error. A body whose
-error is larger than stated shows as the same: images cannot tell it from an error of the joints.
+The error e of each joint is an Ornstein–Uhlenbeck process of variance σ² and time constant τ, and
+n has what a sound log may have: the noise of image and reading, the same or not where places or
+counts are, times factors; the stated error of the learned body, a function of the posture; and a
+delay, by rows of the picture. The evidence of σ and τ over that of noise alone decides. An error
+that the log shows adds σ² to the variances: the belief follows the readings, so it has their error.
+A body whose error is larger than stated shows as the same: images cannot tell it from an error of
+the joints.
 """
 
 from collections.abc import Callable, Iterator, Sequence

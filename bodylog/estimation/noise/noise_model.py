@@ -153,16 +153,14 @@ def weigh_repeated_readings(
         or not (np.diff(encoders.values, axis=0) == 0.0).any()
     ):
         return evidence
-    found = np.ones(encoders.values.shape)
-    for own, column, variance in zip(found.T, encoders.values.T, precision.encoder, strict=True):
-        known = np.isfinite(column)
-        if known.any():
-            own[known] = compute_relative_variances(encoders.t[known], column[known], variance)
-    return replace(evidence, encoders=replace(encoders, own_variance=found))
+    weighed = encoders.weigh_joints(
+        lambda t, y, joint: compute_relative_variances(t, y, float(precision.encoder[joint]))
+    )
+    return replace(evidence, encoders=weighed)
 
 
 def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> NoiseModel:
-    """A filter's noise model from the body, or from an estimate's settings (`NoiseModel.plain_numbers`).
+    """A filter's noise model from the body, or from settings (`NoiseModel.plain_numbers`).
 
     UsageError if these are not of this body.
     """

@@ -1,4 +1,4 @@
-"""A weak posture prior for joints without encoder readings, which images alone may not determine."""
+"""A weak prior of joints without encoder readings, which images alone may not determine."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

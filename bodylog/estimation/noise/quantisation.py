@@ -105,12 +105,6 @@ REMEMBERED_S = 4.0
 """s: what is remembered of a joint at rest. Longer stays count as fewer readings: without, smoothed
 angles of arms that rest for 16 s have NEES of up to 9; with 2 s reaches err by up to 20 % more.
 """
-
-
-TWO_COUNTS = 0.25
-"""Squared counts: the scatter of readings half of which are the next count. Up to it, those of one
-place tell as well of a place at the edge of a count, where little noise moves many.
-"""
 SAME_READING = 1e-12
 """rad: readings that differ by less are the same, up to the rounding of their units."""
 
@@ -131,8 +125,13 @@ def find_reading_step(y: Array) -> float:
     return least if np.abs(counts - np.round(counts)).mean() < MULTIPLE_TOLERANCE else 0.0
 
 
+def compute_rest_factor(t: Array) -> float:
+    """Factor on the variance of readings at t (N,) s that never change: they share one error."""
+    return max(1.0, min(float(t[-1] - t[0]) / SHARED_ERROR_S, len(t)))
+
+
 def compute_repeat_factor(t: Array, y: Array) -> float:
-    """Factor on the variance of readings (N,) for the errors that repeats share; 1 without repeats."""
+    """Factor on the variance of readings (N,) for errors that repeats share; 1 without repeats."""
     runs = 1 + np.count_nonzero(_mark_changes(y))
     return float(_count_sharing(np.array((t[-1] - t[0]) / runs), np.array(len(y) / runs)))
 
@@ -153,8 +152,11 @@ def compute_relative_variances(t: Array, y: Array, variance: float) -> Array:
     """Variance of each reading (N,) over the encoder's
     `variance` (rad²); repeats at rest count as few readings.
     """
-    own = compute_quantisation_variance(y) or variance / compute_repeat_factor(t, y)
-    beside = max(variance - own * (compute_repeat_factor(t, y) - 1.0), own)
+    own = compute_quantisation_variance(y)
+    if own == 0.0:  # readings never repeat, or never change
+        return np.ones(len(y))
+    repeat_factor = compute_repeat_factor(t, y)
+    beside = max(variance - own * (repeat_factor - 1.0), own)
     stays = _find_stays(t, y)
     more = own * stays.share * (_count_sharing(stays.lasting, stays.counts) - 1.0)
     return np.asarray(np.repeat(beside + more, stays.counts) / variance)
@@ -167,10 +169,19 @@ def weigh_as_one(t: Array, y: Array) -> Array:
 
 
 def _count_sharing(lasting: Array, counts: Array) -> Array:
-    """How many readings have one error, of stays of so many seconds and readings."""
+    """How many readings have one error, of stays of so many seconds and readings.
+
+    A filter of white acceleration remembers m^¼ s of readings of m times their variance, where it
+    remembers MAX_MEMORY_S of sound ones. In that time, 2 m^¼ s for a smoother, 1/m of a rate r
+    counts as one reading at m = (2 r)^(4/3): no stay tells less, however long it is.
+    """
     times = lasting / SHARED_ERROR_S
     most = counts / MOST_INDEPENDENT * np.maximum(1.0, lasting / REMEMBERED_S)
-    return np.clip(np.maximum(times, np.minimum(np.square(times), most)), 1.0, counts)
+    sharing = np.maximum(times, np.minimum(np.square(times), most))
+    most_remembered = (2.0 * counts / np.maximum(lasting, 1e-9)) ** (
+        4.0 / 3.0
+    )  # 1 ns: one reading alone
+    return np.maximum(1.0, np.minimum(sharing, np.minimum(counts, most_remembered)))
 
 
 class Stays(NamedTuple):
@@ -186,11 +197,12 @@ class Stays(NamedTuple):
 
 
 def _find_stays(t: Array, y: Array) -> Stays:
-    """The stays among readings (N,): runs of repeats where these are no whole counts."""
+    """The stays of readings y (N,) at t (N,) s: runs of repeats where these are no whole counts."""
     step = find_reading_step(y)
     begins = np.flatnonzero(np.append(True, _mark_changes(y)))
+    places = np.round((y - y[0]) / (step or 1.0))
     if step > 0.0:
-        begins = _index_moves(_average_nearby(t, np.round((y - y[0]) / step)))
+        begins = _index_moves(_average_nearby(t, places))
     counts = np.diff(begins, append=len(y))
     lasting = t[np.minimum(begins + counts, len(y) - 1)] - t[begins]
     rests = lasting > SHARED_ERROR_S
@@ -198,9 +210,10 @@ def _find_stays(t: Array, y: Array) -> Stays:
     pairs = np.diff(y)[resting[1:] & resting[:-1]]
     if step == 0.0 or not len(pairs):
         return Stays(counts, lasting, 1.0)
-    scatter = 0.5 * float(np.mean(np.square(pairs))) / step**2
-    share = _share_in_common(scatter)
-    if scatter < TWO_COUNTS:
+    share = _compute_common_share(0.5 * float(np.mean(np.square(pairs))) / step**2)
+    spans = np.maximum.reduceat(places, begins) - np.minimum.reduceat(places, begins)
+    if (spans[rests] < 2.0).all():
+        # little noise moves as many where a place is at the edge of a count: few places do not tell
         share += (1.0 - share) / np.count_nonzero(rests) ** 2
     return Stays(counts, lasting, share)
 
@@ -214,7 +227,7 @@ def _average_nearby(t: Array, y: Array) -> Array:
 
 
 def _index_moves(places: Array) -> Array:
-    """The first of places (N,), and each that is 1 and more from the last one that counts."""
+    """Indices of the first of places (N,), and of each that is 1 or more from the last of these."""
     found = [0]
     last = places[0]
     for k, place in enumerate(places.tolist()):
@@ -224,7 +237,7 @@ def _index_moves(places: Array) -> Array:
     return np.array(found)
 
 
-def _share_in_common(scatter: float) -> float:
+def _compute_common_share(scatter: float) -> float:
     """Share of the variance of rounding that readings of one place have in common, where these
     scatter by `scatter` squared counts.
 
