@@ -60,7 +60,8 @@ JACKKNIFE_BLOCKS = 8
 """Blocks of intervals that are left out in turn."""
 METHOD_STD_S = 0.0025
 """Error that all episodes of a camera may share: 11 cameras of drawn worlds, five episodes each,
-err by -0.5 ms in the mean, and by no more than their own errors beyond that; this is the 95 % bound.
+err by -0.5 ms in the mean, and by no more than their own errors beyond that; this is the 95 %
+bound.
 """
 
 

@@ -408,9 +408,8 @@ def _compute_image_shares(
 def _expect_readings(
     fine: FactorProblem, solution: Solution, beliefs: Marginals, knots: Array
 ) -> tuple[Array, Array, Array]:
-    """What encoders read, from the beliefs at a knot (N,) close to each reading, with what columns
-    change in readings: mean (N,M), variance (N,M) by what readings change, and by sizes of columns
-    that are settled.
+    """Expected readings from the beliefs at a knot (N,) close to each, columns included: mean
+    (N,M), variance (N,M) by the states, and by the sizes of columns that are settled.
     """
     joints = solution.linear.noise.joints
     rows = joints.build_reading_rows(fine.t - fine.knots[knots])
