@@ -165,7 +165,7 @@ class LiveInputs:
         return x if accepted and all(usable) else np.where(np.array(usable) & accepted, x, np.nan)
 
     def _count_reading(self, sense: str, rejected: Mapping[str, bool]) -> bool:
-        """Count a reading as accepted or by its first reason for rejection; whether it is accepted."""
+        """Count a reading as accepted or by its first reason for rejection; whether accepted."""
         counts = self._counts.setdefault(sense, {})
         reason = next((reason for reason, holds in rejected.items() if holds), "")
         counts[reason] = counts.get(reason, 0) + 1

@@ -49,7 +49,7 @@ def dense(problem, noise, linear, until):
     """
     joints = noise.joints
     times = np.unique(np.concatenate([problem.knots, problem.t[problem.t >= problem.knots[0]]]))
-    p, m = joints.states, len(problem.start)
+    p, m = joints.state_count, len(problem.start)
     start = block_diag(*np.linalg.inv(joints.start_precision))
     mean = np.zeros(m * p)
     mean[::p] = problem.start
@@ -115,7 +115,7 @@ def dense(problem, noise, linear, until):
 
 def transition(joints, gap, joint):
     """The transition (p,p) of one joint's state."""
-    move = np.eye(joints.states)
+    move = np.eye(joints.state_count)
     for i in range(MOTION_ORDER):
         for k in range(i + 1, MOTION_ORDER):
             move[i, k] = gap ** (k - i) / (k - i)
@@ -135,7 +135,7 @@ def test_filter_and_smoother_of_a_linear_body_are_those_of_dense_matrices(lastin
         problem, assumed = drawn(rng, columns), noise(rng, lasting, at_link)
         solution = solve_problem(problem, assumed, rounds=1)
         forward = filter_knots(solution.system, solution.eliminated)
-        size = JOINTS * assumed.joints.states
+        size = JOINTS * assumed.joints.state_count
         mean, cov, sizes, nats = dense(problem, assumed, solution.linear, problem.knots[-1])
         whole = solution.beliefs
         own = whole.cov + whole.shared @ whole.sizes_cov @ whole.shared.swapaxes(1, 2)
@@ -160,7 +160,7 @@ def test_angles_of_a_linear_body_are_those_of_dense_matrices_to_the_ninth_digit(
         problem, assumed = drawn(rng), noise(rng)
         solution = solve_problem(problem, assumed, rounds=1)
         mean, cov, _, _ = dense(problem, assumed, solution.linear, problem.knots[-1])
-        p = assumed.joints.states
+        p = assumed.joints.state_count
         assert np.abs(solution.beliefs.mean[:, 0 : 2 * p : p] - mean[:, ::p]).max() < 1e-9
         assert np.abs(solution.beliefs.cov[:, 0, 0] - cov[:, 0, 0]).max() < 1e-9
 
@@ -213,7 +213,7 @@ def test_what_is_predicted_is_what_was_known_before_the_knot():
     solution = solve_problem(problem, assumed, rounds=1)
     before = predict_knots(solution.system, solution.eliminated)
     mean, cov, _, _ = dense(problem, assumed, solution.linear, problem.knots[5] - 1e-6)
-    size = JOINTS * assumed.joints.states
+    size = JOINTS * assumed.joints.state_count
     unit = np.sqrt(np.diag(cov[5]))
     assert np.abs((before.mean[5, :size] - mean[5]) / unit).max() < 1e-6
 

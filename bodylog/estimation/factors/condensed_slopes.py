@@ -52,7 +52,7 @@ def measure_condensed_slopes(
 
     pairs, passed: what the readings are condensed to, and what that passes.
     """
-    p = noise.states
+    p = noise.state_count
     states, columns = expected.with_start()
     starts = np.concatenate([states[:p], columns])
     # r after the last gap is (x₁ − what x₀ and c predict) in its precision

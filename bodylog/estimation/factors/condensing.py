@@ -142,7 +142,7 @@ def condense_readings(
     gets what is passed.
     """
     steps, count, m, r = readings.between.shape
-    p = noise.states
+    p = noise.state_count
     decays = np.exp(-readings.gaps[..., None] / noise.seconds)
     gains = noise.compute_gained_covariance(readings.gaps, readings.unit_motion)
     values = np.ascontiguousarray(np.moveaxis(readings.between, -1, 1))

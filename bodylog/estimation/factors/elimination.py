@@ -63,13 +63,13 @@ class System:
         )
 
     @property
-    def states(self) -> int:
+    def state_count(self) -> int:
         """Number S of states at a knot."""
         return int(self.info.shape[1])
 
     def assemble_blocks(self) -> tuple[Array, Array, Array]:
         """Diagonal (K,S,S) and upper (K-1,S,S) blocks of A, and U (K,S,R)."""
-        s = self.states
+        s = self.state_count
         diagonal = self.info.copy()
         diagonal[:-1] += self.pair_info[:, :s, :s]
         diagonal[1:] += self.pair_info[:, s:, s:]
@@ -149,13 +149,13 @@ class Marginals:
 
     def split_joints(self, joints: JointNoise) -> Array:
         """Each joint's state (K,M,p) at the knots."""
-        width = len(joints.white) * joints.states
-        return self.mean[:, :width].reshape(len(self.mean), -1, joints.states)
+        width = len(joints.white) * joints.state_count
+        return self.mean[:, :width].reshape(len(self.mean), -1, joints.state_count)
 
     def list_angle_variances(self, joints: JointNoise) -> Array:
         """Variances (K,M) rad² of the joints' angles at the knots, the columns' sizes known."""
-        width = len(joints.white) * joints.states
-        return np.asarray(np.einsum("kss->ks", self.cov)[:, : width : joints.states])
+        width = len(joints.white) * joints.state_count
+        return np.asarray(np.einsum("kss->ks", self.cov)[:, : width : joints.state_count])
 
     def project_rows(self, rows: Array, knots: Array, columns: Array) -> tuple[Array, Array]:
         """Mean (F,D) and covariance (F,D,D) of rows (F,D,S)

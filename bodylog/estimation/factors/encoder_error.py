@@ -40,7 +40,7 @@ class JointNoise:
     learned: Array
 
     @property
-    def states(self) -> int:
+    def state_count(self) -> int:
         """Number p of a joint's states."""
         return MOTION_ORDER + (self.error is not None)
 
@@ -56,11 +56,11 @@ class JointNoise:
         var = np.tile(np.square(np.array(motion.START_STD[:MOTION_ORDER])), (len(self.white), 1))
         if self.error is not None:
             var = np.column_stack([var, self.error_variance])
-        return np.asarray(np.eye(self.states) / var[:, None, :])
+        return np.asarray(np.eye(self.state_count) / var[:, None, :])
 
     def build_link_rows(self, ahead: Array) -> Array:
         """Where links stand, as rows (F,M,p) on each joint's state `ahead` (F,) s before."""
-        rows = np.zeros((len(ahead), len(self.white), self.states))
+        rows = np.zeros((len(ahead), len(self.white), self.state_count))
         rows[..., :MOTION_ORDER] = motion.motion_transition(MOTION_ORDER, ahead)[:, None, 0, :]
         if self.error is not None:
             rows[..., MOTION_ORDER] = self.at_link
@@ -72,7 +72,7 @@ class JointNoise:
 
     def place_rows_on_knots(self, rows: Array, size: int) -> Array:
         """Rows (F,M,p) on each joint's state as rows (F,M,S) on a knot's state, of this size S."""
-        p = self.states
+        p = self.state_count
         placed = np.zeros((*rows.shape[:2], size))
         for j in range(len(self.white)):
             placed[:, j, j * p : (j + 1) * p] = rows[:, j]
@@ -115,7 +115,7 @@ class JointNoise:
         """Covariances (p,p,…,M) that the state gains over gaps (…) s, over which
         motion gains unit_motion (3,3,…) for a process of variance 1.
         """
-        found = np.zeros((self.states, self.states, *gap.shape, len(self.white)))
+        found = np.zeros((self.state_count, self.state_count, *gap.shape, len(self.white)))
         found[:MOTION_ORDER, :MOTION_ORDER] = unit_motion[..., None] * self.process
         if self.error is not None:
             lost = np.expm1(-2.0 * gap[..., None] / self.seconds)

@@ -113,7 +113,7 @@ class FactorProblem:
 
     def count_states(self, noise: Noise) -> int:
         """Length S of the state at a knot: each joint's, then the model errors."""
-        return len(self.start) * noise.joints.states + self.model_rows
+        return len(self.start) * noise.joints.state_count + self.model_rows
 
     def place_on_knots(self, path: Path) -> Readings:
         """The readings at and between the knots, with the change of each by the columns as further
@@ -187,7 +187,7 @@ def _collect_knot_factors(linear: Linearised) -> tuple[Array, Array, Array, Arra
     problem = linear.problem
     joints = linear.noise.joints
     readings = linear.readings
-    p = joints.states
+    p = joints.state_count
     count = len(problem.knots)
     size = problem.count_states(linear.noise)
     right_sides = 1 + len(problem.columns)
@@ -236,7 +236,7 @@ def _collect_pair_factors(
     """info, right, square and logs from each knot to the next, as of `System`: the readings between
     them, condensed to pairs, and how model errors last.
     """
-    p = linear.noise.joints.states
+    p = linear.noise.joints.state_count
     count = len(linear.problem.knots) - 1
     size = linear.problem.count_states(linear.noise)
     info = np.zeros((count, 2 * size, 2 * size))

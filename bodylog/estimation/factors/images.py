@@ -98,7 +98,7 @@ def build_image_rows(
     mean, jac, model_var = mix_rows(images.mix, images.sighting.model.predict(links))
     count, rows, joints = jac.shape
     slopes = np.zeros((count, rows, size))
-    width = joints * noise.states
+    width = joints * noise.state_count
     by_states = jac[..., None] * noise.build_link_rows(images.ahead)[:, None]
     slopes[..., :width] = by_states.reshape(count, rows, width)
     slopes[:, np.arange(rows), first + np.arange(rows)] = np.sqrt(np.maximum(model_var, 0.0))

@@ -200,7 +200,7 @@ def _measure_slopes(
     parts = [by["white"] + _measure_knot_slopes(linear, beliefs), by["process"]]
     if len(_list_lasting_stds(joints)):
         assert joints.error is not None
-        p = joints.states
+        p = joints.state_count
         square = expected.pairs[p - 1, p - 1, 0]
         first = 1.0 - square * joints.start_precision[:, -1, -1]
         parts += [
@@ -213,7 +213,7 @@ def _measure_slopes(
 
 def _expect_moments(linear: Linearised, beliefs: Smoothed) -> Expected:
     """Second moments of neighbouring joint states and the columns' sizes."""
-    p = linear.noise.joints.states
+    p = linear.noise.joints.state_count
     m = len(linear.problem.start)
     sizes = beliefs.sizes[0]
     sizes_cov = beliefs.sizes_cov[0]

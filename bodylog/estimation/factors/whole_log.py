@@ -413,7 +413,7 @@ def _expect_readings(
     """
     joints = solution.linear.noise.joints
     rows = joints.build_reading_rows(fine.t - fine.knots[knots])
-    rows = joints.place_rows_on_knots(rows, solution.system.states)
+    rows = joints.place_rows_on_knots(rows, solution.system.state_count)
     moved = np.zeros((*fine.values.shape, len(fine.columns)))
     for c, column in enumerate(fine.columns):
         moved[..., c] = column.changes_readings(fine.t, solution.linear.path)
@@ -437,7 +437,7 @@ def _evaluate_instants(
     noise = solution.linear.noise
     joints = noise.joints
     knot, ahead = _find_knots_before(t, fine.knots)
-    rows = joints.place_rows_on_knots(joints.build_link_rows(ahead), solution.system.states)
+    rows = joints.place_rows_on_knots(joints.build_link_rows(ahead), solution.system.state_count)
     path = path_from_beliefs(fine, noise, solution.beliefs)
     bends = np.zeros((*rows.shape[:2], len(fine.columns)))
     for c, column in enumerate(fine.columns):

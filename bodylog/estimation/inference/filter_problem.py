@@ -111,17 +111,17 @@ class Fold:
     length: int
 
     @property
-    def count(self) -> int:
+    def stretch_count(self) -> int:
         """Number C of stretches, of which the last one may not be full."""
         return max(1, -(-self.events // self.length))
 
     def fold_events(self, a: Array, fill: float) -> Array:
         """(E,…) -> (L,…,C), with `fill` after the last event."""
-        padded = np.empty((self.length * self.count, *a.shape[1:]))
+        padded = np.empty((self.length * self.stretch_count, *a.shape[1:]))
         padded[: self.events] = a
         padded[self.events :] = fill
         return np.ascontiguousarray(
-            np.moveaxis(padded.reshape(self.count, self.length, *a.shape[1:]), 0, -1)
+            np.moveaxis(padded.reshape(self.stretch_count, self.length, *a.shape[1:]), 0, -1)
         )
 
     def unfold_events(self, a: Array) -> Array:
@@ -140,7 +140,7 @@ class Fold:
     @property
     def handover_events(self) -> Array:
         """Last event (C−1,) of every stretch that has a successor."""
-        return np.arange(1, self.count) * self.length - 1
+        return np.arange(1, self.stretch_count) * self.length - 1
 
 
 def choose_fold(events: int) -> Fold:
@@ -165,9 +165,9 @@ def fold_readings(problem: FilterProblem, fold: Fold, held: Array | None = None)
         fold.fold_events(dt, 0.0),
         fold.fold_events(encoders, np.nan),
         fold.fold_events(encoder_var, 1.0),
-        np.full((*frames, fold.count), np.nan),
-        np.zeros((*frames, m, fold.count)),
-        np.ones((*frames, fold.count)),
+        np.full((*frames, fold.stretch_count), np.nan),
+        np.zeros((*frames, m, fold.stretch_count)),
+        np.ones((*frames, fold.stretch_count)),
         reset=_mark_restarting_joints(problem, fold),
         process_factor=None if process_factor is None else fold.fold_events(process_factor, 1.0),
         gate=problem.gate,
@@ -191,7 +191,7 @@ def _mark_restarting_joints(problem: FilterProblem, fold: Fold) -> Array | None:
     here = np.isin(times, t)
     if not here.any():
         return None
-    reset = np.zeros((fold.length, len(problem.start), fold.count), bool)
+    reset = np.zeros((fold.length, len(problem.start), fold.stretch_count), bool)
     fold.write_events(reset, np.searchsorted(t, times[here]), joints[here])
     return reset
 

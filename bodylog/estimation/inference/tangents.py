@@ -230,7 +230,9 @@ def build_state_prior(start: Array, dynamics: FilterDynamics) -> tuple[Array, Ar
 def repeat_state_prior(problem: FilterProblem, fold: Fold) -> tuple[Array, Array]:
     """The prior state z (K,C) and covariance p (K,K,C) of every stretch."""
     z, p = build_state_prior(problem.start, problem.dynamics)
-    return np.repeat(z[:, None], fold.count, axis=1), np.repeat(p[:, :, None], fold.count, axis=2)
+    return np.repeat(z[:, None], fold.stretch_count, axis=1), np.repeat(
+        p[:, :, None], fold.stretch_count, axis=2
+    )
 
 
 def begin_along_path(problem: FilterProblem, fold: Fold) -> tuple[Tangents, Array, Array]:

@@ -66,7 +66,7 @@ class Curve:
     walking: tuple[int, ...]
 
     @cached_property
-    def whitening(self) -> Array:
+    def whitening_root(self) -> Array:
         """Square root (B,2,2) of the inverse covariance of positions less predictions."""
         cov = np.einsum("bdm,bm,bem->bde", self.jac, self.encoder, self.jac)
         np.einsum("bdd->bd", cov)[:] += self.model + self.noise / self.images
@@ -77,7 +77,7 @@ class Curve:
         """Slopes (B,2,P) of whitened predictions in encoder offsets at the
         knots, all of a joint together, and then in steps of those that walk.
         """
-        turned = self.whitening @ self.jac
+        turned = self.whitening_root @ self.jac
         parts = ((turned, self.bends), (turned[..., list(self.walking)], self.walks))
         return np.concatenate(
             [
@@ -115,10 +115,11 @@ class RegressionRows:
 def build_regression_rows(curve: Curve, late: float) -> RegressionRows:
     """Residuals and slopes of a curve delayed by `late` s."""
     place, slope, value, speed, first, sound = interpolate_curve(curve, late)
-    image = curve.whitening * np.sqrt(curve.blur / curve.images)
+    image = curve.whitening_root * np.sqrt(curve.blur / curve.images)
     blur = np.square(image).sum(axis=(1, 2))
     misfit, slope = (
-        np.einsum("bde,be->bd", curve.whitening, part) for part in (curve.predicted - place, slope)
+        np.einsum("bde,be->bd", curve.whitening_root, part)
+        for part in (curve.predicted - place, slope)
     )
     slopes = np.concatenate([slope[..., None], curve.offset_slopes], axis=-1)
     cross = blur * (value * speed).sum(axis=1)

@@ -167,7 +167,7 @@ def stack_candidates(
     """
     g = processes.shape[1]
     fold = solved.fold
-    dynamics = replace(part.dynamics, process=np.tile(processes, fold.count))
+    dynamics = replace(part.dynamics, process=np.tile(processes, fold.stretch_count))
     starts = hand_over_starts(*repeat_state_prior(part, fold), solved.trace)
     z, p = (np.repeat(part, g, axis=-1) for part in starts)
     return (
