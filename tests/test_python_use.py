@@ -9,7 +9,7 @@ import pytest
 import bodylog
 import bodylog.logs as logs
 from bodylog.errors import ConfigError
-from bodylog.estimation.noise.quantisation import find_joint_unit
+from bodylog.estimation.measurements.reading_units import find_joint_unit
 from bodylog.findings.result import Scores
 from bodylog.settings import Settings
 from bodylog.types import LazyImage, Score, Series

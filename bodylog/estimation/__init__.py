@@ -14,15 +14,15 @@ from .common_cause import infer_common_causes
 from .inference.kernel_call import load_kernel
 from .measurements import gather
 from .measurements.arm_errors import read_arm_errors
-from .methods.consistency import check_consistency, report_numerical_errors, require_finite_estimate
-from .methods.table import METHODS, warn_of_ignored_settings
-from .noise import noise_model
-from .noise.quantisation import (
+from .measurements.reading_units import (
     JOINT_UNIT_KEY,
     convert_estimate_to_units,
     find_joint_unit,
     scale_to_angles,
 )
+from .methods.consistency import check_consistency, report_numerical_errors, require_finite_estimate
+from .methods.table import METHODS, warn_of_ignored_settings
+from .noise import noise_model
 from .poses import estimate_still_poses as still_poses
 from .timing.correction import (
     add_delay_uncertainty,

@@ -15,8 +15,8 @@ import numpy as np
 from ...body_model import BodyModel
 from ...types import Array, Fault, FaultKind, Finding, Hypothesis
 from ..inference.reacquisition import LONG_SILENCE_S
+from ..measurements.reading_units import convert_fault_to_units
 from ..measurements.records import Encoders, Evidence
-from ..noise.quantisation import convert_fault_to_units
 from .jumping import find_jumps, find_level_shifts, unwrap_turns
 from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, measure_motion_nats
 from .threshold import EVIDENCE_THRESHOLD_NATS

@@ -11,9 +11,9 @@ from ...body_model import BodyModel
 from ...errors import EvidenceError, LogError, ModelError, UsageError
 from ...settings import EstimationSettings
 from ...types import Array, Features, Finding, Health, Series
-from ..noise.quantisation import find_joint_unit
 from . import posture, touch, track
 from .long_arrays import index_true_rows
+from .reading_units import find_joint_unit
 from .records import Encoders, Evidence, Sense, build_health
 from .track import find_ascending_times, find_longest_gap
 
