@@ -1,5 +1,5 @@
-"""The selected inverse of a block-tridiagonal matrix, in linear time, forward substitution, and
-covariances of many small linear maps.
+"""The selected inverse of a block-tridiagonal matrix, in linear time, forward substitution,
+covariances of many small linear maps, and mixtures of normal distributions.
 """
 
 import numpy as np
@@ -71,3 +71,13 @@ def project_covariance(jac: Array, cov: Array) -> Array:
     jac, cov = (np.ascontiguousarray(np.moveaxis(part, 0, -1)) for part in (jac, cov))
     found = np.einsum("dkf,ekf->fde", np.einsum("dmf,mkf->dkf", jac, cov), jac)
     return np.ascontiguousarray(found)
+
+
+def mix_normals(shares: Array, means: Array, covs: Array) -> tuple[Array, Array]:
+    """Mean (…,M) and covariance (…,M,M) of mixtures of K normal
+    distributions: shares (…,K) of sum 1, means (…,K,M), covs (…,K,M,M).
+    """
+    mean = (shares[..., None, :] @ means)[..., 0, :]
+    away = means - mean[..., None, :]
+    spread = covs + away[..., :, None] * away[..., None, :]
+    return mean, (shares[..., None, None] * spread).sum(axis=-3)

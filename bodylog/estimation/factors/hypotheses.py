@@ -8,6 +8,7 @@ from itertools import chain, combinations, islice
 
 import numpy as np
 
+from ...linear_algebra import mix_normals
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..measurements.arm_errors import PLAY_STD
@@ -269,9 +270,7 @@ def mix_silent_groups(found: Learned, columns: Sequence[Column]) -> Learned:
         sizes[k] = means + covs[k] @ found.schur[1:, 0]
     weights = np.exp(nats.min() - nats)
     weights /= weights.sum()
-    mean = weights @ sizes
-    away = sizes - mean
-    cov = np.einsum("k,kcd->cd", weights, covs + away[:, :, None] * away[:, None, :])
+    mean, cov = mix_normals(weights, sizes, covs)
     return replace(found, sizes=mean, sizes_cov=cov)
 
 

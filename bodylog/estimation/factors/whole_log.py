@@ -511,7 +511,7 @@ def _standardise_readings(
     assert fine.believed is not None
     rest = np.maximum(var / fine.believed - own, 1e-3 * var)
     total = (var + own if causal else rest) + settled
-    at_knot = ahead <= SAME_TIME_S
+    at_knot = np.abs(ahead) <= SAME_TIME_S
     found = np.full((len(problem.timeline.t), len(problem.start)), np.nan)
     found[encoder_rows[at_knot]] = ((fine.values - mean) / np.sqrt(total))[at_knot]
     return found

@@ -14,6 +14,7 @@ from math import tau
 
 import numpy as np
 
+from ...linear_algebra import mix_normals
 from ...motion import START_STD
 from ...settings import EstimationSettings
 from ...types import Array, Estimate
@@ -370,10 +371,7 @@ def _merge_parts(
     from the mean, covariance), and the nats of what was measured.
     """
     dense, steps, covs = (np.array(one) for one in zip(*parts, strict=True))
-    shares = dense / dense.sum()
-    step = shares @ steps
-    away = steps - step
-    cov = np.einsum("k,kab->ab", shares, covs + away[:, :, None] * away[:, None, :])
+    step, cov = mix_normals(dense / dense.sum(), steps, covs)
     return mean + step, cov, -float(np.log(dense.sum()))
 
 
@@ -406,8 +404,6 @@ def join_beliefs(t: Array, before: SlipBelief, after: SlipBelief, slips: StickSl
     gain = gain.swapaxes(-1, -2)
     steps = (gain @ off[:, None, :, None])[..., 0]
     covs = cov[:-1, None] - gain @ cov[:-1, None]
-    step = np.einsum("ek,ekm->em", shares, steps)
-    away = steps - step[:, None]
+    step, cov[:-1] = mix_normals(shares, steps, covs)
     mean[:-1] += step
-    cov[:-1] = np.einsum("ek,ekab->eab", shares, covs + away[..., :, None] * away[..., None, :])
     return replace(before, mean=mean, cov=0.5 * (cov + cov.swapaxes(1, 2)))
