@@ -16,10 +16,19 @@ from ...body_model import BodyModel
 from ...types import Array, Fault, FaultKind, Finding, Hypothesis
 from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.reading_units import convert_fault_to_units
-from ..measurements.records import Encoders, Evidence
-from .jumping import find_jumps, find_level_shifts, unwrap_turns
+from ..measurements.records import Encoders, Evidence, Sighting
+from .jumping import (
+    find_evident_slips,
+    find_jumps,
+    find_level_shifts,
+    measure_slip_nats,
+    unwrap_turns,
+)
 from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, measure_motion_nats
 from .threshold import EVIDENCE_THRESHOLD_NATS
+
+LEAST_NATS = 1e-9
+"""Nats by which slips are preferred to jumps where nothing else tells."""
 
 
 class ScreenedEncoder(NamedTuple):
@@ -58,7 +67,11 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
     found = {
         name: _screen_encoder(
-            name, encoders.t, y, partial(measure_motion_nats, in_units, images, joint)
+            name,
+            encoders.t,
+            y,
+            partial(measure_motion_nats, in_units, images, joint),
+            partial(_measure_slip_nats_of_angles, in_units, images, joint, size),
         )
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))
     }
@@ -88,9 +101,14 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
 
 
 def repair_readings(encoders: Encoders) -> Encoders:
-    """The readings (angles) without faulty stretches and jumps."""
+    """The readings (angles) without faulty stretches and jumps. No images tell jumps from slips
+    here: those of a joint that evidently sticks are slips.
+    """
     encoders = _unwrap_columns(encoders)
-    each = [_screen_encoder("", encoders.t, y, lambda begin, end: 0.0) for y in encoders.values.T]
+    each = [
+        _screen_encoder("", encoders.t, y, lambda begin, end: 0.0, lambda shifts: LEAST_NATS)
+        for y in encoders.values.T
+    ]
     return _with_columns(encoders, [one.values for one in each])
 
 
@@ -102,13 +120,29 @@ def _with_columns(encoders: Encoders, columns: Sequence[Array]) -> Encoders:
     return replace(encoders, values=np.stack(columns, axis=1)) if columns else encoders
 
 
-def _screen_encoder(
-    name: str, t: Array, y: Array, moved: Callable[[int, int], float]
-) -> ScreenedEncoder:
-    """Screen one encoder's readings y (N,) rad at t (N,) s;
-    `moved`: nats of images that it moved in [begin, end).
+def _measure_slip_nats_of_angles(
+    encoders: Encoders,
+    images: Sequence[Sighting],
+    joint: int,
+    rad_per_unit: float,
+    shifts: Sequence[tuple[int, float]],
+) -> float:
+    """`measure_slip_nats` of shifts in rad."""
+    in_units = [(at, size / rad_per_unit) for at, size in shifts]
+    return measure_slip_nats(encoders, images, joint, in_units)
 
-    Only jumps and glitches have a size.
+
+def _screen_encoder(
+    name: str,
+    t: Array,
+    y: Array,
+    moved: Callable[[int, int], float],
+    slipped: Callable[[Sequence[tuple[int, float]]], float],
+) -> ScreenedEncoder:
+    """Screen one encoder's readings y (N,) rad at t (N,) s.
+
+    moved: nats of images that it moved in [begin, end) · slipped: nats of images that it slipped by
+    each of these shifts (rad), from these readings on. Only jumps and glitches have a size.
     """
     if not np.isfinite(y).any():
         return ScreenedEncoder(y, (), {})
@@ -123,6 +157,10 @@ def _screen_encoder(
             found.append(Fault("encoders", name, one.kind, since, 0.0, "rad", until=until))
             values[one.begin : one.end] = np.nan
     moves = find_level_shifts(t, values)
+    evident = [(at, size) for at, size, won in moves if won > EVIDENCE_THRESHOLD_NATS]
+    least = 0.0 if evident and len(find_evident_slips(t, values)) else EVIDENCE_THRESHOLD_NATS
+    if evident and slipped(evident) > least:
+        return ScreenedEncoder(values, found, nats)
     nats["jumped"] = max((won for *_, won in moves), default=0.0)
     for begin, end, size in _find_excursions(t, values, moves):
         since = float(t[begin])

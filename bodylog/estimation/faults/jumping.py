@@ -1,13 +1,24 @@
-"""Jumping encoders, found in their own readings: the level shifts faster than a joint can move."""
+"""Jumping encoders, found in their own readings: the level shifts faster than a joint can move.
 
+Joints that stick and slip shift as fast. Images tell them apart: they show slips, and no jumps.
+"""
+
+from collections.abc import Sequence
 from math import log, tau
 
 import numpy as np
 
 from ...types import Array
 from ..inference.tangents import OFFSET_STD
-from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, measure_median_step
-from ..noise.quantisation import find_reading_step
+from ..measurements.long_arrays import (
+    LEVEL_READINGS,
+    find_finite_rows,
+    index_true_rows,
+    measure_median_step,
+)
+from ..measurements.records import Encoders, Sighting
+from ..measurements.timeline import GAP_STEPS
+from ..noise.quantisation import find_reading_step, index_moves
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 MAX_ACCELERATION_RAD_S2 = 1000.0
@@ -20,6 +31,128 @@ SIZE_READINGS = 2 * LEVEL_READINGS
 """Readings on each side of a jump that tell its size. On 1,800 jumps of drawn arms at 50 to 500 Hz
 sizes are off by 0.90 to 0.95 of the stated standard deviation, and by 3.0 of it at most; with up to
 40 readings, by up to 1.14 and 3.3."""
+EVIDENT_SIGMAS = 8.0
+"""Standard deviations of a reading's noise beyond which two readings show a slip."""
+EVIDENT_COUNTS = 4.0
+"""Counts beyond which they do: a slow joint turns by one count at a time, and stands in between."""
+EVIDENT_SHARE = 0.3
+"""Share of a joint's way that such slips make. Joints of 72 drawn logs that turn smoothly have at
+most 0.02; of 72 that stick by 9 mrad, those whose readings show it have 0.32 and more.
+"""
+
+
+def find_evident_slips(t: Array, y: Array) -> Array:
+    """Sizes (S,) rad of the slips of a joint that evidently sticks, read y (N,) rad at t (N,) s; none
+    of others. It moves by steps between two readings alone, far beyond their noise and their count,
+    and stands still before and after each.
+    """
+    known = np.isfinite(y)
+    y = y[known]
+    least = _find_least_slip(y)
+    if len(y) < 3 or least == 0.0:
+        return np.zeros(0)
+    steps = np.abs(np.diff(y))
+    steps[np.diff(t[known]) > GAP_STEPS * measure_median_step(t)] = 0.0
+    # the first reading and the last may be false
+    beside = np.maximum(np.append(np.inf, steps[:-1]), np.append(steps[1:], np.inf))
+    slips = steps[(steps > least) & (beside < 0.5 * steps)]
+    if not len(slips):
+        return np.zeros(0)
+    way = float(np.abs(np.diff(y[index_moves(y / least)])).sum())
+    return np.asarray(slips[: len(slips) if slips.sum() > EVIDENT_SHARE * way else 0])
+
+
+def _find_least_slip(y: Array) -> float:
+    """The least step (rad) of readings y (N,) that shows a slip; 0 of readings without noise."""
+    return max(EVIDENT_SIGMAS * estimate_reading_noise(y), EVIDENT_COUNTS * find_reading_step(y))
+
+
+def average_between_slips(t: Array, y: Array) -> Array:
+    """Readings y (N,) at t (N,) s of a joint that evidently sticks, or rests, averaged while it
+    stands still; those of others as they are.
+    """
+    known = np.flatnonzero(np.isfinite(y))
+    least = _find_least_slip(y[known])
+    rests = np.ptp(y[known]) <= least if len(known) else True
+    if not rests and not len(find_evident_slips(t, y)):
+        return y
+    found = y.copy()
+    moves = np.abs(np.diff(y[known])) > least
+    begins = np.flatnonzero(np.append(True, moves))
+    counts = np.diff(begins, append=len(known))
+    found[known] = np.repeat(np.add.reduceat(y[known], begins) / counts, counts)
+    return found
+
+
+IMAGES_BESIDE_SHIFT = 3
+"""Images before a shift, and after it, whose medians tell whether the joint slipped: one of three
+may be of something else."""
+MOST_NATS_OF_IMAGE = 5.0
+"""Nats that an image on either side tells of a shift at most: a single one of something else is
+less than EVIDENCE_THRESHOLD_NATS."""
+
+
+def measure_slip_nats(
+    encoders: Encoders, images: Sequence[Sighting], joint: int, shifts: Sequence[tuple[int, float]]
+) -> float:
+    """Nats by which images take shifts in a joint's readings for slips of the joint: from before
+    each shift to after it they move as the readings say.
+
+    shifts: first index after each, and its size, in the readings' unit.
+    """
+    return sum(_measure_slip_nats_of_view(encoders, one, joint, shifts) for one in images)
+
+
+def _measure_slip_nats_of_view(
+    encoders: Encoders, sighting: Sighting, joint: int, shifts: Sequence[tuple[int, float]]
+) -> float:
+    """The same of one sense's images."""
+    own = np.arange(encoders.values.shape[1]) == joint
+    rows = np.flatnonzero(find_finite_rows(sighting.values))
+    t = sighting.t[rows]
+    x = encoders.interpolate_at(t)
+    mean, slope, var = sighting.model.predict(x)
+    off = sighting.values[rows] - mean
+    scatter = [estimate_reading_noise(y[np.isfinite(y)]) for y in encoders.values.T]
+    noise = sighting.var[rows] + var + np.square(slope) @ np.square(scatter)
+    seen = _join_unseen_shifts(t, encoders.t, shifts)
+    firsts = [0, *(first for _, first, _ in seen)]
+    ends = [*(end for end, _, _ in seen), len(t)]
+    nats = 0.0
+    for k, (_, _, size) in enumerate(seen):
+        before = slice(max(firsts[k], ends[k] - IMAGES_BESIDE_SHIFT), ends[k])
+        after = slice(firsts[k + 1], min(ends[k + 1], firsts[k + 1] + IMAGES_BESIDE_SHIFT))
+        count = min(before.stop - before.start, after.stop - after.start)
+        if count < 1:
+            continue
+        unshifted = sighting.model.predict(x[after] - size * own)[0] - mean[after]
+        left = np.median(off[after], axis=0) - np.median(off[before], axis=0)
+        # a median of three has about half of the variance of one
+        both = np.mean(noise[before], axis=0) + np.mean(noise[after], axis=0)
+        slipped = 0.5 * float((np.square(left) / both).sum())
+        jumped = 0.5 * float((np.square(left - np.median(unshifted, axis=0)) / both).sum())
+        most = MOST_NATS_OF_IMAGE * count
+        explained = slipped < EVIDENCE_THRESHOLD_NATS
+        nats += float(np.clip(jumped - slipped, -most, most)) if explained else -most
+    return nats
+
+
+def _join_unseen_shifts(
+    images: Array, readings: Array, shifts: Sequence[tuple[int, float]]
+) -> list[tuple[int, int, float]]:
+    """Shifts of readings at (N,) s as images at (F,) s show them, those without an image in between
+    as one: how many images there are before it, the first image after it, and its size.
+    """
+    joined = list[tuple[int, int, float]]()
+    for at, size in shifts:
+        # an image between two readings may show either
+        end = int(np.searchsorted(images, readings[at - 1], "right"))
+        first = int(np.searchsorted(images, readings[at]))
+        if joined and end <= joined[-1][1]:
+            end, _, before = joined.pop()
+            size += before
+        joined.append((end, first, size))
+    return joined
 
 
 def find_jumps(t: Array, y: Array) -> list[tuple[int, float, float]]:
@@ -49,12 +182,12 @@ def _fit_jump_size(t: Array, v: Array, at: int) -> tuple[float, float]:
     fitted = np.linalg.lstsq(basis, v[window] - v[at])[0]
     off = v[window] - v[at] - basis @ fitted
     freedom = max(len(off) - basis.shape[1], 1)
-    scatter = max(_estimate_reading_noise(v), float(np.sqrt(off @ off / freedom)))
+    scatter = max(estimate_reading_noise(v), float(np.sqrt(off @ off / freedom)))
     std = scatter * float(np.linalg.norm(np.linalg.pinv(basis)[-1]))
     return float(fitted[-1]), std
 
 
-def _estimate_reading_noise(v: Array) -> float:
+def estimate_reading_noise(v: Array) -> float:
     """Scatter (rad) of readings v (N,), by second differences, and at least that of rounding."""
     bends = np.abs(np.diff(v, 2))
     # a normal scatter σ has second differences of √6 σ, whose median size is 0.67 of that

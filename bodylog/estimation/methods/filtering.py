@@ -38,6 +38,7 @@ from ..noise.posture_prior import learn_posture_prior
 from .contract import Method
 from .explained import estimate_with_hardware_errors
 from .results import Beliefs
+from .stick_slip import estimate_evident_slips
 
 S = TypeVar("S", bound=Solution)
 
@@ -50,7 +51,11 @@ def estimate_by_filter(
     `filter` linearises frames at the belief until it
     converges; `ekf` does so once, at the prior mean.
     """
-    start_problem = pose_filter_problem(features, body, settings)
+    built = build_filter_problem(features, body, settings)
+    slipping = estimate_evident_slips(built, settings)
+    if slipping is not None:
+        return slipping
+    start_problem = leave_out_stray_runs(built, settings)
 
     def solve_problem(problem: FilterProblem) -> tuple[FilterProblem, Solution]:
         problem, warm = tune_noise(problem, settings)
@@ -81,13 +86,10 @@ def estimate_by_filter(
     return estimate_with_hardware_errors(body, problem, start_problem, beliefs, settings)
 
 
-def pose_filter_problem(
-    features: Features, body: BodyModel, settings: EstimationSettings
-) -> FilterProblem:
+def leave_out_stray_runs(built: FilterProblem, settings: EstimationSettings) -> FilterProblem:
     """The problem without runs of images of something else, where noise is by evidence: what a run
     costs is judged by it.
     """
-    built = build_filter_problem(features, body, settings)
     if settings.precision != "auto" or built.stepwise:
         return built
     problem = built

@@ -42,8 +42,9 @@ from ..inference.solution import (
 from .contract import Method
 from .explained import estimate_with_hardware_errors
 from .filtering import (
+    build_filter_problem,
     find_offset_faults,
-    pose_filter_problem,
+    leave_out_stray_runs,
     report_angle_covariance,
     select_reported_states,
     solve_with_offsets,
@@ -52,13 +53,18 @@ from .filtering import (
     warn_of_lost_belief,
 )
 from .results import Beliefs
+from .stick_slip import estimate_evident_slips
 
 
 def estimate_by_smoother(
     features: Features, body: BodyModel, settings: EstimationSettings
 ) -> Estimate:
     """Smoothed belief at each output time, given the whole log."""
-    start_problem = pose_filter_problem(features, body, settings)
+    built = build_filter_problem(features, body, settings)
+    slipping = estimate_evident_slips(built, settings)
+    if slipping is not None:
+        return slipping
+    start_problem = leave_out_stray_runs(built, settings)
     problem, beliefs = _smooth_log(start_problem, settings)
     return estimate_with_hardware_errors(body, problem, start_problem, beliefs, settings)
 

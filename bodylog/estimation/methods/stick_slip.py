@@ -10,7 +10,8 @@ two beliefs about either side of an instant the mixture of their products.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import tau
+from math import copysign, erfc, sqrt, tau
+from statistics import NormalDist
 
 import numpy as np
 
@@ -20,14 +21,16 @@ from ...settings import EstimationSettings
 from ...types import Array, Estimate
 from ..factors.robust import OUTLIER_SHARE, measure_image_span
 from ..factors.whole_log import LEARNED_S
-from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..faults.jumping import find_evident_slips
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..inference.filter_problem import FilterProblem
+from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.long_arrays import find_finite_rows, measure_median_step
-from ..measurements.records import Encoders, Sighting
+from ..measurements.records import Encoders, Sighting, interpolate_values
 from ..noise.quantisation import compute_rest_factor, weigh_as_one
 from . import results
 from .results import Beliefs
-from .trust import RoughMotion
+from .trust import MOST_MISFIT, RoughMotion
 
 TRIED_SLIPS = (
     (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0),
@@ -48,6 +51,8 @@ joints of drawn logs that stick by 9 and 30 times the noise each has 0.04 to 0.3
 turn smoothly, with white noise, errors that last 0.2 s, or play, 0.83; reaches between pauses have
 0.36 to 0.72, and with 12 bit 0 to 0.47: there the evidence decides.
 """
+LEAST_TAIL = 1e-300
+"""Probability below which errors are no more surprising: 37 standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +81,67 @@ class SlipBelief:
     image_nats: Array
 
 
+def estimate_evident_slips(problem: FilterProblem, settings: EstimationSettings) -> Estimate | None:
+    """The estimate with joints that stick and slip, where readings show that some do, and images
+    are where these beliefs expect them; else None.
+
+    A smooth motion would lose such an arm: it rejects all readings after a slip of many times their
+    noise. Rates are means over LONG_SILENCE_S.
+    """
+    if settings.precision != "auto" or problem.posture_prior is not None:
+        return None
+    encoders = problem.evidence.encoders
+    if encoders is None or not any(map(len, _list_evident_slips(encoders))):
+        return None
+    found = _learn_sticking(problem, settings)
+    if found is None:
+        return None
+    problem, slips = found
+    t = problem.timeline.t
+    scales, followed = _learn_image_noise(problem, slips, range(len(t)))
+    if settings.method == "smoother":
+        followed = _smooth_slips(problem, slips, scales, followed)
+    names = (one.name for one in problem.evidence.sightings)
+    precision = replace(
+        problem.precision, encoder=slips.white, scale=dict(zip(names, scales, strict=True))
+    )
+    beliefs = Beliefs(
+        z=np.concatenate([followed.mean, _measure_rates(t, followed.mean, settings)], axis=1),
+        cov=followed.cov,
+        nats=followed.nats,
+        before=followed.before,
+        before_cov=followed.before_cov,
+        encoder_errors=followed.errors,
+        scale=precision.scale,
+        settings=precision.plain_numbers(),
+    )
+    made = _describe_slips(problem, slips, beliefs, settings)
+    return made if _expects_images(made) else None
+
+
+def _expects_images(found: Estimate) -> bool:
+    """Whether images are where they are expected; true of an estimate without any."""
+    for sense, errors in found.errors.items():
+        if sense == "encoders" or not len(errors.values):
+            continue
+        cut = np.clip(errors.values, -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
+        if np.mean(np.square(cut)) > MOST_MISFIT:
+            return False
+    return True
+
+
+def _measure_rates(t: Array, angles: Array, settings: EstimationSettings) -> Array:
+    """Rates (E,M) rad/s of angles (E,M) at t (E,) s over the last LONG_SILENCE_S, or over as long
+    about each instant for the smoother.
+    """
+    ahead = 0.5 * LONG_SILENCE_S if settings.method == "smoother" else 0.0
+    end = np.minimum(t + ahead, t[-1])
+    begin = np.maximum(end - LONG_SILENCE_S, t[0])
+    moved = interpolate_values(t, angles, end) - interpolate_values(t, angles, begin)
+    lasting = np.maximum(end - begin, measure_median_step(t))
+    return np.asarray(moved / lasting[:, None])
+
+
 def estimate_stick_slip(
     problem: FilterProblem, beliefs: Beliefs, settings: EstimationSettings, rough: RoughMotion
 ) -> Estimate | None:
@@ -84,16 +150,12 @@ def estimate_stick_slip(
 
     Rates are those of the smooth motion.
     """
-    if settings.hardware_errors == "widen" or settings.typed or settings.motion != "auto":
+    if problem.stepwise:
         return None
-    encoders = problem.evidence.encoders
-    if encoders is None or problem.stepwise or problem.precision.drift is not None:
+    learned = _learn_sticking(problem, settings)
+    if learned is None:
         return None
-    encoders = _weigh_counts(encoders)
-    problem = replace(problem, evidence=replace(problem.evidence, encoders=encoders))
-    slips = learn_slips(encoders, problem.precision.encoder)
-    if not _sticks_and_slips(encoders, slips):
-        return None
+    problem, slips = learned
     t = problem.timeline.t
     early = range(int(np.searchsorted(t, t[0] + LEARNED_S, "right")))
     scales, first = _learn_image_noise(problem, slips, early)
@@ -107,8 +169,7 @@ def estimate_stick_slip(
         return None
     found = follow_slips(problem, slips, scales, range(len(t)))
     if settings.method == "smoother":
-        after = follow_slips(problem, slips, scales, range(len(t) - 1, -1, -1))
-        found = join_beliefs(problem.timeline.t, found, after, slips)
+        found = _smooth_slips(problem, slips, scales, found)
     z = beliefs.z.copy()
     z[:, : found.mean.shape[1]] = found.mean
     explained = replace(
@@ -121,13 +182,52 @@ def estimate_stick_slip(
         encoder_errors=found.errors,
         places=(),
     )
-    made = results.build_estimate(settings.method, problem.evidence, problem.timeline, explained)
-    joints = zip(problem.evidence.joints, slips.size.tolist(), strict=True)
-    sizes = {name: size for name, size in joints if size > 0.0}
+    return _describe_slips(problem, slips, explained, settings)
+
+
+def _learn_sticking(
+    problem: FilterProblem, settings: EstimationSettings
+) -> tuple[FilterProblem, StickSlip] | None:
+    """The problem with its counts weighed, and its slips, where joints may stick; else None."""
+    if settings.hardware_errors == "widen" or settings.typed or settings.motion != "auto":
+        return None
+    encoders = problem.evidence.encoders
+    if encoders is None or problem.precision.drift is not None:
+        return None
+    encoders = _weigh_counts(encoders)
+    problem = replace(problem, evidence=replace(problem.evidence, encoders=encoders))
+    slips = learn_slips(encoders, problem.precision.encoder)
+    return (problem, slips) if _sticks_and_slips(encoders, slips) else None
+
+
+def _smooth_slips(
+    problem: FilterProblem, slips: StickSlip, scales: Sequence[float], before: SlipBelief
+) -> SlipBelief:
+    """The beliefs by the whole log, of those by what came up to each instant."""
+    t = problem.timeline.t
+    after = follow_slips(problem, slips, scales, range(len(t) - 1, -1, -1))
+    return join_beliefs(t, before, after, slips)
+
+
+def _describe_slips(
+    problem: FilterProblem, slips: StickSlip, beliefs: Beliefs, settings: EstimationSettings
+) -> Estimate:
+    """The estimate of these beliefs, and how far joints slip."""
+    made = results.build_estimate(settings.method, problem.evidence, problem.timeline, beliefs)
+    # the least rate is that of joints that did not slip
+    least = 1.001 * TRIED_SLIPS[2][0] / np.prod(REFINING_FACTORS)
+    slipping = (slips.rate > least) if (slips.rate > least).any() else slips.size > 0.0
+    joints = zip(problem.evidence.joints, slips.size.tolist(), slipping.tolist(), strict=True)
+    sizes = {name: size for name, size, slipped in joints if slipped}
     errors = {"play": {}, "lasting": None, "load": None, "late": {}, "gains": {}, "slips": sizes}
     each = ", ".join(f"{name} {np.rad2deg(size):.2g}°" for name, size in sizes.items())
     text = f"joints stick and slip, by about {each} at once: angles follow the readings"
     return results.with_hardware_errors(made, errors, text)
+
+
+def _list_evident_slips(encoders: Encoders) -> list[Array]:
+    """Sizes of each joint's evident slips."""
+    return [find_evident_slips(encoders.t, column) for column in encoders.values.T]
 
 
 def _weigh_counts(encoders: Encoders) -> Encoders:
@@ -163,7 +263,13 @@ def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
     least = np.stack([counts, np.zeros(len(counts)), np.zeros(len(counts))])[:, None]
     units = np.stack([variance, np.sqrt(variance), np.ones(len(counts))])[:, None]
     grid = np.array(np.meshgrid(*TRIED_SLIPS, indexing="ij")).reshape(3, -1)[..., None]
-    best = _choose_most_evident(read, np.maximum(grid * units, least))
+    tried = grid * np.ones(len(counts))
+    # as many sizes as reach the largest slip that is evident
+    evident = [slips.max(initial=0.0) for slips in _list_evident_slips(encoders)]
+    most = TRIED_SLIPS[1][-1]
+    farther = np.log(np.maximum(evident / units[1, 0], most)) / np.log(most)
+    tried[1] **= farther
+    best = _choose_most_evident(read, np.maximum(tried * units, least))
     for factor in REFINING_FACTORS:
         steps = np.array([1.0 / factor, 1.0, factor])
         grid = np.array(np.meshgrid(steps, steps, steps, indexing="ij")).reshape(3, -1)[..., None]
@@ -272,9 +378,11 @@ def follow_slips(
             if np.isnan(readings[k, j]):
                 continue
             off = readings[k, j] - mean[j]
-            found.errors[k, j] = off / np.sqrt(found.before_cov[k, j, j] + noise[k, j])
+            square = float(slips.size[j]) ** 2
+            still = float(cov[j, j] + noise[k, j])
+            found.errors[k, j] = _standardise_reading(off, still, float(likely[j]), square)
             mean, cov, nats = _weigh_reading(
-                mean, cov, j, off, noise[k, j], float(likely[j]), float(slips.size[j]) ** 2
+                mean, cov, j, off, noise[k, j], float(likely[j]), square
             )
             found.nats[k] += nats
             likely[j] = 0.0
@@ -297,6 +405,15 @@ def follow_slips(
         found.mean[k] = mean
         found.cov[k] = cov
     return found
+
+
+def _standardise_reading(off: float, still: float, likely: float, square: float) -> float:
+    """A reading `off` rad from its mean in standard deviations: those of a normal error that is as
+    rare as it is among errors of variance `still`, and with a slip of variance `square`, too.
+    """
+    tail = (1.0 - likely) * erfc(abs(off) / sqrt(2.0 * still))
+    tail += likely * erfc(abs(off) / sqrt(2.0 * (still + square)))
+    return copysign(NormalDist().inv_cdf(max(0.5 * tail, LEAST_TAIL)), off)
 
 
 def _weigh_reading(

@@ -124,7 +124,7 @@ def _find_stays(t: Array, y: Array) -> Stays:
     begins = np.flatnonzero(np.append(True, _mark_changes(y)))
     places = np.round((y - y[0]) / (step or 1.0))
     if step > 0.0:
-        begins = _index_moves(_average_nearby(t, places))
+        begins = index_moves(_average_nearby(t, places))
     counts = np.diff(begins, append=len(y))
     lasting = t[np.minimum(begins + counts, len(y) - 1)] - t[begins]
     rests = lasting > SHARED_ERROR_S
@@ -148,7 +148,7 @@ def _average_nearby(t: Array, y: Array) -> Array:
     return np.asarray((sums[end] - sums[begin]) / (end - begin))
 
 
-def _index_moves(places: Array) -> Array:
+def index_moves(places: Array) -> Array:
     """Indices of the first of places (N,), and of each that is 1 or more from the last of these."""
     found = [0]
     last = places[0]

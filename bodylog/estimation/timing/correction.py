@@ -14,6 +14,7 @@ from ...fault_kinds import FORMS
 from ...settings import EstimationSettings
 from ...types import Estimate, Fault, Features, Finding, Hypothesis, Series
 from ..faults.encoder_faults import repair_readings
+from ..faults.jumping import find_evident_slips
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, SIGNIFICANT_SIGMA
 from ..measurements.arm_errors import ArmErrors, read_arm_errors, shift_by_rows, with_links
 from ..measurements.gather import gather_measurements
@@ -21,6 +22,7 @@ from ..measurements.records import Encoders, Sighting
 from ..measurements.track import camera_of_track
 from .delay_profile import MAX_DELAY_S, Delay
 from .regression import measure_delay_by_regression
+from .slip_delay import measure_delay_by_slips
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,9 +265,13 @@ def measure_camera_delays(
     joints = tuple(k for k, name in enumerate(body.joints) if name in walking)
     if encoders is None:
         return {}
-    found = {
-        name: measure_delay_by_regression(encoders, tracks, joints) for name, tracks in seen.items()
-    }
+    if any(len(find_evident_slips(encoders.t, y)) for y in encoders.values.T):
+        found = {name: measure_delay_by_slips(encoders, tracks) for name, tracks in seen.items()}
+    else:
+        found = {
+            name: measure_delay_by_regression(encoders, tracks, joints)
+            for name, tracks in seen.items()
+        }
     return {name: delay for name, delay in found.items() if delay is not None}
 
 
