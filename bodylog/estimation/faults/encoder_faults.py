@@ -18,6 +18,7 @@ from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.reading_units import convert_fault_to_units
 from ..measurements.records import Encoders, Evidence, Sighting
 from .jumping import (
+    SURE_SLIPS,
     find_evident_slips,
     find_jumps,
     find_level_shifts,
@@ -26,9 +27,6 @@ from .jumping import (
 )
 from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, measure_motion_nats
 from .threshold import EVIDENCE_THRESHOLD_NATS
-
-LEAST_NATS = 1e-9
-"""Nats by which slips are preferred to jumps where nothing else tells."""
 
 
 class ScreenedEncoder(NamedTuple):
@@ -101,15 +99,17 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
 
 
 def repair_readings(encoders: Encoders) -> Encoders:
-    """The readings (angles) without faulty stretches and jumps. No images tell jumps from slips
-    here: those of a joint that evidently sticks are slips.
+    """The readings (angles) without faulty stretches and jumps; those of joints that evidently stick
+    as they are.
     """
     encoders = _unwrap_columns(encoders)
     each = [
-        _screen_encoder("", encoders.t, y, lambda begin, end: 0.0, lambda shifts: LEAST_NATS)
+        y
+        if len(find_evident_slips(encoders.t, y)) >= SURE_SLIPS
+        else _screen_encoder("", encoders.t, y, lambda begin, end: 0.0, lambda shifts: 0.0).values
         for y in encoders.values.T
     ]
-    return _with_columns(encoders, [one.values for one in each])
+    return _with_columns(encoders, each)
 
 
 def _unwrap_columns(encoders: Encoders) -> Encoders:

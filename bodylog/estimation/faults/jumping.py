@@ -39,6 +39,9 @@ EVIDENT_SHARE = 0.3
 """Share of a joint's way that such slips make. Joints of 72 drawn logs that turn smoothly have at
 most 0.02; of 72 that stick by 9 mrad, those whose readings show it have 0.32 and more.
 """
+SURE_SLIPS = 5
+"""Such slips of one joint that show without images that it sticks: a jump or two is a fault of an
+encoder."""
 
 
 def find_evident_slips(t: Array, y: Array) -> Array:

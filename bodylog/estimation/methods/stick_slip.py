@@ -21,7 +21,7 @@ from ...settings import EstimationSettings
 from ...types import Array, Estimate
 from ..factors.robust import OUTLIER_SHARE, measure_image_span
 from ..factors.whole_log import LEARNED_S
-from ..faults.jumping import find_evident_slips
+from ..faults.jumping import SURE_SLIPS, find_evident_slips
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..inference.filter_problem import FilterProblem
 from ..inference.reacquisition import LONG_SILENCE_S
@@ -91,7 +91,9 @@ def estimate_evident_slips(problem: FilterProblem, settings: EstimationSettings)
     if settings.precision != "auto" or problem.posture_prior is not None:
         return None
     encoders = problem.evidence.encoders
-    if encoders is None or not any(map(len, _list_evident_slips(encoders))):
+    sighted = any(one.name != "touch" for one in problem.evidence.sightings)
+    fewest = 1 if sighted else SURE_SLIPS
+    if encoders is None or max(map(len, _list_evident_slips(encoders))) < fewest:
         return None
     found = _learn_sticking(problem, settings)
     if found is None:
