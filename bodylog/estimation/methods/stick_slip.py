@@ -8,7 +8,8 @@ and Fu 1970). The same backwards from the end, which sticks and slips alike, giv
 two beliefs about either side of an instant the mixture of their products.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 from math import copysign, erfc, sqrt, tau
 from statistics import NormalDist
@@ -18,9 +19,10 @@ import numpy as np
 from ...linear_algebra import mix_normals
 from ...motion import START_STD
 from ...settings import EstimationSettings
-from ...types import Array, Estimate
+from ...types import Array, Estimate, Fault
 from ..factors.robust import OUTLIER_SHARE, measure_image_span
 from ..factors.whole_log import LEARNED_S
+from ..faults.encoder_offset import list_drifting_encoders
 from ..faults.jumping import SURE_SLIPS, find_evident_slips
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..inference.filter_problem import FilterProblem
@@ -81,55 +83,138 @@ class SlipBelief:
     image_nats: Array
 
 
+@dataclass(frozen=True, eq=False)
+class FollowedSlips:
+    """A problem whose joints stick and slip, the factor on the variance of
+    each sighting's images, and the beliefs at all its instants.
+    """
+
+    problem: FilterProblem
+    slips: StickSlip
+    scales: Sequence[float]
+    belief: SlipBelief
+
+
 def estimate_evident_slips(problem: FilterProblem, settings: EstimationSettings) -> Estimate | None:
     """The estimate with joints that stick and slip, where readings show that some do, and images
     are where these beliefs expect them; else None.
 
     A smooth motion would lose such an arm: it rejects all readings after a slip of many times their
-    noise. Rates are means over LONG_SILENCE_S.
+    noise. Where images contradict readings, one encoder may be off: the one without which all
+    images are expected. Rates are means over LONG_SILENCE_S.
     """
-    if settings.precision != "auto" or problem.posture_prior is not None:
+    if settings.precision != "auto" or settings.bias != "auto" or problem.posture_prior is not None:
         return None
     encoders = problem.evidence.encoders
     sighted = any(one.name != "touch" for one in problem.evidence.sightings)
     fewest = 1 if sighted else SURE_SLIPS
     if encoders is None or max(map(len, _list_evident_slips(encoders))) < fewest:
         return None
-    found = _learn_sticking(problem, settings)
-    if found is None:
+    drift = problem.precision.drift
+    # the size of a jump that was found before is roughly known
+    jumped = frozenset() if drift is None else frozenset(np.flatnonzero(drift).tolist())
+    learned = _learn_sticking(
+        replace(problem, precision=replace(problem.precision, drift=None)), settings
+    )
+    if learned is None:
         return None
-    problem, slips = found
-    t = problem.timeline.t
-    scales, followed = _learn_image_noise(problem, slips, range(len(t)))
+    found = _follow_without_encoders(*learned, settings, jumped)
+    if _expects_images(found):
+        return _build_slip_estimate(found, settings)
+    others = range(len(problem.start)) if sighted else ()
+    tried = {
+        joint: _follow_without_encoders(*learned, settings, jumped | {joint})
+        for joint in others
+        if joint not in jumped
+    }
+    nats = {j: one.belief.image_nats.sum() for j, one in tried.items() if _expects_images(one)}
+    if not nats:
+        return None
+    off = min(nats, key=lambda joint: nats[joint])
+    near = (j for j in nats if j != off and nats[j] - nats[off] < EVIDENCE_THRESHOLD_NATS)
+    return _build_slip_estimate(
+        tried[off], settings, _name_offset(learned[0], tried[off], off, near)
+    )
+
+
+def _follow_without_encoders(
+    problem: FilterProblem,
+    slips: StickSlip,
+    settings: EstimationSettings,
+    left_out: AbstractSet[int],
+) -> FollowedSlips:
+    """The beliefs without the readings of these joints."""
+    encoders = problem.evidence.encoders
+    assert encoders is not None  # joints stick by what they read
+    values = encoders.values.copy()
+    values[:, sorted(left_out)] = np.nan
+    evidence = replace(problem.evidence, encoders=replace(encoders, values=values))
+    problem = replace(problem, evidence=evidence)
+    scales, belief = _learn_image_noise(problem, slips, range(len(problem.timeline.t)))
     if settings.method == "smoother":
-        followed = _smooth_slips(problem, slips, scales, followed)
-    names = (one.name for one in problem.evidence.sightings)
-    precision = replace(
-        problem.precision, encoder=slips.white, scale=dict(zip(names, scales, strict=True))
-    )
-    beliefs = Beliefs(
-        z=np.concatenate([followed.mean, _measure_rates(t, followed.mean, settings)], axis=1),
-        cov=followed.cov,
-        nats=followed.nats,
-        before=followed.before,
-        before_cov=followed.before_cov,
-        encoder_errors=followed.errors,
-        scale=precision.scale,
-        settings=precision.plain_numbers(),
-    )
-    made = _describe_slips(problem, slips, beliefs, settings)
-    return made if _expects_images(made) else None
+        belief = _smooth_slips(problem, slips, scales, belief)
+    return FollowedSlips(problem, slips, scales, belief)
 
 
-def _expects_images(found: Estimate) -> bool:
-    """Whether images are where they are expected; true of an estimate without any."""
-    for sense, errors in found.errors.items():
-        if sense == "encoders" or not len(errors.values):
-            continue
-        cut = np.clip(errors.values, -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
-        if np.mean(np.square(cut)) > MOST_MISFIT:
+def _expects_images(found: FollowedSlips) -> bool:
+    """Whether images are where they are expected; true of a log without any."""
+    sightings = found.problem.evidence.sightings
+    for sighting, at, scale in zip(
+        sightings, found.problem.timeline.sightings, found.scales, strict=True
+    ):
+        belief = found.belief
+        place = results.predict_frames(sighting, belief.before[at], belief.before_cov[at])
+        errors = results.standardise_sighting(sighting, place, scale)[0].values
+        cut = np.clip(errors, -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
+        if cut.size and np.mean(np.square(cut)) > MOST_MISFIT:
             return False
     return True
+
+
+def _name_offset(
+    problem: FilterProblem, found: FollowedSlips, joint: int, near: Iterable[int]
+) -> tuple[Fault, ...]:
+    """The offset of a joint's readings from these beliefs, which are without them, as a fault, if
+    it is one; near: joints whose offset explains the log nearly as well.
+    """
+    encoders = problem.evidence.encoders
+    assert encoders is not None  # they are off
+    t = problem.timeline.t
+    angles = interpolate_values(t, found.belief.mean, encoders.t)[:, joint]
+    offset = np.zeros(found.belief.mean.shape)
+    offset[:, joint] = np.interp(t, encoders.t, encoders.values[:, joint] - angles)
+    var = np.einsum("emm->em", found.belief.cov) + found.slips.white
+    drift = np.eye(len(problem.start))[joint]
+    walking = replace(
+        problem,
+        precision=replace(problem.precision, drift=drift),
+        alternatives={joint: tuple(near)},
+    )
+    return list_drifting_encoders(walking, offset, var)
+
+
+def _build_slip_estimate(
+    found: FollowedSlips, settings: EstimationSettings, faults: tuple[Fault, ...] = ()
+) -> Estimate:
+    """The estimate of these beliefs."""
+    problem = found.problem
+    belief = found.belief
+    names = (one.name for one in problem.evidence.sightings)
+    scale = dict(zip(names, found.scales, strict=True))
+    precision = replace(problem.precision, encoder=found.slips.white, scale=scale)
+    rates = _measure_rates(problem.timeline.t, belief.mean, settings)
+    beliefs = Beliefs(
+        z=np.concatenate([belief.mean, rates], axis=1),
+        cov=belief.cov,
+        nats=belief.nats,
+        before=belief.before,
+        before_cov=belief.before_cov,
+        encoder_errors=belief.errors,
+        scale=scale,
+        settings=precision.plain_numbers(),
+        faults=faults,
+    )
+    return _describe_slips(problem, found.slips, beliefs, settings)
 
 
 def _measure_rates(t: Array, angles: Array, settings: EstimationSettings) -> Array:
