@@ -56,13 +56,16 @@ def find_evident_slips(t: Array, y: Array) -> Array:
         return np.zeros(0)
     steps = np.abs(np.diff(y))
     steps[np.diff(t[known]) > GAP_STEPS * measure_median_step(t)] = 0.0
-    # the first reading and the last may be false
-    beside = np.maximum(np.append(np.inf, steps[:-1]), np.append(steps[1:], np.inf))
-    slips = steps[(steps > least) & (beside < 0.5 * steps)]
-    if not len(slips):
-        return np.zeros(0)
-    way = float(np.abs(np.diff(y[index_moves(y / least)])).sum())
-    return np.asarray(slips[: len(slips) if slips.sum() > EVIDENT_SHARE * way else 0])
+    beside = np.maximum(np.append(0.0, steps[:-1]), np.append(steps[1:], 0.0))
+    alone = (steps > least) & (beside < 0.5 * steps)
+    # the first readings and the last may be false
+    k = np.arange(len(steps))
+    slips = steps[alone & (np.minimum(k, k[::-1]) >= LEVEL_READINGS - 1)]
+    if len(slips):
+        way = float(np.abs(np.diff(y[index_moves(y / least)])).sum())
+        if slips.sum() > EVIDENT_SHARE * way:
+            return np.asarray(slips)
+    return np.zeros(0)
 
 
 def _find_least_slip(y: Array) -> float:

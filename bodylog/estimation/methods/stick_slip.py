@@ -96,12 +96,11 @@ class FollowedSlips:
 
 
 def estimate_evident_slips(problem: FilterProblem, settings: EstimationSettings) -> Estimate | None:
-    """The estimate with joints that stick and slip, where readings show that some do, and images
-    are where these beliefs expect them; else None.
+    """The estimate with joints that stick and slip, where readings show that some do; else None.
 
     A smooth motion would lose such an arm: it rejects all readings after a slip of many times their
-    noise. Where images contradict readings, one encoder may be off: the one without which all
-    images are expected. Rates are means over LONG_SILENCE_S.
+    noise. Where images are not where they are expected, one encoder may be off: the one without
+    which all images are. Rates are means over LONG_SILENCE_S.
     """
     if settings.precision != "auto" or settings.bias != "auto" or problem.posture_prior is not None:
         return None
@@ -128,8 +127,8 @@ def estimate_evident_slips(problem: FilterProblem, settings: EstimationSettings)
         if joint not in jumped
     }
     nats = {j: one.belief.image_nats.sum() for j, one in tried.items() if _expects_images(one)}
-    if not nats:
-        return None
+    if not nats:  # images are outliers, or the camera moved, which checks of the estimate say
+        return _build_slip_estimate(found, settings)
     off = min(nats, key=lambda joint: nats[joint])
     near = (j for j in nats if j != off and nats[j] - nats[off] < EVIDENCE_THRESHOLD_NATS)
     return _build_slip_estimate(
