@@ -60,7 +60,7 @@ def test_errors_that_last_are_no_slips_though_these_follow_them(hardware, sticks
     joints = mechanisms.replayed(8306, Mechanism(hardware=hardware), Fault()).joints
     encoders = Encoders(joints.t, joints.values, joints.source_ns)
     slips = stick_slip.learn_slips(encoders, np.full(joints.values.shape[1], 4e-6))
-    assert stick_slip._sticks_and_slips(encoders, slips) == sticks
+    assert stick_slip.sticks_and_slips(encoders, slips) == sticks
 
 
 def test_readings_that_repeat_because_they_are_counted_are_no_surer_than_a_count():

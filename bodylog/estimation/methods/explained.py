@@ -30,7 +30,7 @@ from .results import (
     predict_frames,
     with_lasting_error,
 )
-from .stick_slip import estimate_stick_slip
+from .slip_estimates import estimate_stick_slip
 from .trust import (
     find_reason_of_disagreement,
     find_reason_of_misfit,

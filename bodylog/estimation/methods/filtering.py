@@ -38,7 +38,7 @@ from ..noise.posture_prior import learn_posture_prior
 from .contract import Method
 from .explained import estimate_with_hardware_errors
 from .results import Beliefs
-from .stick_slip import estimate_evident_slips
+from .slip_estimates import estimate_evident_slips
 
 S = TypeVar("S", bound=Solution)
 

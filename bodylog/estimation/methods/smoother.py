@@ -53,7 +53,7 @@ from .filtering import (
     warn_of_lost_belief,
 )
 from .results import Beliefs
-from .stick_slip import estimate_evident_slips
+from .slip_estimates import estimate_evident_slips
 
 
 def estimate_by_smoother(

@@ -8,8 +8,7 @@ and Fu 1970). The same backwards from the end, which sticks and slips alike, giv
 two beliefs about either side of an instant the mixture of their products.
 """
 
-from collections.abc import Iterable, Sequence
-from collections.abc import Set as AbstractSet
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import copysign, erfc, sqrt, tau
 from statistics import NormalDist
@@ -18,21 +17,14 @@ import numpy as np
 
 from ...linear_algebra import mix_normals
 from ...motion import START_STD
-from ...settings import EstimationSettings
-from ...types import Array, Estimate, Fault
+from ...types import Array
 from ..factors.robust import OUTLIER_SHARE, measure_image_span
 from ..factors.whole_log import LEARNED_S
-from ..faults.encoder_offset import list_drifting_encoders
-from ..faults.jumping import SURE_SLIPS, find_evident_slips
-from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
+from ..faults.jumping import find_evident_slips
 from ..inference.filter_problem import FilterProblem
-from ..inference.reacquisition import LONG_SILENCE_S
 from ..measurements.long_arrays import find_finite_rows, measure_median_step
-from ..measurements.records import Encoders, Sighting, interpolate_values
-from ..noise.quantisation import compute_rest_factor, weigh_as_one
-from . import results
-from .results import Beliefs
-from .trust import MOST_MISFIT, RoughMotion
+from ..measurements.records import Encoders, Sighting
+from ..noise.quantisation import compute_rest_factor
 
 TRIED_SLIPS = (
     (1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0),
@@ -83,210 +75,7 @@ class SlipBelief:
     image_nats: Array
 
 
-@dataclass(frozen=True, eq=False)
-class FollowedSlips:
-    """A problem whose joints stick and slip, the factor on the variance of
-    each sighting's images, and the beliefs at all its instants.
-    """
-
-    problem: FilterProblem
-    slips: StickSlip
-    scales: Sequence[float]
-    belief: SlipBelief
-
-
-def estimate_evident_slips(problem: FilterProblem, settings: EstimationSettings) -> Estimate | None:
-    """The estimate with joints that stick and slip, where readings show that some do; else None.
-
-    A smooth motion would lose such an arm: it rejects all readings after a slip of many times their
-    noise. Where images are not where they are expected, one encoder may be off: the one without
-    which all images are. Rates are means over LONG_SILENCE_S.
-    """
-    if settings.precision != "auto" or settings.bias != "auto" or problem.posture_prior is not None:
-        return None
-    encoders = problem.evidence.encoders
-    sighted = any(one.name != "touch" for one in problem.evidence.sightings)
-    fewest = 1 if sighted else SURE_SLIPS
-    if encoders is None or max(map(len, _list_evident_slips(encoders))) < fewest:
-        return None
-    drift = problem.precision.drift
-    # the size of a jump that was found before is roughly known
-    jumped = frozenset() if drift is None else frozenset(np.flatnonzero(drift).tolist())
-    learned = _learn_sticking(
-        replace(problem, precision=replace(problem.precision, drift=None)), settings
-    )
-    if learned is None:
-        return None
-    found = _follow_without_encoders(*learned, settings, jumped)
-    if _expects_images(found):
-        return _build_slip_estimate(found, settings)
-    others = range(len(problem.start)) if sighted else ()
-    tried = {
-        joint: _follow_without_encoders(*learned, settings, jumped | {joint})
-        for joint in others
-        if joint not in jumped
-    }
-    nats = {j: one.belief.image_nats.sum() for j, one in tried.items() if _expects_images(one)}
-    if not nats:  # images are outliers, or the camera moved, which checks of the estimate say
-        return _build_slip_estimate(found, settings)
-    off = min(nats, key=lambda joint: nats[joint])
-    near = (j for j in nats if j != off and nats[j] - nats[off] < EVIDENCE_THRESHOLD_NATS)
-    return _build_slip_estimate(
-        tried[off], settings, _name_offset(learned[0], tried[off], off, near)
-    )
-
-
-def _follow_without_encoders(
-    problem: FilterProblem,
-    slips: StickSlip,
-    settings: EstimationSettings,
-    left_out: AbstractSet[int],
-) -> FollowedSlips:
-    """The beliefs without the readings of these joints."""
-    encoders = problem.evidence.encoders
-    assert encoders is not None  # joints stick by what they read
-    values = encoders.values.copy()
-    values[:, sorted(left_out)] = np.nan
-    evidence = replace(problem.evidence, encoders=replace(encoders, values=values))
-    problem = replace(problem, evidence=evidence)
-    scales, belief = _learn_image_noise(problem, slips, range(len(problem.timeline.t)))
-    if settings.method == "smoother":
-        belief = _smooth_slips(problem, slips, scales, belief)
-    return FollowedSlips(problem, slips, scales, belief)
-
-
-def _expects_images(found: FollowedSlips) -> bool:
-    """Whether images are where they are expected; true of a log without any."""
-    sightings = found.problem.evidence.sightings
-    for sighting, at, scale in zip(
-        sightings, found.problem.timeline.sightings, found.scales, strict=True
-    ):
-        belief = found.belief
-        place = results.predict_frames(sighting, belief.before[at], belief.before_cov[at])
-        errors = results.standardise_sighting(sighting, place, scale)[0].values
-        cut = np.clip(errors, -SIGNIFICANT_SIGMA, SIGNIFICANT_SIGMA)
-        if cut.size and np.mean(np.square(cut)) > MOST_MISFIT:
-            return False
-    return True
-
-
-def _name_offset(
-    problem: FilterProblem, found: FollowedSlips, joint: int, near: Iterable[int]
-) -> tuple[Fault, ...]:
-    """The offset of a joint's readings from these beliefs, which are without them, as a fault, if
-    it is one; near: joints whose offset explains the log nearly as well.
-    """
-    encoders = problem.evidence.encoders
-    assert encoders is not None  # they are off
-    t = problem.timeline.t
-    angles = interpolate_values(t, found.belief.mean, encoders.t)[:, joint]
-    offset = np.zeros(found.belief.mean.shape)
-    offset[:, joint] = np.interp(t, encoders.t, encoders.values[:, joint] - angles)
-    var = np.einsum("emm->em", found.belief.cov) + found.slips.white
-    drift = np.eye(len(problem.start))[joint]
-    walking = replace(
-        problem,
-        precision=replace(problem.precision, drift=drift),
-        alternatives={joint: tuple(near)},
-    )
-    return list_drifting_encoders(walking, offset, var)
-
-
-def _build_slip_estimate(
-    found: FollowedSlips, settings: EstimationSettings, faults: tuple[Fault, ...] = ()
-) -> Estimate:
-    """The estimate of these beliefs."""
-    problem = found.problem
-    belief = found.belief
-    names = (one.name for one in problem.evidence.sightings)
-    scale = dict(zip(names, found.scales, strict=True))
-    precision = replace(problem.precision, encoder=found.slips.white, scale=scale)
-    rates = _measure_rates(problem.timeline.t, belief.mean, settings)
-    beliefs = Beliefs(
-        z=np.concatenate([belief.mean, rates], axis=1),
-        cov=belief.cov,
-        nats=belief.nats,
-        before=belief.before,
-        before_cov=belief.before_cov,
-        encoder_errors=belief.errors,
-        scale=scale,
-        settings=precision.plain_numbers(),
-        faults=faults,
-    )
-    return _describe_slips(problem, found.slips, beliefs, settings)
-
-
-def _measure_rates(t: Array, angles: Array, settings: EstimationSettings) -> Array:
-    """Rates (E,M) rad/s of angles (E,M) at t (E,) s over the last LONG_SILENCE_S, or over as long
-    about each instant for the smoother.
-    """
-    ahead = 0.5 * LONG_SILENCE_S if settings.method == "smoother" else 0.0
-    end = np.minimum(t + ahead, t[-1])
-    begin = np.maximum(end - LONG_SILENCE_S, t[0])
-    moved = interpolate_values(t, angles, end) - interpolate_values(t, angles, begin)
-    lasting = np.maximum(end - begin, measure_median_step(t))
-    return np.asarray(moved / lasting[:, None])
-
-
-def estimate_stick_slip(
-    problem: FilterProblem, beliefs: Beliefs, settings: EstimationSettings, rough: RoughMotion
-) -> Estimate | None:
-    """The estimate with joints that stick and slip, where it predicts images, or all
-    measurements, by EVIDENCE_THRESHOLD_NATS better than a smooth motion; else None.
-
-    Rates are those of the smooth motion.
-    """
-    if problem.stepwise:
-        return None
-    learned = _learn_sticking(problem, settings)
-    if learned is None:
-        return None
-    problem, slips = learned
-    t = problem.timeline.t
-    early = range(int(np.searchsorted(t, t[0] + LEARNED_S, "right")))
-    scales, first = _learn_image_noise(problem, slips, early)
-    judged = rough.at < len(early)
-    images = first.image_nats[np.unique(rough.at[judged])]
-    gains = (
-        float(rough.image_nats[judged].sum() - images.sum()),
-        float(rough.nats[: len(early)].sum() - first.nats.sum()),
-    )
-    if max(gains) <= EVIDENCE_THRESHOLD_NATS:
-        return None
-    found = follow_slips(problem, slips, scales, range(len(t)))
-    if settings.method == "smoother":
-        found = _smooth_slips(problem, slips, scales, found)
-    z = beliefs.z.copy()
-    z[:, : found.mean.shape[1]] = found.mean
-    explained = replace(
-        beliefs,
-        z=z,
-        cov=found.cov,
-        nats=found.nats,
-        before=found.before,
-        before_cov=found.before_cov,
-        encoder_errors=found.errors,
-        places=(),
-    )
-    return _describe_slips(problem, slips, explained, settings)
-
-
-def _learn_sticking(
-    problem: FilterProblem, settings: EstimationSettings
-) -> tuple[FilterProblem, StickSlip] | None:
-    """The problem with its counts weighed, and its slips, where joints may stick; else None."""
-    if settings.hardware_errors == "widen" or settings.typed or settings.motion != "auto":
-        return None
-    encoders = problem.evidence.encoders
-    if encoders is None or problem.precision.drift is not None:
-        return None
-    encoders = _weigh_counts(encoders)
-    problem = replace(problem, evidence=replace(problem.evidence, encoders=encoders))
-    slips = learn_slips(encoders, problem.precision.encoder)
-    return (problem, slips) if _sticks_and_slips(encoders, slips) else None
-
-
-def _smooth_slips(
+def smooth_slips(
     problem: FilterProblem, slips: StickSlip, scales: Sequence[float], before: SlipBelief
 ) -> SlipBelief:
     """The beliefs by the whole log, of those by what came up to each instant."""
@@ -295,35 +84,12 @@ def _smooth_slips(
     return join_beliefs(t, before, after, slips)
 
 
-def _describe_slips(
-    problem: FilterProblem, slips: StickSlip, beliefs: Beliefs, settings: EstimationSettings
-) -> Estimate:
-    """The estimate of these beliefs, and how far joints slip."""
-    made = results.build_estimate(settings.method, problem.evidence, problem.timeline, beliefs)
-    # the least rate is that of joints that did not slip
-    least = 1.001 * TRIED_SLIPS[2][0] / np.prod(REFINING_FACTORS)
-    slipping = (slips.rate > least) if (slips.rate > least).any() else slips.size > 0.0
-    joints = zip(problem.evidence.joints, slips.size.tolist(), slipping.tolist(), strict=True)
-    sizes = {name: size for name, size, slipped in joints if slipped}
-    errors = {"play": {}, "lasting": None, "load": None, "late": {}, "gains": {}, "slips": sizes}
-    each = ", ".join(f"{name} {np.rad2deg(size):.2g}°" for name, size in sizes.items())
-    text = f"joints stick and slip, by about {each} at once: angles follow the readings"
-    return results.with_hardware_errors(made, errors, text)
-
-
-def _list_evident_slips(encoders: Encoders) -> list[Array]:
+def list_evident_slips(encoders: Encoders) -> list[Array]:
     """Sizes of each joint's evident slips."""
     return [find_evident_slips(encoders.t, column) for column in encoders.values.T]
 
 
-def _weigh_counts(encoders: Encoders) -> Encoders:
-    """The encoders with all readings of one count as one reading: a joint that stands still for
-    long is known no better, as no process noise makes a belief forget.
-    """
-    return encoders.weigh_joints(lambda t, y, _: weigh_as_one(t, y))
-
-
-def _sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
+def sticks_and_slips(encoders: Encoders, slips: StickSlip) -> bool:
     """Whether some joint stands still between slips: errors that last move at each reading."""
     slipping = -np.expm1(-slips.rate * measure_median_step(encoders.t))
     return bool((~_find_constant_joints(encoders) & (slipping < MOST_SLIPPING)).any())
@@ -351,7 +117,7 @@ def learn_slips(encoders: Encoders, variance: Array) -> StickSlip:
     grid = np.array(np.meshgrid(*TRIED_SLIPS, indexing="ij")).reshape(3, -1)[..., None]
     tried = grid * np.ones(len(counts))
     # as many sizes as reach the largest slip that is evident
-    evident = [slips.max(initial=0.0) for slips in _list_evident_slips(encoders)]
+    evident = [slips.max(initial=0.0) for slips in list_evident_slips(encoders)]
     most = TRIED_SLIPS[1][-1]
     farther = np.log(np.maximum(evident / units[1, 0], most)) / np.log(most)
     tried[1] **= farther
@@ -399,7 +165,7 @@ def _choose_most_evident(read: tuple[Array, Array, Array], tried: Array) -> Arra
     return np.asarray(tried[:, best, np.arange(tried.shape[2])])
 
 
-def _learn_image_noise(
+def learn_image_noise(
     problem: FilterProblem, slips: StickSlip, order: Sequence[int]
 ) -> tuple[list[float], SlipBelief]:
     """Factors on the variance of each sighting's images by their evidence, halved while
