@@ -99,8 +99,8 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
 
 
 def repair_readings(encoders: Encoders) -> Encoders:
-    """The readings (angles) without faulty stretches and jumps; those of joints that evidently stick
-    as they are.
+    """The readings (angles) without faulty stretches and jumps; those of joints
+    that evidently stick as they are.
     """
     encoders = _unwrap_columns(encoders)
     each = [

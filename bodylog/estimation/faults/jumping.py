@@ -36,8 +36,9 @@ EVIDENT_SIGMAS = 8.0
 EVIDENT_COUNTS = 4.0
 """Counts beyond which they do: a slow joint turns by one count at a time, and stands in between."""
 EVIDENT_SHARE = 0.3
-"""Share of a joint's way that such slips make. Joints of 72 drawn logs that turn smoothly have at
-most 0.02; of 72 that stick by 9 mrad, those whose readings show it have 0.32 and more.
+"""Share of a joint's way that such slips make. In 72 drawn logs of smooth motion each joint has at
+most 0.02. Of 72 logs of arms that stick by 9 mrad, 52 have a joint of 0.68 and more, and 20 have
+none beyond 0.18, nearly all of them read at 25 Hz, where slips follow one another.
 """
 SURE_SLIPS = 5
 """Such slips of one joint that show without images that it sticks: a jump or two is a fault of an
@@ -45,9 +46,9 @@ encoder."""
 
 
 def find_evident_slips(t: Array, y: Array) -> Array:
-    """Sizes (S,) rad of the slips of a joint that evidently sticks, read y (N,) rad at t (N,) s; none
-    of others. It moves by steps between two readings alone, far beyond their noise and their count,
-    and stands still before and after each.
+    """Sizes (S,) rad of the slips of a joint that evidently sticks, from readings y (N,) rad at
+    t (N,) s; none of other joints. It moves by steps between two readings alone, far beyond their
+    noise and their count, and by less than half of a step before it and after it.
     """
     known = np.isfinite(y)
     y = y[known]
@@ -74,13 +75,13 @@ def _find_least_slip(y: Array) -> float:
 
 
 def average_between_slips(t: Array, y: Array) -> Array:
-    """Readings y (N,) at t (N,) s of a joint that evidently sticks, or rests, averaged while it
+    """Readings y (N,) at t (N,) s of a joint that evidently sticks, or never moves, averaged while it
     stands still; those of others as they are.
     """
     known = np.flatnonzero(np.isfinite(y))
     least = _find_least_slip(y[known])
-    rests = np.ptp(y[known]) <= least if len(known) else True
-    if not rests and not len(find_evident_slips(t, y)):
+    moves_at_all = len(known) > 0 and np.ptp(y[known]) > least
+    if moves_at_all and not len(find_evident_slips(t, y)):
         return y
     found = y.copy()
     moves = np.abs(np.diff(y[known])) > least
@@ -133,7 +134,7 @@ def _measure_slip_nats_of_view(
             continue
         unshifted = sighting.model.predict(x[after] - size * own)[0] - mean[after]
         left = np.median(off[after], axis=0) - np.median(off[before], axis=0)
-        # a median of three has about half of the variance of one
+        # that of single images: a median of three has about half of it
         both = np.mean(noise[before], axis=0) + np.mean(noise[after], axis=0)
         slipped = 0.5 * float((np.square(left) / both).sum())
         jumped = 0.5 * float((np.square(left - np.median(unshifted, axis=0)) / both).sum())

@@ -1,5 +1,5 @@
-"""Estimates of arms whose joints stick and slip: where readings show slips themselves, and where they
-explain a log better than a smooth motion.
+"""Estimates of arms whose joints stick and slip: where readings show the slips,
+and where slips explain a log better than a smooth motion.
 """
 
 from collections.abc import Iterable, Sequence
@@ -70,32 +70,25 @@ def estimate_evident_slips(problem: FilterProblem, settings: EstimationSettings)
     )
     if learned is None:
         return None
-    found = _follow_without_encoders(*learned, settings, jumped)
-    if _expects_images(found):
-        return _build_slip_estimate(found, settings)
-    others = range(len(problem.start)) if sighted else ()
-    tried = {
-        joint: _follow_without_encoders(*learned, settings, jumped | {joint})
-        for joint in others
-        if joint not in jumped
-    }
-    nats = {j: one.belief.image_nats.sum() for j, one in tried.items() if _expects_images(one)}
-    if not nats:  # images are outliers, or the camera moved, which checks of the estimate say
-        return _build_slip_estimate(found, settings)
-    off = min(nats, key=lambda joint: nats[joint])
-    near = (j for j in nats if j != off and nats[j] - nats[off] < EVIDENCE_THRESHOLD_NATS)
-    return _build_slip_estimate(
-        tried[off], settings, _name_offset(learned[0], tried[off], off, near)
-    )
+    found = _follow_without_encoders(*learned, jumped)
+    if sighted and not _expects_images(found):
+        others = (joint for joint in range(len(problem.start)) if joint not in jumped)
+        tried = {j: _follow_without_encoders(*learned, jumped | {j}) for j in others}
+        nats = {j: one.belief.image_nats.sum() for j, one in tried.items() if _expects_images(one)}
+        if nats:
+            off = min(nats, key=lambda joint: nats[joint])
+            near = (j for j in nats if j != off and nats[j] - nats[off] < EVIDENCE_THRESHOLD_NATS)
+            chosen = _with_hindsight(tried[off], settings)
+            faults = _name_offset(learned[0], chosen, off, near)
+            return _build_slip_estimate(chosen, settings, faults)
+        # images are outliers, or the camera moved, which checks of the estimate say
+    return _build_slip_estimate(_with_hindsight(found, settings), settings)
 
 
 def _follow_without_encoders(
-    problem: FilterProblem,
-    slips: StickSlip,
-    settings: EstimationSettings,
-    left_out: AbstractSet[int],
+    problem: FilterProblem, slips: StickSlip, left_out: AbstractSet[int]
 ) -> FollowedSlips:
-    """The beliefs without the readings of these joints."""
+    """The filtered beliefs without the readings of these joints."""
     encoders = problem.evidence.encoders
     assert encoders is not None  # joints stick by what they read
     values = encoders.values.copy()
@@ -103,9 +96,15 @@ def _follow_without_encoders(
     evidence = replace(problem.evidence, encoders=replace(encoders, values=values))
     problem = replace(problem, evidence=evidence)
     scales, belief = learn_image_noise(problem, slips, range(len(problem.timeline.t)))
-    if settings.method == "smoother":
-        belief = smooth_slips(problem, slips, scales, belief)
     return FollowedSlips(problem, slips, scales, belief)
+
+
+def _with_hindsight(found: FollowedSlips, settings: EstimationSettings) -> FollowedSlips:
+    """The beliefs by the whole log for the smoother; those of the filter as they are."""
+    if settings.method != "smoother":
+        return found
+    belief = smooth_slips(found.problem, found.slips, found.scales, found.belief)
+    return replace(found, belief=belief)
 
 
 def _expects_images(found: FollowedSlips) -> bool:
