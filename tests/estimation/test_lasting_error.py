@@ -15,6 +15,7 @@ from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, FaultKind
 from tests.estimation import mechanisms
 from tests.estimation.conftest import JOINTS
 from tests.estimation.mechanisms import LASTING, LOOSE, Fault, errors_and_nees, true_angles
+from tests.estimation.spoilt_logs import muted
 from tests.validation import logs, outliers
 
 METHODS = ("filter", "smoother")
@@ -73,6 +74,25 @@ def test_images_of_something_else_are_no_error_of_the_encoders(seed):
     body = logs.learned(seed + 1, cameras=2)
     found = estimate_from_features(wrong.features, body, EstimationSettings())
     assert LASTING_ERROR not in found.settings
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_silence_that_images_leave_open_shows_no_error_of_the_encoders(world, seed):
+    """Beliefs of two silent joints are off by 0.1 rad for seconds, whichever encoders still speak."""
+    drawn = world(seed, duration=20.0)
+    silent = muted(drawn.features, 6.0, 16.0, ("pan", "lift"))
+    found = estimate_from_features(silent, drawn.body, EstimationSettings())
+    assert LASTING_ERROR not in found.settings
+
+
+def test_an_error_that_lasts_is_found_beside_a_silence():
+    body = mechanisms.learned(1000, mechanisms.SOUND)
+    features = mechanisms.replayed(4, LASTING, Fault())
+    begin = float(features.joints.t[0]) + 6.0
+    silent = muted(features, begin, begin + 5.0, ("pan", "lift"))
+    found = estimate_from_features(silent, body, EstimationSettings())
+    own = found.settings[LASTING_ERROR]
+    assert own["std"] == pytest.approx(2e-3, rel=0.5) and own["nats"] > 12.0
 
 
 def test_noise_that_is_set_is_left_as_it_is():

@@ -12,6 +12,7 @@ from ...linear_algebra import project_covariance
 from ...settings import EstimationSettings
 from ...types import HARDWARE_ERRORS, LASTING_ERROR, Array, Estimate, Fault, Finding, Series
 from ..inference.filter_problem import FilterProblem
+from ..inference.reacquisition import find_joints_left_open
 from ..measurements.arm_errors import LEAST_NEES
 from ..measurements.long_arrays import find_finite_rows
 from ..measurements.posture import PostureModel
@@ -105,16 +106,18 @@ def find_evident_error(
     z (E,K): beliefs at all instants. Any offset but that of `faults` may stand for such an error,
     so images are compared with the readings of that encoder, too.
     """
-    if settings.precision != "auto":
+    evidence = problem.evidence
+    if settings.precision != "auto" or evidence.encoders is None:
         return None
     m = len(problem.start)
     faulty = {name for one in faults if one.sense == "encoders" for name in one.names}
     named = np.array([name in faulty for name in problem.evidence.joints])
     offsets = z[:, 2 * m :] * named if z.shape[1] > 2 * m else np.zeros((len(z), m))
+    is_determined = np.logical_not(find_joints_left_open(problem.timeline.t, evidence).any(axis=1))
     beliefs = [
-        FrameBelief(z[at, :m], z[at, m : 2 * m], offsets[at]) for at in problem.timeline.sightings
+        FrameBelief(z[at, :m], z[at, m : 2 * m], offsets[at], is_determined[at])
+        for at in problem.timeline.sightings
     ]
-    evidence = problem.evidence
     lasting = find_lasting_error(
         evidence.encoders, evidence.sightings, beliefs, problem.precision.encoder
     )

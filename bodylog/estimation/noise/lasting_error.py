@@ -130,17 +130,18 @@ class Residuals:
 
 @dataclass(frozen=True, eq=False)
 class FrameBelief:
-    """What is believed at a sighting's frames: angles and rates (F,M), and encoder offsets (F,M),
-    0 without any.
+    """What is believed at a sighting's frames: angles and rates (F,M), encoder offsets (F,M),
+    0 without any, and whether readings or images determine all joints (F,) bool.
     """
 
     angles: Array
     rates: Array
     offsets: Array
+    is_determined: Array
 
 
 def find_lasting_error(
-    encoders: Encoders | None,
+    encoders: Encoders,
     sightings: Sequence[Sighting],
     beliefs: Sequence[FrameBelief],
     variance: Array,
@@ -149,7 +150,7 @@ def find_lasting_error(
 
     variance (M,) rad² of the readings' noise.
     """
-    if encoders is None or len(encoders.t) < 2:
+    if len(encoders.t) < 2:
         return None
     pieces = [
         piece
@@ -176,7 +177,10 @@ def _list_stretch_residuals(
     has_reading = np.isfinite(read) & tells
     angles = np.where(has_reading, read, belief.angles)
     values, var, mix = sighting.independent_rows
-    usable = np.flatnonzero(find_finite_rows(values) & find_finite_rows(angles))
+    # where images leave silent joints open, their belief is off for as long as the silence lasts
+    usable = np.flatnonzero(
+        find_finite_rows(values) & find_finite_rows(angles) & belief.is_determined
+    )
     if len(usable) < MIN_READINGS or not has_reading.any():
         return
     own_mix = None if mix is None else mix[usable]
