@@ -12,6 +12,7 @@ from bodylog.estimation.timing.correction import (
     measure_camera_delays,
     reconsider_delays,
 )
+from bodylog.estimation.timing.delay_profile import climb_profile
 from tests.estimation.spoilt_logs import delayed
 
 
@@ -129,6 +130,15 @@ def test_measured_delay_ignores_a_clock_step(world, seed, by):
     found = measure_camera_delays(stepped, drawn.body).get("camera")
     assert found is None or "halves of the log show" in found.doubt or "half of the log" in found.doubt
     assert found is None or not is_significant(found)
+
+
+@pytest.mark.parametrize(("jump", "found"), [(5e-4, True), (5e-3, False)])
+def test_a_profile_whose_slope_jumps_at_its_top_has_that_top_where_the_jump_is_within_the_error(jump, found):
+    def step_at(late):
+        return 0.1 - late + (jump if late < 0.1 else -jump), 2e-3, None
+
+    top = climb_profile(step_at)
+    assert top is not None and top[0].seconds == pytest.approx(0.1) if found else top is None
 
 
 @pytest.mark.parametrize(

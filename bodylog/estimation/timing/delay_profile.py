@@ -43,8 +43,12 @@ def climb_profile(
 
     step_at: from a delay (s) to the step (s) towards the top, its standard error (s) and anything
     else; None where the log does not determine it. None where no top is within MAX_DELAY_S.
+
+    An image at an end that counts on one side of the top alone makes each step take the last one
+    back: the top is between the two.
     """
     late = 0.0
+    last = np.inf
     for _ in range(MAX_SWEEPS):
         found = None if abs(late) > MAX_DELAY_S else step_at(late)
         if found is None:
@@ -53,6 +57,9 @@ def climb_profile(
         late += step
         if abs(step) < ROUGHLY_CONVERGED_MOVE * error:
             return Delay(late, error), detail
+        if abs(step) < error and abs(step + last) < ROUGHLY_CONVERGED_MOVE * error:
+            return Delay(late - 0.5 * step, error), detail
+        last = step
     return None
 
 
