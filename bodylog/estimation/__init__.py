@@ -99,7 +99,12 @@ def _estimate_with_corrected_times(
     if timely.measured:
         found = add_delay_uncertainty(found, timely)
         used["delay_measured"] = {
-            name: asdict(one) | {"evident": not one.doubt or name in timely.unsure}
+            name: {
+                "seconds": one.seconds,
+                "std_error": one.std_error,
+                "doubt": one.doubt,
+                "evident": not one.doubt or name in timely.unsure,
+            }
             for name, one in timely.measured.items()
         }
     if weighed := [*map(asdict, timely.hypotheses), *used.get("hypotheses", ())]:

@@ -8,6 +8,8 @@ import pytest
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
 from bodylog.estimation.timing.correction import (
     CorrectedFeatures,
+    correct_camera_delays,
+    is_evident,
     is_significant,
     measure_camera_delays,
     reconsider_delays,
@@ -139,6 +141,36 @@ def test_a_profile_whose_slope_jumps_at_its_top_has_that_top_where_the_jump_is_w
 
     top = climb_profile(step_at)
     assert top is not None and top[0].seconds == pytest.approx(0.1) if found else top is None
+
+
+@pytest.mark.parametrize("by", [-0.1, 0.05, 0.1])
+@pytest.mark.parametrize("seed", range(4))
+def test_a_delay_of_half_of_a_log_is_in_doubt(world, seed, by):
+    drawn = world(seed, camera_hz=20.0)
+    track = drawn.features.tracks["effector"]
+    stepped = replace(track, t=track.t + by * (track.t > np.median(track.t)))
+    features = replace(drawn.features, tracks={"effector": stepped})
+    found = measure_camera_delays(features, drawn.body)["camera"]
+    assert "halves of the log show" in found.doubt and found.changes and not is_significant(found)
+    # as unsure as the halves are apart, so that it and none are within its error
+    assert found.std_error > 0.4 * abs(by) and is_evident(found)
+    left = {"camera": {"seconds": 0.04, "std": 1e-3, "nats": 800.0}}
+    timely = correct_camera_delays(features, drawn.body, "auto")
+    assert not timely.delays and timely.unsure["camera"] > 0.5 * abs(by)
+    assert reconsider_delays(timely, features, drawn.body, "auto", left) is None
+    (warned,) = correct_camera_delays(features, drawn.body, "off").findings
+    assert "(not corrected): error bars are too small for that; the halves of the log show" in warned.text
+
+
+@pytest.mark.parametrize("by", [0.0, 0.01])
+def test_a_delay_that_changes_by_less_than_it_takes_away_is_believed(world, by):
+    """Halves of 90 and 100 ms: without any both would be worse."""
+    drawn = world(1, camera_hz=20.0, encoder_std=0.001)
+    track = drawn.features.tracks["effector"]
+    stepped = replace(track, t=track.t + 0.09 + by * (track.t > np.median(track.t)))
+    found = measure_camera_delays(replace(drawn.features, tracks={"effector": stepped}), drawn.body)["camera"]
+    assert is_significant(found) and abs(found.seconds - 0.095) < 0.01
+    assert (found.std_error > 0.4 * by) and (by > 0.0) == (found.std_error > 2e-3)
 
 
 @pytest.mark.parametrize(

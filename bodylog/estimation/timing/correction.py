@@ -59,11 +59,17 @@ def correct_camera_delays(
     errors = dict[str, float]()
     residuals = measure_camera_delays(shift_features(features, delays), body)
     shown = {
-        name: Delay(delays[name] + rest.seconds, rest.std_error, _find_doubt(rest, name in fixed))
+        name: replace(
+            rest, seconds=delays[name] + rest.seconds, doubt=_find_doubt(rest, name in fixed)
+        )
         for name, rest in residuals.items()
     }
     free = {name: rest for name, rest in residuals.items() if name not in fixed}
-    unsure = {name: rest.seconds for name, rest in free.items() if rest.doubt and is_evident(rest)}
+    unsure = {
+        name: float(np.hypot(rest.seconds, rest.std_error)) if rest.changes else rest.seconds
+        for name, rest in free.items()
+        if rest.doubt and is_evident(rest)
+    }
     unapplied = tuple(report_unapplied_delays(free, delays))
     for name, rest in free.items():
         if not is_significant(rest):
@@ -134,6 +140,7 @@ def reconsider_delays(
         name: total
         for name, total in totals.items()
         if name not in fixed
+        and not (name in timely.measured and timely.measured[name].changes)
         and (
             left[name]["nats"] > EVIDENCE_THRESHOLD_NATS
             or (name in timely.delays and not is_significant(total))
@@ -194,8 +201,9 @@ def report_unapplied_delays(
                 f"because {doubt}"
             )
             whole = applied[name] + rest.seconds
-            advice = f"; error bars include it; type --delay {name}={whole:.4f} to apply it" * sure
-            yield Finding("warning" if sure else "info", text + advice)
+            advice = "" if rest.changes else f"; type --delay {name}={whole:.4f} to apply it"
+            more = f"; error bars include it{advice}" if sure else ""
+            yield Finding("warning" if sure else "info", text + more)
 
 
 def select_fixed_delays(given: str | Mapping[str, float], names: Iterable[str]) -> dict[str, float]:
@@ -227,8 +235,10 @@ def is_significant(delay: Delay, least: float = MIN_DELAY_S) -> bool:
 
 def is_evident(delay: Delay, least: float = MIN_DELAY_S) -> bool:
     """Whether a delay wins more than EVIDENCE_THRESHOLD_NATS
-    and exceeds `least` s, in doubt or not.
+    and exceeds `least` s, in doubt or not, or evidently changes.
     """
+    if delay.changes:
+        return True
     return bool(delay.nats > EVIDENCE_THRESHOLD_NATS and abs(delay.seconds) > least)
 
 
@@ -334,11 +344,16 @@ def report_delays(
     for name in (name for name in {**delays, **residuals} if name != "joints"):
         delay = delays.get(name, 0.0)
         residual = residuals.get(name)
-        if name in fixed and residual is not None and is_significant(residual):
+        if (
+            name in fixed
+            and residual is not None
+            and (is_significant(residual) or residual.changes)
+        ):
             own = replace(residual, seconds=delay + residual.seconds)
             given = f"--delay {name}={delay:g}" if delay else "not corrected"
             better = f"{own.seconds:.4f}" if own.nats > EVIDENCE_THRESHOLD_NATS else "0"
-            advice = f"error bars are too small for that; type --delay {name}={better}"
+            remedy = residual.doubt if residual.changes else f"type --delay {name}={better}"
+            advice = f"error bars are too small for that; {remedy}"
             yield Finding(
                 "warning",
                 f"{name}: {describe_delay(own.seconds, own.std_error)} ({given}): {advice}",

@@ -23,12 +23,14 @@ MAX_DELAY_S = 1.0
 @dataclass(frozen=True)
 class Delay:
     """A delay of image timestamps (s) and its standard
-    error (s); doubt: why it is not believed, "" if it is.
+    error (s); doubt: why it is not believed, "" if it is;
+    changes: whether the log evidently shows another one in each half.
     """
 
     seconds: float
     std_error: float
     doubt: str = ""
+    changes: bool = False
 
     @property
     def nats(self) -> float:

@@ -16,7 +16,12 @@ import numpy as np
 
 from ...kinematics.calibration import CHI_SQUARE_MEDIANS
 from ...types import Array
-from ..faults.threshold import PRIOR_STD_RAD, SIGNIFICANT_SIGMA
+from ..faults.threshold import (
+    EVIDENCE_THRESHOLD_NATS,
+    MIN_DELAY_S,
+    PRIOR_STD_RAD,
+    SIGNIFICANT_SIGMA,
+)
 from ..inference.scan import CONVERGED_MOVE, MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Sighting
@@ -46,28 +51,37 @@ def measure_delay_by_regression(
 
     walking: joints whose encoders drift or have been shifted.
 
-    Where much of the log has lost its weight, the delay
-    is in doubt unless both halves of the log show it.
+    A delay is as unsure as the halves of the log are evidently apart; where it is not evident so,
+    as where a clock is set by as much, it changes, and is in doubt. Where much of the log has lost
+    its weight, it is in doubt unless both halves show it.
     """
     whole = _regress_delay(encoders, seen, walking)
-    if whole is None or whole[1] >= LEAST_WEIGHT_SHARE:
-        return None if whole is None else whole[0]
-    delay = whole[0]
+    if whole is None:
+        return None
+    delay, share = whole
+    is_contradicted = share < LEAST_WEIGHT_SHARE
     middle = float(np.median(np.concatenate([one.t for one in seen])))
-    parts = [
+    halves = [
         _regress_delay(encoders, [one.select_span(*span) for one in seen], walking)
         for span in ((-np.inf, middle), (middle, np.inf))
     ]
-    found = [part[0] for part in parts if part is not None]
-    if len(found) < len(parts):
-        return replace(
-            delay, doubt="much of the log contradicts it, and half of the log shows no delay"
-        )
-    apart = abs(found[0].seconds - found[1].seconds)
-    if apart < SIGNIFICANT_SIGMA * np.hypot(found[0].std_error, found[1].std_error):
-        return replace(delay, std_error=max(delay.std_error, 0.5 * apart))
+    found = [half[0] for half in halves if half is not None]
+    if len(found) < len(halves):
+        doubt = "much of the log contradicts it, and half of the log shows no delay"
+        return replace(delay, doubt=doubt) if is_contradicted else delay
+    apart = Delay(
+        abs(found[0].seconds - found[1].seconds),
+        float(np.hypot(found[0].std_error, found[1].std_error)),
+    )
+    between = replace(delay, std_error=max(delay.std_error, 0.5 * apart.seconds))
+    are_two = apart.nats > EVIDENCE_THRESHOLD_NATS and 0.5 * apart.seconds > MIN_DELAY_S
     each = " and ".join(f"{1e3 * one.seconds:.1f} ± {1e3 * one.std_error:.1f} ms" for one in found)
-    return replace(delay, doubt=f"the halves of the log show {each}")
+    text = f"the halves of the log show {each}"
+    if are_two and between.nats <= EVIDENCE_THRESHOLD_NATS:
+        return replace(between, doubt=text, changes=True)
+    if is_contradicted and apart.seconds >= SIGNIFICANT_SIGMA * apart.std_error:
+        return replace(delay, doubt=text)
+    return between if are_two or is_contradicted else delay
 
 
 def _regress_delay(
