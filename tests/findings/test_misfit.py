@@ -191,7 +191,7 @@ def test_estimate_in_the_wrong_unit_names_it(tmp_path, capsys, run_cli, arm, arm
 def test_log_of_an_unmarked_arm_has_no_fault_with_a_size(tmp_path, capsys, run_cli, worlds, name) -> None:
     """The body follows a cap of the arm's colour; in the other logs it sees another cap of that colour."""
     body = tmp_path / "body.npz"
-    assert run_cli("fit", worlds / "bare_explore", "-o", body) == 0
+    assert run_cli("fit", worlds / "bare_explore", "--no-urdf", "-o", body) == 0
     capsys.readouterr()
     assert run_cli("estimate", worlds / name, "--body", body, "-o", tmp_path / "out.mcap", "--json") == 3
     (result,) = json.loads(capsys.readouterr().out)["results"]
