@@ -135,7 +135,7 @@ def test_measured_delay_ignores_a_clock_step(world, seed, by):
 
 
 @pytest.mark.parametrize(("jump", "found"), [(5e-4, True), (5e-3, False)])
-def test_a_profile_whose_slope_jumps_at_its_top_has_that_top_where_the_jump_is_within_the_error(jump, found):
+def test_a_profile_whose_slope_jumps_within_its_error_has_a_top_there(jump, found):
     def step_at(late):
         return 0.1 - late + (jump if late < 0.1 else -jump), 2e-3, None
 
@@ -159,7 +159,8 @@ def test_a_delay_of_half_of_a_log_is_in_doubt(world, seed, by):
     assert not timely.delays and timely.unsure["camera"] > 0.5 * abs(by)
     assert reconsider_delays(timely, features, drawn.body, "auto", left) is None
     (warned,) = correct_camera_delays(features, drawn.body, "off").findings
-    assert "(not corrected): error bars are too small for that; the halves of the log show" in warned.text
+    why = "error bars are too small for that; the halves of the log show"
+    assert f"(not corrected): {why}" in warned.text
 
 
 @pytest.mark.parametrize("by", [0.0, 0.01])
@@ -168,7 +169,8 @@ def test_a_delay_that_changes_by_less_than_it_takes_away_is_believed(world, by):
     drawn = world(1, camera_hz=20.0, encoder_std=0.001)
     track = drawn.features.tracks["effector"]
     stepped = replace(track, t=track.t + 0.09 + by * (track.t > np.median(track.t)))
-    found = measure_camera_delays(replace(drawn.features, tracks={"effector": stepped}), drawn.body)["camera"]
+    features = replace(drawn.features, tracks={"effector": stepped})
+    found = measure_camera_delays(features, drawn.body)["camera"]
     assert is_significant(found) and abs(found.seconds - 0.095) < 0.01
     assert (found.std_error > 0.4 * by) and (by > 0.0) == (found.std_error > 2e-3)
 

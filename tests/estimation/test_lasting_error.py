@@ -78,7 +78,7 @@ def test_images_of_something_else_are_no_error_of_the_encoders(seed):
 
 @pytest.mark.parametrize("seed", [0, 3])
 def test_a_silence_that_images_leave_open_shows_no_error_of_the_encoders(world, seed):
-    """Beliefs of two silent joints are off by 0.1 rad for seconds, whichever encoders still speak."""
+    """Beliefs of two silent joints are off by 0.1 rad for seconds."""
     drawn = world(seed, duration=20.0)
     silent = muted(drawn.features, 6.0, 16.0, ("pan", "lift"))
     found = estimate_from_features(silent, drawn.body, EstimationSettings())
