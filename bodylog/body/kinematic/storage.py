@@ -177,7 +177,7 @@ def build_kinematic_gp(
         doubt[end + count :],
     )
     unknowns = {name: found[name] for name in _UNKNOWNS}
-    model = KinematicGP.on(plain, rig, **unknowns)
+    model = KinematicGP.on(plain, rig=rig, **unknowns)
     rested = found[_RESTED] if _RESTED in header else None
     return replace(model, base=_build_base(joints, found, header), resting=rested)
 
