@@ -53,7 +53,7 @@ def compile_predictor(rig: Rig, theta: Array) -> Instant:
     def at(x: Array) -> tuple[Array, Array, Array]:
         (px, py, pz), turned = _forward_kinematics(known, (gain * x if scaled else x).tolist())
         image, rows, by_lens = (
-            _project_point(px, py, pz, known.lens) if known.lens else _scale_point(px, py, pz)
+            project_point(px, py, pz, known.lens) if known.lens else scale_point(px, py, pz)
         )
         arm = px - known.shift[0], py - known.shift[1], pz - known.shift[2]
         design = np.array(
@@ -164,14 +164,14 @@ def _derivative_before_pose(pose: tuple[float, ...], g: Row) -> Row:
     return a * x + e * y + i * z, b * x + f * y + j * z, c * x + h * y + k * z
 
 
-def _scale_point(px: float, py: float, pz: float) -> Projection:
+def scale_point(px: float, py: float, pz: float) -> Projection:
     """`camera.scale_points` for one point."""
     mm = MM_PER_M
     rows = (mm, 0.0, 0.0), (0.0, mm, 0.0), (0.0, 0.0, mm)
     return (mm * px, mm * py, mm * pz), rows, ((), (), ())
 
 
-def _project_point(px: float, py: float, pz: float, lens: list[float]) -> Projection:
+def project_point(px: float, py: float, pz: float, lens: list[float]) -> Projection:
     """`camera.project_points` for one point."""
     depth = max(pz, NEAREST)
     far = pz > NEAREST

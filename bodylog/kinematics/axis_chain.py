@@ -1,0 +1,121 @@
+"""A chain of turning joints whose axes are unknown, before one camera or tracker: a product of
+exponentials (Brockett 1984), with its derivatives by the joints and by all that is unknown.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..types import Array
+from .camera import project_points, scale_points
+from .chain import cross_products
+from .rotations import cross_product_matrix, rotation_from_vector
+
+PLACE_STD = 1.0
+"""Prior std of the marker's place and of each axis' distance, in shares of the marker's distance
+from the camera: arms are about as long as they are far. Of what a tracker measures, in m.
+"""
+TURN_STD = 1.0
+"""rad: prior std of the direction of an axis, which may have any."""
+
+
+@dataclass(frozen=True, eq=False)
+class AxisChain:
+    """K joints between a camera and a marker, all in the camera's axes.
+
+    Lengths are shares of the marker's distance along the camera's axis with all joints at `middle`,
+    which no image tells; of points in space they are m.
+    place (3,) of the marker there · lens (6,), or (0,) of a tracker · frames (K,3,3): two
+    directions across each axis and its own, in rows, from the camera on · pivots (K,3): a point of
+    each axis · order (K,): the joint that turns about each axis · middle (M,) rad.
+    """
+
+    place: Array
+    lens: Array
+    frames: Array
+    pivots: Array
+    order: Array
+    middle: Array
+
+    @property
+    def of_lens(self) -> slice:
+        """The lens among the unknowns, behind the marker's place."""
+        first = 3 if len(self.lens) == 0 else 2
+        return slice(first, first + len(self.lens))
+
+    @property
+    def std(self) -> Array:
+        """Prior std (P,) of all unknowns but those of the lens, which are 0 here.
+
+        The marker's place (2,), or (3,) for a tracker, the lens (6,), and of each axis from the
+        camera on two turns of its direction (rad) and two shifts across it.
+        """
+        std = np.zeros(self.of_lens.stop)
+        std[: self.of_lens.start] = PLACE_STD
+        each = [TURN_STD, TURN_STD, PLACE_STD, PLACE_STD]
+        return np.concatenate([std, *[each] * len(self.order)])
+
+    def see(self, q: Array) -> tuple[Array, Array, Array]:
+        """Predict at q (N,M) rad: image (N,D) px or mm · slope (N,D,M)
+        by the joints · design (N,D,P) by a small change of the unknowns.
+        """
+        turns = self._turns(q)
+        point = np.broadcast_to(self.place, (len(q), 3))
+        arms = [point] * len(turns)
+        for k in range(len(turns) - 1, -1, -1):
+            arms[k] = (turns[k] @ (point - self.pivots[k])[..., None])[..., 0]
+            point = arms[k] + self.pivots[k]
+        image, by_point, by_lens = (
+            project_points(point, self.lens) if len(self.lens) else scale_points(point)
+        )
+        outputs = image.shape[1]
+        slope = np.zeros((*image.shape, q.shape[1]))
+        design = np.zeros((*image.shape, len(self.std)))
+        design[..., self.of_lens] = by_lens
+        # rows: derivatives by a shift of the arm, and by a turn about the axis' point
+        rows = np.empty((len(q), 2 * outputs, 3))
+        for k, (turn, arm) in enumerate(zip(turns, arms, strict=True)):
+            rows[:, :outputs] = by_point
+            rows[:, outputs:] = cross_products(arm[:, None], by_point)
+            before = rows @ turn
+            slope[..., self.order[k]] = rows[:, outputs:] @ self.frames[k, 2]
+            # what moves an axis moves the arm behind it, which turns about the axis
+            moved = rows - before
+            first = self.of_lens.stop + 4 * k
+            design[..., first : first + 2] = moved[:, outputs:] @ self._leans[k].T
+            design[..., first + 2 : first + 4] = moved[:, :outputs] @ self.frames[k, :2].T
+            by_point = before[:, :outputs]
+        design[..., : self.of_lens.start] = by_point[..., : self.of_lens.start]
+        return image, slope, design
+
+    def move(self, step: Array) -> "AxisChain":
+        """The chain with its unknowns changed by step (P,)."""
+        place = self.place.copy()
+        place[: self.of_lens.start] += step[: self.of_lens.start]
+        each = step[self.of_lens.stop :].reshape(-1, 4)
+        leans = np.einsum("kc,kci->ki", each[:, :2], self._leans)
+        turns = [rotation_from_vector(lean) for lean in leans]
+        frames = self.frames @ np.array(turns).transpose(0, 2, 1)
+        pivots = self.pivots + np.einsum("kc,kci->ki", each[:, 2:], self.frames[:, :2])
+        return replace(
+            self, place=place, lens=self.lens + step[self.of_lens], frames=frames, pivots=pivots
+        )
+
+    @cached_property
+    def _leans(self) -> Array:
+        """Unit turns (K,2,3) that lean each axis to its two sides."""
+        return np.stack([self.frames[:, 1], -self.frames[:, 0]], axis=1)
+
+    @cached_property
+    def _rodrigues(self) -> tuple[Array, Array, Array]:
+        """Parts (K,1,3,3) of each turn: constant, by its cosine and by its sine."""
+        axis = self.frames[:, None, 2]
+        along = axis[..., None] * axis[..., None, :]
+        return along, np.eye(3) - along, cross_product_matrix(axis)
+
+    def _turns(self, q: Array) -> Array:
+        """The rotation (K,N,3,3) about each axis at q (N,M) rad (Rodrigues)."""
+        angles = (q - self.middle)[:, self.order].T[..., None, None]
+        along, across, sideways = self._rodrigues
+        return np.asarray(along + np.cos(angles) * across + np.sin(angles) * sideways)

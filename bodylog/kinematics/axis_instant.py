@@ -1,0 +1,77 @@
+"""What a chain of axes predicts at one posture in plain floats, five times faster than NumPy."""
+
+from math import cos, sin
+
+import numpy as np
+
+from ..types import Array
+from .axis_chain import AxisChain
+from .instant import Instant, Row, project_point, scale_point
+
+
+def compile_axes(chain: AxisChain) -> Instant:
+    """A function from one posture to what `AxisChain.see` predicts there."""
+    axes: list[Row] = [tuple(one) for one in chain.frames[:, 2].tolist()]
+    pivots: list[Row] = [tuple(one) for one in chain.pivots.tolist()]
+    sides: list[tuple[Row, Row]] = [
+        (tuple(first), tuple(second)) for first, second in chain.frames[:, :2].tolist()
+    ]
+    order = chain.order.tolist()
+    middle = chain.middle.tolist()
+    place = chain.place.tolist()
+    lens = chain.lens.tolist()
+    known = chain.of_lens.start
+
+    def at(x: Array) -> tuple[Array, Array, Array]:
+        angles = x.tolist()
+        turns = [(cos(a), sin(a)) for a in (angles[m] - middle[m] for m in order)]
+        px, py, pz = place
+        arms = list[Row]()
+        for axis, (ox, oy, oz), (c, s) in zip(axes[::-1], pivots[::-1], turns[::-1], strict=True):
+            arm = _turn(axis, c, s, (px - ox, py - oy, pz - oz))
+            arms.append(arm)
+            px, py, pz = arm[0] + ox, arm[1] + oy, arm[2] + oz
+        image, rows, by_lens = project_point(px, py, pz, lens) if lens else scale_point(px, py, pz)
+        slopes = [[0.0] * len(angles) for _ in rows]
+        design = []
+        for slope, row, own in zip(slopes, rows, by_lens, strict=True):
+            by_axes = list[float]()
+            for m, axis, (one, other), arm, (c, s) in zip(
+                order, axes, sides, arms[::-1], turns, strict=True
+            ):
+                swung = _cross(arm, row)
+                slope[m] = _dot(axis, swung)
+                before = _turn(axis, c, -s, row)
+                swung_left = _minus(swung, _turn(axis, c, -s, swung))
+                left = _minus(row, before)
+                by_axes += (_dot(other, swung_left), -_dot(one, swung_left))
+                by_axes += (_dot(one, left), _dot(other, left))
+                row = before
+            design.append((*row[:known], *own, *by_axes))
+        return np.array(image), np.array(slopes), np.array(design)
+
+    return at
+
+
+def _turn(axis: Row, c: float, s: float, v: Row) -> Row:
+    """A vector turned about an axis by an angle of this cosine and sine (Rodrigues)."""
+    a, b, d = axis
+    x, y, z = v
+    along = (1.0 - c) * (a * x + b * y + d * z)
+    return (
+        c * x + s * (b * z - d * y) + along * a,
+        c * y + s * (d * x - a * z) + along * b,
+        c * z + s * (a * y - b * x) + along * d,
+    )
+
+
+def _cross(v: Row, w: Row) -> Row:
+    return v[1] * w[2] - v[2] * w[1], v[2] * w[0] - v[0] * w[2], v[0] * w[1] - v[1] * w[0]
+
+
+def _dot(v: Row, w: Row) -> float:
+    return v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
+
+
+def _minus(v: Row, w: Row) -> Row:
+    return v[0] - w[0], v[1] - w[1], v[2] - w[2]

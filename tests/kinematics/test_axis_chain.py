@@ -1,0 +1,94 @@
+"""Chains of unknown axes: derivatives against differences, both ways to predict, and the search."""
+
+from dataclasses import replace
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from bodylog.kinematics.axis_chain import AxisChain
+from bodylog.kinematics.axis_instant import compile_axes
+from bodylog.kinematics.axis_search import AxisSightings, find_axes
+from bodylog.kinematics.camera import lens_without_distortion
+from bodylog.kinematics.rotations import rotation_from_vector
+from tests.body.conftest import project
+
+LENS = lens_without_distortion(280.0, 320.0, 240.0)
+HOME = np.array([0.0, 0.3, 0.6])
+LENS_STD = np.array([0.4, 0.02, 30.0, 30.0, 0.2, 0.2])
+
+
+def _chain(seed: int, joints: int, lens: np.ndarray) -> AxisChain:
+    draw = np.random.default_rng(seed)
+    frames = np.array([rotation_from_vector(v) for v in draw.normal(size=(joints, 3))])
+    pivots = np.array([0.0, 0.0, 1.0]) + draw.normal(0.0, 0.3, (joints, 3))
+    order = draw.permutation(joints)
+    return AxisChain(np.array([0.1, 0.2, 1.0]), lens, frames, pivots, order, np.full(joints, 0.1))
+
+
+LENSES = pytest.mark.parametrize("lens", [LENS + np.array([0, 0, 0, 0, 0.1, 0.05]), np.zeros(0)], ids=["camera", "tracker"])
+
+
+@LENSES
+@pytest.mark.parametrize("seed", range(3))
+def test_derivatives_are_those_of_differences(lens, seed):
+    chain = _chain(seed, 4, lens)
+    q = np.random.default_rng(seed).normal(0.0, 0.4, (6, 4))
+    _, slope, design = chain.see(q)
+    step = 1e-6
+    for m, way in enumerate(step * np.eye(4)):
+        found = (chain.see(q + way)[0] - chain.see(q - way)[0]) / (2.0 * step)
+        assert np.allclose(slope[..., m], found, rtol=1e-6, atol=1e-5)
+    for p, way in enumerate(step * np.eye(len(chain.std))):
+        found = (chain.move(way).see(q)[0] - chain.move(-way).see(q)[0]) / (2.0 * step)
+        assert np.allclose(design[..., p], found, rtol=1e-6, atol=1e-5)
+
+
+@LENSES
+def test_one_posture_is_predicted_as_many(lens):
+    chain = _chain(5, 3, lens)
+    q = np.random.default_rng(5).normal(0.0, 0.4, (10, 3))
+    at = compile_axes(chain)
+    for one, many in zip(zip(*(at(x) for x in q), strict=True), chain.see(q), strict=True):
+        assert np.allclose(one, many, rtol=1e-12, atol=1e-9)
+
+
+def test_moved_frames_stay_rotations():
+    chain = _chain(1, 3, LENS)
+    for seed in range(20):
+        chain = chain.move(np.random.default_rng(seed).normal(0.0, 1.0, len(chain.std)))
+    assert np.allclose(chain.frames @ chain.frames.transpose(0, 2, 1), np.eye(3), atol=1e-12)
+
+
+def _sightings(seed: int, order: tuple[int, ...], pixel: float = 0.3) -> AxisSightings:
+    draw = np.random.default_rng(seed)
+    q = draw.uniform(-0.5, 0.5, (150, 3)) + HOME
+    y = project(q) + draw.normal(0.0, pixel, (150, 2))
+    return AxisSightings(q[:, order], y, np.full(y.shape, pixel), LENS, LENS_STD)
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_axes_are_found_in_whatever_order_the_log_names_the_joints(order):
+    chain = find_axes(_sightings(sum(order), order), 0)
+    q = np.random.default_rng(9).uniform(-0.9, 0.9, (300, 3)) + HOME
+    away = chain.see(q[:, order])[0] - project(q)
+    assert np.sqrt(np.square(away).mean()) < 1.0
+    assert [order[m] for m in chain.order] == [0, 1, 2]
+
+
+def test_a_known_chain_is_found_again_before_others_are_tried():
+    known = find_axes(_sightings(0, (0, 1, 2)), 0)
+    moved = known.move(0.05 * np.random.default_rng(1).normal(size=len(known.std)))
+    data = _sightings(0, (0, 1, 2))
+    again = find_axes(data, 7, moved)
+    assert np.allclose(again.see(data.q)[0], known.see(data.q)[0], atol=0.01)
+
+
+def test_points_in_space_tell_axes_too():
+    draw = np.random.default_rng(3)
+    true = replace(_chain(3, 3, np.zeros(0)), order=np.arange(3))
+    q = draw.uniform(-0.6, 0.8, (150, 3))
+    y = true.see(q)[0] + draw.normal(0.0, 0.3, (150, 3))
+    found = find_axes(AxisSightings(q, y, np.full(y.shape, 0.3), np.zeros(0), np.zeros(0)), 0)
+    far = draw.uniform(-1.2, 1.4, (200, 3))
+    assert np.sqrt(np.square(found.see(far)[0] - true.see(far)[0]).mean()) < 1.0
