@@ -83,9 +83,10 @@ def _list_zeros_and_scales(learned: "BodyModel") -> dict[str, Any]:
 
 
 def _describe_sense(sense: "ForwardModel", joints: Sequence[str]) -> dict[str, Any]:
-    """What a sense's model is made of: samples and a
-    length scale (rad) for each joint, or coefficients.
+    """What a sense's model is made of: samples and a length scale (rad) for each
+    joint, and joints in the order of the axes found; or coefficients.
     """
+    from .body.gp.axis_gp import AxisGP
     from .body.gp.model import GP
     from .body.kinematic.model import KinematicGP
     from .body.senses.encoder_function import Polynomial
@@ -94,6 +95,8 @@ def _describe_sense(sense: "ForwardModel", joints: Sequence[str]) -> dict[str, A
     if isinstance(sense, GP):
         scales = [dict(zip(joints, group, strict=True)) for group in sense.scales.tolist()]
         facts |= {"samples": len(sense.samples), "length_scales": scales}
+        if isinstance(sense, AxisGP):
+            facts["axes"] = [joints[m] for m in sense.chain.order]
         return facts | (
             {"kinematics": _list_links(sense)} if isinstance(sense, KinematicGP) else {}
         )

@@ -47,13 +47,30 @@ def with_kinematics(
     robot: "Robotics | None",
     update: BodyModel | None = None,
 ) -> "LearnedBody":
-    """Add the URDF's kinematics to a learned body; return
-    it unchanged without a URDF, or with an unsuitable one.
+    """Add the URDF's kinematics to a learned body; without a URDF, or with
+    an unsuitable one, axes of the joints that are found from the tracks.
 
     A body to update keeps its own chain unless a URDF is requested. Tracks
     that kinematics do not explain are refused where a Gaussian process
     does not explain them, or where they tell nothing about the joints.
     """
+    with_it = _with_urdf(features, settings, found, robot, update)
+    from .kinematic import found_axes
+    from .kinematic.update import senses_with_chain
+
+    if senses_with_chain(with_it.model):
+        return with_it
+    return found_axes.learn_axes(with_it, features, settings)
+
+
+def _with_urdf(
+    features: Sequence[Features],
+    settings: Settings,
+    found: "LearnedBody",
+    robot: "Robotics | None",
+    update: BodyModel | None,
+) -> "LearnedBody":
+    """The body with the URDF's kinematics, or without tracks that need them."""
     doubtful = {**found.poor, **found.vague}
     judged = replace(found, poor=doubtful) if found.vague else found
     with_it = _learn_or_update_kinematics(features, settings, judged, robot, update)

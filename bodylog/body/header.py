@@ -12,6 +12,7 @@ from ..body_model import UNUSED_URDF, BodyModel, Noise, TouchConstants
 from ..errors import ModelError
 from ..io.values import encodable_text, read_json
 from . import surface
+from .gp.axis_gp import AxisGP
 from .gp.model import GP
 from .kinematic import storage
 from .kinematic.model import KinematicGP
@@ -20,7 +21,12 @@ from .senses.encoder_function import Polynomial
 VERSION = 1
 _KIND = "bodylog body model"
 _WIDEST = 1 << 20
-KINDS: dict[type, str] = {GP: "gp", Polynomial: "polynomial", KinematicGP: "kinematic"}
+KINDS: dict[type, str] = {
+    GP: "gp",
+    Polynomial: "polynomial",
+    KinematicGP: "kinematic",
+    AxisGP: "axes",
+}
 """Names of the classes of senses that can be saved."""
 _UNITS = {
     "joints": "rad",

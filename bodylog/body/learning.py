@@ -42,7 +42,8 @@ class LearnedBody:
 
     poor: tracks, and why, that a Gaussian process alone cannot explain, kept for kinematics ·
     vague: tracks that it explains, and why one image of them tells nothing about the joints ·
-    faint: warnings for joints whose motion the senses hardly show · lasting: errors of encoders.
+    faint: warnings for joints whose motion the senses hardly show · lasting: errors of encoders ·
+    used: the sightings of each track that its model was learned from.
     """
 
     model: BodyModel
@@ -53,6 +54,7 @@ class LearnedBody:
     vague: Mapping[str, str] = field(default_factory=dict)
     faint: tuple[Finding, ...] = ()
     lasting: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    used: Mapping[str, Pairs] = field(default_factory=dict)
 
 
 @one_thread("scipy.linalg")
@@ -128,6 +130,7 @@ def learn_from_features(
         vague,
         tuple(exploration_report.faint_findings(chosen, gps, learned)),
         lasting,
+        {name: one.used for name, one in senses.items()},
     )
 
 

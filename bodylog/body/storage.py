@@ -11,15 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from ..body_model import BodyModel, Surface
+from ..body_model import BodyModel, ForwardModel, Surface
 from ..errors import ModelError
 from ..io.atomic_files import replace_atomically
 from ..io.text_paths import with_text_paths
 from ..types import Array
 from . import header
 from . import surface as surface_fields
+from .gp.axis_gp import AxisGP
 from .gp.model import GP
-from .kinematic import storage
+from .kinematic import axis_storage, storage
 from .kinematic.model import KinematicGP
 from .senses.encoder_function import Polynomial
 
@@ -44,6 +45,7 @@ _SHAPES: dict[str, dict[str, str]] = {
     "gp": _LEARNED,
     "polynomial": {"coefficients": "mk"},
     "kinematic": _LEARNED | storage.SHAPES,
+    "axes": _LEARNED | axis_storage.SHAPES,
 }
 _SIZES = {digit: int(digit) for digit in "12346"}
 _POSITIVE = ("scales", "amplitude", "doubt")
@@ -63,7 +65,7 @@ def save(model: BodyModel, path: Path) -> None:
                 f"{path}: sense {name!r}: a {type(sense).__name__} cannot be saved; "
                 f"possible: {possible}"
             )
-        own = storage.kinematic_arrays(sense) if isinstance(sense, KinematicGP) else {}
+        own = _arrays_of_mean(sense)
         fields = (*_LEARNED, *own) if own else tuple(_SHAPES[header.KINDS[type(sense)]])
         values = {field: own[field] if field in own else getattr(sense, field) for field in fields}
         arrays |= {
@@ -81,6 +83,13 @@ def save(model: BodyModel, path: Path) -> None:
         for name in sorted(arrays):
             with archive.open(zipfile.ZipInfo(name, _EPOCH), "w", force_zip64=True) as stream:
                 np.lib.format.write_array(stream, arrays[name], version=(1, 0), allow_pickle=False)
+
+
+def _arrays_of_mean(sense: ForwardModel) -> dict[str, Array]:
+    """The arrays of a mean beside those of a Gaussian process on its residuals."""
+    if isinstance(sense, KinematicGP):
+        return storage.kinematic_arrays(sense)
+    return axis_storage.axis_arrays(sense) if isinstance(sense, AxisGP) else {}
 
 
 @with_text_paths
@@ -165,9 +174,7 @@ def _read_sense(
 ) -> GP | Polynomial:
     sizes = {"d": len(outputs), "m": len(joints), **_SIZES}
     arrays: dict[str, Array] = {}
-    for field, letters in (
-        _SHAPES[kind] if links is None else _LEARNED | storage.kinematic_shapes(links, outputs)
-    ).items():
+    for field, letters in _shapes_of_sense(kind, outputs, links).items():
         least = (
             header.LEAST
             if field in _POSITIVE
@@ -176,11 +183,13 @@ def _read_sense(
             else -header.LARGEST
         )
         arrays[field] = _checked_array(path, archive, f"{name}/{field}", letters, sizes, least)
-    if kind in ("gp", "kinematic"):
+    if kind != "polynomial":
         plain = GP(outputs, unit, **{field: arrays[field] for field in _LEARNED})
-        if links is None:
-            return plain
         try:
+            if kind == "axes":
+                return axis_storage.build_axis_gp(plain, arrays)
+            if links is None:
+                return plain
             return storage.build_kinematic_gp(plain, joints, arrays, links)
         except ValueError as error:
             raise ModelError(f"{path}: field {name}/{error}; fit the body again") from error
@@ -190,6 +199,15 @@ def _read_sense(
             "each joint"
         )
     return Polynomial(outputs, unit=unit, **arrays)
+
+
+def _shapes_of_sense(
+    kind: str, outputs: tuple[str, ...], links: Mapping[str, str] | None
+) -> dict[str, str]:
+    """The arrays of a sense and their shapes."""
+    if links is not None:
+        return _LEARNED | storage.kinematic_shapes(links, outputs)
+    return _LEARNED | axis_storage.axis_shapes(outputs) if kind == "axes" else _SHAPES[kind]
 
 
 def _read_member_array(path: Path, archive: zipfile.ZipFile, member: str, kind: str) -> Array:

@@ -29,7 +29,8 @@ PEERS = ("filterpy EKF, scikit-learn means", "filterpy EKF, scikit-learn means a
 def learned(samples: int) -> BodyModel:
     """A body learned from an exploration with about so many pictures."""
     explored = draw(1, duration=samples / 8, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
-    model = body.learn_body([explored.features], Settings(), {}).model
+    found = body.learn_body([explored.features], Settings(), {})
+    model = body.with_kinematics([explored.features], Settings(), found, None).model
     # noise of the logs below, whose encoders are louder than the exploration's
     noise_model = replace(model.noise, encoder=(0.01**2,) * 3, senses={"effector": (0.3**2,) * 2})
     return replace(model, noise=noise_model)

@@ -174,8 +174,10 @@ def test_learn_finds_and_reports_a_slow_error():
     assert sizes[0.0] < 0.1 and 0.5 < sizes[2.0] < 4.0
 
 
-def test_learn_without_a_urdf_is_unchanged(plain):
-    assert body.with_kinematics([features()], Settings(), plain, None) is plain
+def test_learn_without_a_urdf_keeps_the_tracks_and_knows_no_links(plain):
+    found = body.with_kinematics([features()], Settings(), plain, None)
+    assert set(found.model.senses) == set(plain.model.senses)
+    assert not any(isinstance(sense, KinematicGP) for sense in found.model.senses.values())
 
 
 def _rows(count=25, unknowns=3):

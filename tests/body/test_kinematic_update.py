@@ -52,7 +52,8 @@ def test_update_keeps_chain_and_base_and_reduces_uncertainty(known):
 
 def test_learn_without_a_urdf_uses_no_kinematics(known):
     plain, found = _updated(known, features(25, seed=7), Settings(kinematics=KinematicsSettings(use=False)))
-    assert found is plain
+    assert set(found.model.senses) == set(plain.model.senses)
+    assert not any(isinstance(sense, KinematicGP) for sense in found.model.senses.values())
 
 
 def test_update_names_a_moved_camera_and_ignores_the_chain(known):

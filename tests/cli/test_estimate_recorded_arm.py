@@ -27,10 +27,9 @@ def test_error_is_near_what_is_attainable_and_error_bars_are_true(
     out = tmp_path / "out.mcap"
     found = _scores(_json(capsys, run_cli, "estimate", arm / log, "--body", arm_body, "-o", out, "--method", method))
     assert found["rmse/joint"] <= factor * ATTAINABLE[log][column]
-    # this body states half the variance that its model has in u, and the bag's motion is only 12 s long
-    most, least = (1.35, 90) if method == "smoother" and log in {"reach.bag", "reach_rosbag2"} else (1.3, 92)
-    assert 0.8 <= found["nees/joint"] <= most
-    assert least <= found["coverage_2sigma/joint"] <= 98
+    # errors of one log correlate over a second or more: their squares scatter by a fifth
+    assert 0.7 <= found["nees/joint"] <= 1.3
+    assert 92 <= found["coverage_2sigma/joint"] <= 98
 
 
 def test_three_containers_of_one_motion_give_one_estimate(tmp_path, capsys, run_cli, arm, arm_body):

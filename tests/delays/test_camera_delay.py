@@ -39,6 +39,7 @@ def off(model, seed=9):
 def test_learn_does_not_change_a_sound_exploration():
     features, found = explored(0)
     plain = body.learn_body([features], Settings(), {"version": "0"})
+    plain = body.with_kinematics([features], Settings(), plain, None)
     assert not findings_of(found) and found.model.provenance == plain.model.provenance and found.scores == plain.scores
     ours, theirs = found.model.senses["effector"], plain.model.senses["effector"]
     assert all(np.array_equal(getattr(ours, part), getattr(theirs, part)) for part in ("weights", "centres", "spread"))

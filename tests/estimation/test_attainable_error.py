@@ -98,6 +98,12 @@ def seen(folder, scenario, seed, cameras):
     return pipeline.observe(folder / "log.mcap", settings)
 
 
+def learn(features):
+    """The body that `fit` learns without a URDF."""
+    settings = Settings(body=BodySettings(joints=UR5))
+    return body.with_kinematics(features, settings, body.learn_body(features, settings, {}), None).model
+
+
 @pytest.mark.parametrize("cameras", [1, 2])
 def test_simulated_reaches(tmp_path, cameras):
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
@@ -106,7 +112,7 @@ def test_simulated_reaches(tmp_path, cameras):
     rows, lines = [], textbook.eyes(ARMS["ur5"], UR5, SIZE)[:cameras]
     for seed in SEEDS:
         explored = seen(tmp_path, "babble", seed, cameras)[1]
-        learned = body.learn_body([explored], Settings(body=BodySettings(joints=UR5)), {}).model
+        learned = learn([explored])
         read, features = seen(tmp_path, "reach", seed, cameras)
         rows.append(row(features, learned, read.signals.truth, lines))
     judge(rows)
@@ -122,7 +128,7 @@ def test_still_arms_in_drawn_postures(tmp_path, monkeypatch):
 
     monkeypatch.setitem(scenarios.SCENARIOS, "still", plan.Scenario("an arm that stands still", stands, 30.0))
     explored = [seen(tmp_path, "babble", seed, 1)[1] for seed in SEEDS]
-    learned = [body.learn_body([one], Settings(body=BodySettings(joints=UR5)), {}).model for one in explored]
+    learned = [learn([one]) for one in explored]
     ratios = {method: [] for method in FACTORS}
     for seed in range(3 * len(SEEDS)):
         read, features = seen(tmp_path, "still", seed, 1)

@@ -68,7 +68,7 @@ def perceived(places, rng):
 def learned(seed, cameras=1, seconds=40.0):
     """The body learned from the exploration of a seed."""
     explored = drawn("babble", seed, seconds, cameras).features
-    return body.learn_body([explored], Settings(body=BodySettings(joints=JOINTS)), {}).model
+    return learn([explored], Settings(body=BodySettings(joints=JOINTS)))
 
 
 @cache
@@ -81,7 +81,13 @@ def recorded(name):
 @cache
 def recorded_body():
     """The body learned from the recorded exploration."""
-    return body.learn_body([recorded("explore.mcap").features], Settings(), {}).model
+    return learn([recorded("explore.mcap").features], Settings())
+
+
+def learn(features, settings):
+    """The body that `fit` learns from these features without a URDF, their clocks being right."""
+    found = body.learn_body(features, settings, {})
+    return body.with_kinematics(features, settings, found, None).model
 
 
 def ns(t):

@@ -10,7 +10,7 @@ from ...kinematics.links import FoundLinks
 from ...kinematics.rig import SPACE, Rig
 from ...types import Finding, Score
 from ..data.pairs import Pairs, SmoothedJoint, correlate_angle_errors
-from ..gp.fit import Coupling
+from ..gp.fit import Coupling, Samples, propagate_input_noise
 from ..gp.marginal_likelihood import Hyper, condition_gp
 from ..gp.model import GP
 from .explicit import hold_out_blocks, solve_linear_unknowns
@@ -38,7 +38,7 @@ def kinematics_gain_nats(
     part = found.parts[name]
     alone = 0.0
     if len(shown.points) == 1:
-        return solve_linear_unknowns(part.chol, part.rows).evidence - _evidence_of_gp_alone(
+        return solve_linear_unknowns(part.chol, part.rows).evidence - evidence_of_gp_alone(
             plain[name], part.pairs, part.known
         )
     points = [point for track, point in part.points.items() if track in plain]
@@ -58,20 +58,28 @@ def kinematics_gain_nats(
     )
     for point in points:
         mine = kept.rows(np.flatnonzero(view.share[:, point]))
-        alone += _evidence_of_gp_alone(
+        alone += evidence_of_gp_alone(
             plain[shown.tracks[point]], mine, correlate_angle_errors(mine, chosen)
         )
     return solve_linear_unknowns(both.chol, rows).evidence - alone
 
 
-def _evidence_of_gp_alone(plain: GP, part: Pairs, known: Coupling) -> float:
+def evidence_of_gp_alone(plain: GP, part: Pairs, known: Coupling) -> float:
     """Evidence (nats) of sightings by a Gaussian process alone."""
-    kernel = Hyper(plain.scales[0], float(plain.amplitude[0]), float(plain.noise.mean()))
-    spread = spread_of(part, plain.means(part.x)[1], known)
-    own = np.sqrt(np.broadcast_to(spread.share, part.y.shape[1]))
-    return condition_gp(kernel, part.x, part.y / own, spread).evidence - len(part.x) * float(
-        np.log(own).sum()
-    )
+    outputs = range(part.y.shape[1])
+    groups = [slice(d, d + 1) for d in outputs] if len(plain.scales) > 1 else [slice(len(outputs))]
+    data = Samples(part.x, part.y, part.floor, part.variance, known)
+    total = 0.0
+    for k, (group, spread) in enumerate(
+        zip(groups, propagate_input_noise(data, plain, groups), strict=True)
+    ):
+        noise = float(plain.noise[group].mean())
+        kernel = Hyper(plain.scales[k], float(plain.amplitude[k]), noise)
+        y = part.y[:, group]
+        own = np.sqrt(np.broadcast_to(spread.share, y.shape[1]))
+        total += condition_gp(kernel, part.x, y / own, spread).evidence
+        total -= len(part.x) * float(np.log(own).sum())
+    return total
 
 
 def kinematic_scores(
