@@ -12,6 +12,7 @@ from bodylog.body.gp.model import GP
 from bodylog.body.learning import learn_from_features
 from bodylog.errors import ModelError
 from bodylog.settings import FitSettings, Settings
+from bodylog.types import Series
 from tests.body.conftest import project
 
 HOME = np.array([0.0, 0.3, 0.6])
@@ -61,6 +62,29 @@ def test_one_posture_is_predicted_as_many(explored):
     assert np.allclose(model.means(q)[1].sum(axis=2), (above - below) / 2e-5, rtol=1e-4, atol=1e-2)
     variance = ((model.predict(q)[2] - model.drift) / model.share).mean(axis=1)
     assert np.allclose(np.diagonal(model.covariance(q)[0]), variance, rtol=1e-6)
+
+
+def _place(q):
+    """The arm's end (N,3) mm, as a tracker measures it."""
+    reach = 0.42 * np.cos(q[:, 1]) + 0.39 * np.cos(q[:, 1] + q[:, 2])
+    height = 0.42 * np.sin(q[:, 1]) + 0.39 * np.sin(q[:, 1] + q[:, 2])
+    return 1e3 * np.column_stack([reach * np.cos(q[:, 0]), reach * np.sin(q[:, 0]), height])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_points_in_space_tell_axes_too(explored, seed):
+    run = explored(seed, 0.001)
+    seen = _place(run.angles) + np.random.default_rng(seed).normal(0.0, 0.1, (len(run.angles), 3))
+    t = run.features.tracks["effector"].t
+    track = Series(t, seen, ("x", "y", "z"), "mm", (t * 1e9).astype(np.int64))
+    plain, found = _with_axes(replace(run.features, tracks={"effector": track}))
+    errors = []
+    for one in (plain, found):
+        mean, _, variance = one.model.senses["effector"].predict(FAR)
+        away = np.square(mean - _place(FAR))
+        errors.append(float(np.sqrt(away.mean())))
+    assert errors[1] < 0.1 * errors[0]
+    assert (away / variance).mean() < 2.0
 
 
 def test_joints_that_move_together_tell_no_axes(explored):
