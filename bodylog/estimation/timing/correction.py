@@ -139,12 +139,7 @@ def reconsider_delays(
     free = {
         name: total
         for name, total in totals.items()
-        if name not in fixed
-        and not (name in timely.measured and timely.measured[name].changes)
-        and (
-            left[name]["nats"] > EVIDENCE_THRESHOLD_NATS
-            or (name in timely.delays and not is_significant(total))
-        )
+        if name not in fixed and _is_changed(timely, name, total, left[name]["nats"])
     }
     if not free:
         return None
@@ -171,6 +166,16 @@ def reconsider_delays(
         (*others, *report_delays({name: delays[name] for name in found}, errors, {}, fixed)),
         (*timely.hypotheses, *weighed),
     )
+
+
+def _is_changed(timely: CorrectedFeatures, camera: str, total: Delay, nats: float) -> bool:
+    """Whether what is left of a delay, in all and in nats, changes what was measured of it.
+
+    Errors of joints make a delay that seems to change needless, or leave it as doubtful as it is.
+    """
+    if camera in timely.measured and timely.measured[camera].changes:
+        return not is_significant(total)
+    return nats > EVIDENCE_THRESHOLD_NATS or (camera in timely.delays and not is_significant(total))
 
 
 def _find_doubt(residual: Delay, is_fixed: bool) -> str:
