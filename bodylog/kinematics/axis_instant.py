@@ -26,26 +26,32 @@ def compile_axes(chain: AxisChain) -> Instant:
         angles = x.tolist()
         turns = [(cos(a), sin(a)) for a in (angles[m] - middle[m] for m in order)]
         px, py, pz = place
-        arms = list[Row]()
+        arms = list[tuple[Row, Row]]()
         for axis, (ox, oy, oz), (c, s) in zip(axes[::-1], pivots[::-1], turns[::-1], strict=True):
-            arm = _turn(axis, c, s, (px - ox, py - oy, pz - oz))
-            arms.append(arm)
+            still = px - ox, py - oy, pz - oz
+            arm = _turn(axis, c, s, still)
+            arms.append((still, arm))
             px, py, pz = arm[0] + ox, arm[1] + oy, arm[2] + oz
         image, rows, by_lens = project_point(px, py, pz, lens) if lens else scale_point(px, py, pz)
+        steps = list(zip(order, axes, sides, arms[::-1], turns, strict=True))
         slopes = [[0.0] * len(angles) for _ in rows]
         design = []
         for slope, row, own in zip(slopes, rows, by_lens, strict=True):
             by_axes = list[float]()
-            for m, axis, (one, other), arm, (c, s) in zip(
-                order, axes, sides, arms[::-1], turns, strict=True
-            ):
-                swung = _cross(arm, row)
-                slope[m] = _dot(axis, swung)
+            for m, axis, ((a, b, d), (e, f, g)), (still, arm), (c, s) in steps:
                 before = _turn(axis, c, -s, row)
-                swung_left = _minus(swung, _turn(axis, c, -s, swung))
-                left = _minus(row, before)
-                by_axes += (_dot(other, swung_left), -_dot(one, swung_left))
-                by_axes += (_dot(one, left), _dot(other, left))
+                # the turned cross product is that of the turned arm and row
+                sx, sy, sz = _cross(arm, row)
+                slope[m] = axis[0] * sx + axis[1] * sy + axis[2] * sz
+                bx, by, bz = _cross(still, before)
+                sx, sy, sz = sx - bx, sy - by, sz - bz
+                tx, ty, tz = row[0] - before[0], row[1] - before[1], row[2] - before[2]
+                by_axes += (
+                    e * sx + f * sy + g * sz,
+                    -(a * sx + b * sy + d * sz),
+                    a * tx + b * ty + d * tz,
+                    e * tx + f * ty + g * tz,
+                )
                 row = before
             design.append((*row[:known], *own, *by_axes))
         return np.array(image), np.array(slopes), np.array(design)
@@ -67,11 +73,3 @@ def _turn(axis: Row, c: float, s: float, v: Row) -> Row:
 
 def _cross(v: Row, w: Row) -> Row:
     return v[1] * w[2] - v[2] * w[1], v[2] * w[0] - v[0] * w[2], v[0] * w[1] - v[1] * w[0]
-
-
-def _dot(v: Row, w: Row) -> float:
-    return v[0] * w[0] + v[1] * w[1] + v[2] * w[2]
-
-
-def _minus(v: Row, w: Row) -> Row:
-    return v[0] - w[0], v[1] - w[1], v[2] - w[2]
