@@ -71,8 +71,8 @@ def learn_from_features(
 
     A body to update keeps its joints, its given senses, and touch unless a log has
     touches; its own samples count as one more log. `keep`: see `Keep` · advice: what to
-    do about a track that tells nothing · lasting: see `smooth_all_joints`. Where logs have a reference, its angles are
-    used and the encoders' function is learned as well.
+    do about a track that tells nothing · lasting: see `smooth_all_joints`. Where logs have a
+    reference, its angles are used and the encoders' function is learned as well.
 
     LogError without joints, ConfigError for an unknown joint, ModelError for another robot's body,
     EvidenceError when nothing was seen or moved.

@@ -1,6 +1,7 @@
 """Variances of encoders, motion and pixels by evidence on the logs, with standard errors."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,22 +22,34 @@ def learn_noise(
     """Noise of joints (one white-acceleration motion each)
     and senses; floors {name: (n,D) unit²} as measured.
     """
-    variances = {
-        name: np.maximum(gp.noise + floors[name].mean(axis=0), _LEAST_PIXEL)
-        for name, gp in senses.items()
-    }
-    errors = {
-        name: _tuple_of_floats(value * np.sqrt(2.0 / len(floors[name])))
-        for name, value in variances.items()
-    }
+    errors = dict[str, tuple[float, ...]]()
     # the standard error of an unknown variance is at most the variance
     errors["encoder"] = tuple(min(m.std_error[1], max(m.encoder, _LEAST_ENCODER)) for m in motions)
     errors["process"] = tuple(min(m.std_error[0], 1e9) for m in motions)
-    return Noise(
+    of_joints = Noise(
         encoder=tuple(max(m.encoder, _LEAST_ENCODER) for m in motions),
-        senses={name: _tuple_of_floats(value) for name, value in variances.items()},
+        senses={},
         process=tuple(max(m.process, _LEAST_PROCESS) for m in motions),
         std_error=errors,
+    )
+    return replace_sense_noise(
+        of_joints,
+        {n: gp.noise + floors[n].mean(axis=0) for n, gp in senses.items()},
+        {n: len(floors[n]) for n in senses},
+    )
+
+
+def replace_sense_noise(
+    noise: Noise, variances: Mapping[str, Array], counts: Mapping[str, int]
+) -> Noise:
+    """The noise with variances {name: (D,) unit²} of some
+    senses, each known from so many sightings.
+    """
+    known = {name: np.maximum(value, _LEAST_PIXEL) for name, value in variances.items()}
+    senses = {name: _tuple_of_floats(value) for name, value in known.items()}
+    errors = {n: _tuple_of_floats(v * np.sqrt(2.0 / counts[n])) for n, v in known.items()}
+    return replace(
+        noise, senses={**noise.senses, **senses}, std_error={**noise.std_error, **errors}
     )
 
 

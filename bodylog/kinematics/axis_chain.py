@@ -13,8 +13,8 @@ from .chain import cross_products
 from .rotations import cross_product_matrix, rotation_from_vector
 
 PLACE_STD = 1.0
-"""Prior std of the marker's place and of each axis' distance, in shares of the marker's distance
-from the camera: arms are about as long as they are far. Of what a tracker measures, in m.
+"""Prior std of the marker's place and of the distance of each axis, in shares of the marker's
+distance from the camera: arms are about as long as they are far. In m for points in space.
 """
 TURN_STD = 1.0
 """rad: prior std of the direction of an axis, which may have any."""
@@ -45,16 +45,17 @@ class AxisChain:
         return slice(first, first + len(self.lens))
 
     @property
-    def std(self) -> Array:
-        """Prior std (P,) of all unknowns but those of the lens, which are 0 here.
-
-        The marker's place (2,), or (3,) for a tracker, the lens (6,), and of each axis from the
+    def unknowns(self) -> int:
+        """P: the marker's place (2, or 3 for a tracker), the lens (6), and of each axis from the
         camera on two turns of its direction (rad) and two shifts across it.
         """
-        std = np.zeros(self.of_lens.stop)
-        std[: self.of_lens.start] = PLACE_STD
-        each = [TURN_STD, TURN_STD, PLACE_STD, PLACE_STD]
-        return np.concatenate([std, *[each] * len(self.order)])
+        return int(self.of_lens.stop) + 4 * len(self.order)
+
+    def prior_std(self, lens_std: Array) -> Array:
+        """Prior std (P,) of all unknowns, with that of the lens (6,), or (0,) of a tracker."""
+        place = np.full(self.of_lens.start, PLACE_STD)
+        axis = np.array([TURN_STD, TURN_STD, PLACE_STD, PLACE_STD])
+        return np.concatenate([place, lens_std, np.tile(axis, len(self.order))])
 
     def see(self, q: Array) -> tuple[Array, Array, Array]:
         """Predict at q (N,M) rad: image (N,D) px or mm · slope (N,D,M)
@@ -71,7 +72,7 @@ class AxisChain:
         )
         outputs = image.shape[1]
         slope = np.zeros((*image.shape, q.shape[1]))
-        design = np.zeros((*image.shape, len(self.std)))
+        design = np.zeros((*image.shape, self.unknowns))
         design[..., self.of_lens] = by_lens
         # rows: derivatives by a shift of the arm, and by a turn about the axis' point
         rows = np.empty((len(q), 2 * outputs, 3))
@@ -89,7 +90,7 @@ class AxisChain:
         design[..., : self.of_lens.start] = by_point[..., : self.of_lens.start]
         return image, slope, design
 
-    def move(self, step: Array) -> "AxisChain":
+    def move_axes(self, step: Array) -> "AxisChain":
         """The chain with its unknowns changed by step (P,)."""
         place = self.place.copy()
         place[: self.of_lens.start] += step[: self.of_lens.start]

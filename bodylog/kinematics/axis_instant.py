@@ -29,7 +29,7 @@ def compile_axes(chain: AxisChain) -> Instant:
         arms = list[tuple[Row, Row]]()
         for axis, (ox, oy, oz), (c, s) in zip(axes[::-1], pivots[::-1], turns[::-1], strict=True):
             still = px - ox, py - oy, pz - oz
-            arm = _turn(axis, c, s, still)
+            arm = _turn_about_axis(axis, c, s, still)
             arms.append((still, arm))
             px, py, pz = arm[0] + ox, arm[1] + oy, arm[2] + oz
         image, rows, by_lens = project_point(px, py, pz, lens) if lens else scale_point(px, py, pz)
@@ -39,11 +39,11 @@ def compile_axes(chain: AxisChain) -> Instant:
         for slope, row, own in zip(slopes, rows, by_lens, strict=True):
             by_axes = list[float]()
             for m, axis, ((a, b, d), (e, f, g)), (still, arm), (c, s) in steps:
-                before = _turn(axis, c, -s, row)
+                before = _turn_about_axis(axis, c, -s, row)
                 # the turned cross product is that of the turned arm and row
-                sx, sy, sz = _cross(arm, row)
+                sx, sy, sz = _cross_product(arm, row)
                 slope[m] = axis[0] * sx + axis[1] * sy + axis[2] * sz
-                bx, by, bz = _cross(still, before)
+                bx, by, bz = _cross_product(still, before)
                 sx, sy, sz = sx - bx, sy - by, sz - bz
                 tx, ty, tz = row[0] - before[0], row[1] - before[1], row[2] - before[2]
                 by_axes += (
@@ -59,7 +59,7 @@ def compile_axes(chain: AxisChain) -> Instant:
     return at
 
 
-def _turn(axis: Row, c: float, s: float, v: Row) -> Row:
+def _turn_about_axis(axis: Row, c: float, s: float, v: Row) -> Row:
     """A vector turned about an axis by an angle of this cosine and sine (Rodrigues)."""
     a, b, d = axis
     x, y, z = v
@@ -71,5 +71,5 @@ def _turn(axis: Row, c: float, s: float, v: Row) -> Row:
     )
 
 
-def _cross(v: Row, w: Row) -> Row:
+def _cross_product(v: Row, w: Row) -> Row:
     return v[1] * w[2] - v[2] * w[1], v[2] * w[0] - v[0] * w[2], v[0] * w[1] - v[1] * w[0]

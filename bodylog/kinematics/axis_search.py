@@ -5,6 +5,7 @@ from random axes, in the orders in which logs name the joints of a chain.
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import combinations, permutations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,15 +17,15 @@ SCOUTS = 80
 COARSE = 10.0
 """Factor on the std of sightings there, which widens the way to the best axes."""
 STARTS = 24
-"""Random axes tried for each order. Of six or seven joints in the right order, one in ten to one in
-three leads to the right axes."""
+"""Random axes tried for each order. Where six or seven joints are in the right order, a tenth to a
+third of the starts lead to the right axes."""
 SHORT = 12
 """Steps of each start before the better ones go on."""
 FINALISTS = 6
 STEPS = 100
 EXPLAINED = 2.0
-"""Ratio of residuals to a Gaussian process' noise, from which on no other order is tried: what real
-arms bend is left for the process."""
+"""Ratio of residuals to the noise of the Gaussian process below which no other order is tried: the
+process learns how a real arm bends."""
 MOST_PERMUTED = 3
 """Most joints of which all orders are tried; of more, those of limbs whose joints are named in turn
 and, from the best of them, exchanges."""
@@ -47,7 +48,7 @@ class AxisSightings:
     lens: Array
     lens_std: Array
 
-    def thin(self) -> "AxisSightings":
+    def choose_scouts(self) -> "AxisSightings":
         """SCOUTS evenly spaced rows, less certain by COARSE."""
         count = min(len(self.q), SCOUTS)
         rows = np.linspace(0, len(self.q) - 1, count).astype(int)
@@ -67,7 +68,7 @@ class _Descended:
 
     @property
     def explains(self) -> bool:
-        """Whether the chain explains the sightings of `AxisSightings.thin`."""
+        """Whether the chain explains the sightings of `AxisSightings.choose_scouts`."""
         return self.residual < (EXPLAINED / COARSE) ** 2
 
 
@@ -77,7 +78,7 @@ def find_axes(data: AxisSightings, seed: int, known: AxisChain | None = None) ->
     known: a chain of the same joints before the same camera, tried first.
     """
     data = replace(data, std=np.maximum(data.std, _LEAST_STD))
-    few = data.thin()
+    few = data.choose_scouts()
     draw = np.random.default_rng(seed)
     found = [] if known is None else [_descend(few, known, STEPS)]
     for order in _likely_orders(data.q.shape[1]):
@@ -100,10 +101,9 @@ def _likely_orders(joints: int) -> Iterator[tuple[int, ...]]:
     if joints <= MOST_PERMUTED:
         yield from permutations(names)
         return
-    for split in range(joints):
-        if split != 1:
-            yield (*names[:split][::-1], *names[split:])
-        yield (*names[split:][::-1], *names[:split])
+    limbs = [(names[:split], names[split:]) for split in range(joints)]
+    ways = [way for one, other in limbs for way in (one[::-1] + other, other[::-1] + one)]
+    yield from dict.fromkeys(ways)
 
 
 def _draw_chain(data: AxisSightings, order: Array, draw: np.random.Generator) -> AxisChain:
@@ -119,7 +119,7 @@ def _exchange_joints(data: AxisSightings, best: _Descended) -> _Descended:
     """Exchange two joints as long as that makes the loss smaller."""
     while not best.explains:
         pairs = combinations(range(len(best.chain.order)), 2)
-        others = [_descend(data, _exchange(best.chain, *pair), STEPS) for pair in pairs]
+        others = [_descend(data, _exchange_two_joints(best.chain, *pair), STEPS) for pair in pairs]
         other = min(others, key=lambda one: one.loss, default=best)
         if other.loss > best.loss - 1.0:
             break
@@ -127,44 +127,55 @@ def _exchange_joints(data: AxisSightings, best: _Descended) -> _Descended:
     return best
 
 
-def _exchange(chain: AxisChain, i: int, j: int) -> AxisChain:
+def _exchange_two_joints(chain: AxisChain, i: int, j: int) -> AxisChain:
     """Two joints of the chain exchanged, each with its axis."""
     rows = np.arange(len(chain.order))
-    rows[[i, j]] = j, i
-    frames, pivots = chain.frames[rows], chain.pivots[rows]
-    return replace(chain, frames=frames, pivots=pivots, order=chain.order[rows])
+    rows[[i, j]] = [j, i]
+    return replace(
+        chain, frames=chain.frames[rows], pivots=chain.pivots[rows], order=chain.order[rows]
+    )
 
 
 def _descend(data: AxisSightings, chain: AxisChain, steps: int) -> _Descended:
     """The chain of least loss near this one (Levenberg-Marquardt)."""
     damping = 1e-2
-    loss, residual, design = _linearise(data, chain)
+    here = _linearise_loss(data, chain)
     for _ in range(steps):
-        curvature = design.T @ design
-        pull = design.T @ residual
+        curvature = here.design.T @ here.design
+        pull = here.design.T @ here.residual
         while damping < _STUCK:
             damped = curvature + damping * np.diag(curvature.diagonal() + 1.0)
-            trial = chain.move(np.linalg.solve(damped, pull))
-            next_loss, residual_there, design_there = _linearise(data, trial)
-            if next_loss < loss:
+            trial = chain.move_axes(np.linalg.solve(damped, pull))
+            there = _linearise_loss(data, trial)
+            if there.loss < here.loss:
                 break
             damping *= 4.0
         else:
             break
-        gained = loss - next_loss
-        chain, loss, residual, design = trial, next_loss, residual_there, design_there
+        gained = here.loss - there.loss
+        chain = trial
+        here = there
         damping *= 0.2
         if gained < _SETTLED:
             break
-    return _Descended(chain, loss, float(np.square(residual[: data.y.size]).mean()))
+    return _Descended(chain, here.loss, float(np.square(here.residual[: data.y.size]).mean()))
 
 
-def _linearise(data: AxisSightings, chain: AxisChain) -> tuple[float, Array, Array]:
-    """Loss, residuals (nD+L,) in std, and their derivatives (nD+L,P) by the unknowns."""
+class _LinearLoss(NamedTuple):
+    """A loss, its residuals (nD+L,) in std, and their derivatives (nD+L,P) by the unknowns."""
+
+    loss: float
+    residual: Array
+    design: Array
+
+
+def _linearise_loss(data: AxisSightings, chain: AxisChain) -> _LinearLoss:
+    """The loss about a chain: half the squares of residuals and of deviations of the lens."""
     image, _, design = chain.see(data.q)
     residual = ((data.y - image) / data.std).ravel()
     prior = np.zeros((len(data.lens), design.shape[2]))
     prior[:, chain.of_lens] = np.diag(1.0 / data.lens_std)
     rows = (design / data.std[..., None]).reshape(len(residual), -1)
     residual = np.concatenate([residual, (data.lens - chain.lens) / data.lens_std])
-    return 0.5 * float(residual @ residual), residual, np.concatenate([rows, prior])
+    design = np.concatenate([rows, prior])
+    return _LinearLoss(0.5 * float(residual @ residual), residual, design)

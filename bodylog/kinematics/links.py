@@ -335,10 +335,15 @@ def hinted_camera(name: str, link: str, hint: CameraHint, robot: Robot) -> RigCa
         known = hint.lens_std
     anchor, doubt = _hinted_pose(link, hint)
     given = hint.lens is not None and hint.lens_std is None
-    scale = 1.0 if given else np.array([1.0, 1.0, width / 640, width / 640, 1.0, 1.0])
+    known = known if given else scale_lens_std(known, width)
     return RigCamera(
-        f"camera {name}".strip(), link, anchor, numbers, np.concatenate([doubt, known * scale])
+        f"camera {name}".strip(), link, anchor, numbers, np.concatenate([doubt, known])
     )
+
+
+def scale_lens_std(std: Array, width: float) -> Array:
+    """A lens' prior std (6,) for images of this width, px; FREE_LENS is for 640 px."""
+    return np.asarray(std * np.array([1.0, 1.0, width / 640, width / 640, 1.0, 1.0]))
 
 
 def _hinted_tracker(name: str, link: str, hint: CameraHint, robot: Robot) -> RigCamera:

@@ -26,11 +26,15 @@ _BESIDE_FILTERPY = "`filter`, precisions learned, times faster than filterpy and
 PEERS = ("filterpy EKF, scikit-learn means", "filterpy EKF, scikit-learn means and variances")
 
 
+def fitted(features: Features) -> BodyModel:
+    """The body that `fit` learns without a URDF."""
+    return body.with_kinematics([features], Settings(), body.learn_body([features], Settings(), {}), None).model
+
+
 def learned(samples: int) -> BodyModel:
     """A body learned from an exploration with about so many pictures."""
     explored = draw(1, duration=samples / 8, camera_hz=8.0, encoder_hz=50.0, encoder_std=0.003, pixel_std=0.3)
-    found = body.learn_body([explored.features], Settings(), {})
-    model = body.with_kinematics([explored.features], Settings(), found, None).model
+    model = fitted(explored.features)
     # noise of the logs below, whose encoders are louder than the exploration's
     noise_model = replace(model.noise, encoder=(0.01**2,) * 3, senses={"effector": (0.3**2,) * 2})
     return replace(model, noise=noise_model)
@@ -162,7 +166,7 @@ def growth() -> dict[str, dict[int, float]]:
         costs["N"][tracks] = per_step(world.features, model, tracks)
     for joints in range(2, 8):
         explored, replayed = chain(joints, 5, 12.5, 8.0, 50.0), chain(joints, 6, 60.0, 30.0, 100.0)
-        costs["M"][joints] = per_step(replayed, body.learn_body([explored], Settings(), {}).model, 1)
+        costs["M"][joints] = per_step(replayed, fitted(explored), 1)
     print("\nfilter, µs per step of a 60 s log (body's precisions)")
     for name, by_size in costs.items():
         text = ", ".join(f"{size}: {cost:.1f}" for size, cost in by_size.items())

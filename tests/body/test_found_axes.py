@@ -1,14 +1,18 @@
 """Bodies on axes that were found without a URDF: what they predict, how sure they are, when not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bodylog import body
 from bodylog.body import storage
+from bodylog.body.data.pairs import correlate_angle_errors
 from bodylog.body.gp.axis_gp import AxisGP
 from bodylog.body.gp.model import GP
+from bodylog.body.kinematic import found_axes
+from bodylog.body.kinematic.scores import evidence_of_gp_alone
 from bodylog.body.learning import learn_from_features
 from bodylog.errors import ModelError
 from bodylog.settings import FitSettings, Settings
@@ -40,7 +44,11 @@ def test_postures_never_seen_are_predicted_as_well_as_stated(explored, seed):
     (alone, _), (error, squares) = (_errors(one) for one in models)
     assert error < 0.5 * alone and error < 3.0
     assert squares < 3.0
-    scores = {one.name: one.value for one in found.scores}
+    before, scores = ({s.name: s.value for s in one.scores} for one in (plain, found))
+    assert scores["rmse/held_out/effector"] < before["rmse/held_out/effector"]
+    assert scores["std/model/effector"] < before["std/model/effector"]
+    noise = models[1].noise + plain.used["effector"].floor.mean(axis=0)
+    assert found.model.noise.senses["effector"] == pytest.approx(tuple(noise))
     assert 0.7 < scores["nis/held_out/effector"] < 1.4
     assert any("in order pan, lift, elbow" in one.text for one in found.findings)
 
@@ -108,6 +116,42 @@ def test_a_marker_that_no_arm_carries_keeps_its_process(explored):
     features = replace(run.features, tracks={"effector": replace(run.features.tracks["effector"], values=odd)})
     plain, found = _with_axes(features)
     assert found is plain
+
+
+def test_tracks_after_two_without_axes_are_not_tried(explored, monkeypatch):
+    run = explored(0, 0.003, 20.0)
+    track = run.features.tracks["effector"]
+    tracks = {name: track for name in ("a", "b", "c", "side/a")}
+    tried = []
+
+    def give_up(data, seed, known):
+        tried.append(known)
+        return SimpleNamespace(order=range(3))
+
+    monkeypatch.setattr(found_axes, "find_axes", give_up)
+    monkeypatch.setattr(found_axes, "_learn_on_chain", lambda *_: SimpleNamespace(gain=-np.inf))
+    plain, found = _with_axes(replace(run.features, tracks=tracks))
+    assert found is plain and tried == [None] * 3
+
+
+def test_axes_of_many_joints_are_not_looked_for(explored, monkeypatch):
+    monkeypatch.setattr(found_axes, "MOST_JOINTS", 2)
+    plain, found = _with_axes(explored(0, 0.003, 20.0).features)
+    assert found is plain
+
+
+def test_evidence_of_two_kernels_is_that_of_one_where_they_are_alike(explored):
+    run = explored(0, 0.003, 20.0)
+    plain = learn_from_features([run.features], Settings(), {})
+    gp, part = plain.model.senses["effector"], plain.used["effector"]
+    each = replace(
+        gp, scales=np.repeat(gp.scales, 2, axis=0), amplitude=np.repeat(gp.amplitude, 2), factor=np.repeat(gp.factor, 2, axis=0)
+    )
+    known = correlate_angle_errors(part, [])
+    alike = replace(part, variance=np.zeros(part.variance.shape), floor=np.full(part.floor.shape, 0.1))
+    models = [replace(one, noise=np.full(2, 0.01)) for one in (gp, each)]
+    shared, apart = (evidence_of_gp_alone(one, alike, known) for one in models)
+    assert shared == pytest.approx(apart, rel=1e-9)
 
 
 def test_the_papers_preset_has_no_axes(explored):

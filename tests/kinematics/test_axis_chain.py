@@ -6,6 +6,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
+from bodylog.kinematics import axis_search
 from bodylog.kinematics.axis_chain import AxisChain
 from bodylog.kinematics.axis_instant import compile_axes
 from bodylog.kinematics.axis_search import AxisSightings, find_axes
@@ -39,8 +40,8 @@ def test_derivatives_are_those_of_differences(lens, seed):
     for m, way in enumerate(step * np.eye(4)):
         found = (chain.see(q + way)[0] - chain.see(q - way)[0]) / (2.0 * step)
         assert np.allclose(slope[..., m], found, rtol=1e-6, atol=1e-5)
-    for p, way in enumerate(step * np.eye(len(chain.std))):
-        found = (chain.move(way).see(q)[0] - chain.move(-way).see(q)[0]) / (2.0 * step)
+    for p, way in enumerate(step * np.eye(chain.unknowns)):
+        found = (chain.move_axes(way).see(q)[0] - chain.move_axes(-way).see(q)[0]) / (2.0 * step)
         assert np.allclose(design[..., p], found, rtol=1e-6, atol=1e-5)
 
 
@@ -56,7 +57,7 @@ def test_one_posture_is_predicted_as_many(lens):
 def test_moved_frames_stay_rotations():
     chain = _chain(1, 3, LENS)
     for seed in range(20):
-        chain = chain.move(np.random.default_rng(seed).normal(0.0, 1.0, len(chain.std)))
+        chain = chain.move_axes(np.random.default_rng(seed).normal(0.0, 1.0, chain.unknowns))
     assert np.allclose(chain.frames @ chain.frames.transpose(0, 2, 1), np.eye(3), atol=1e-12)
 
 
@@ -76,10 +77,11 @@ def test_axes_are_found_in_whatever_order_the_log_names_the_joints(order):
     assert [order[m] for m in chain.order] == [0, 1, 2]
 
 
-def test_a_known_chain_is_found_again_before_others_are_tried():
+def test_a_known_chain_is_found_again_before_others_are_tried(monkeypatch):
     known = find_axes(_sightings(0, (0, 1, 2)), 0)
-    moved = known.move(0.05 * np.random.default_rng(1).normal(size=len(known.std)))
+    moved = known.move_axes(0.05 * np.random.default_rng(1).normal(size=known.unknowns))
     data = _sightings(0, (0, 1, 2))
+    monkeypatch.delattr(axis_search, "_draw_chain")
     again = find_axes(data, 7, moved)
     assert np.allclose(again.see(data.q)[0], known.see(data.q)[0], atol=0.01)
 
@@ -92,3 +94,34 @@ def test_points_in_space_tell_axes_too():
     found = find_axes(AxisSightings(q, y, np.full(y.shape, 0.3), np.zeros(0), np.zeros(0)), 0)
     far = draw.uniform(-1.2, 1.4, (200, 3))
     assert np.sqrt(np.square(found.see(far)[0] - true.see(far)[0]).mean()) < 1.0
+
+
+LIMBS = {
+    "base to tip": (0, 1, 2, 3, 4),
+    "tip to base": (4, 3, 2, 1, 0),
+    "by the alphabet": (2, 1, 0, 3, 4),
+    "head, then arm": (1, 0, 2, 3, 4),
+    "arm, then head": (4, 3, 0, 1, 2),
+}
+"""The way from camera to marker in the log's joints."""
+
+
+@pytest.mark.parametrize("way", LIMBS.values(), ids=list(LIMBS))
+def test_orders_of_limbs_are_tried_once(way):
+    orders = list(axis_search._likely_orders(5))
+    assert len(set(orders)) == len(orders) and all(sorted(one) == list(range(5)) for one in orders)
+    assert way in orders
+
+
+@pytest.mark.parametrize("way", [LIMBS["head, then arm"], (1, 3, 0, 2)], ids=["of limbs", "of no limbs"])
+def test_axes_of_more_joints_are_found(way):
+    joints = len(way)
+    true = replace(_chain(2, joints, LENS), order=np.array(way), middle=np.zeros(joints))
+    draw = np.random.default_rng(2)
+    q = draw.uniform(-0.5, 0.5, (300, joints))
+    y = true.see(q)[0] + draw.normal(0.0, 0.3, (300, 2))
+    found = find_axes(AxisSightings(q, y, np.full(y.shape, 0.3), LENS, LENS_STD), 0)
+    assert tuple(found.order) == way
+    far = draw.uniform(-0.8, 0.8, (300, joints))
+    away = found.see(far)[0] - true.see(far)[0]
+    assert np.median(np.abs(away)) < 1.0

@@ -14,15 +14,15 @@ from .mean_gp import MeanAt, MeanGP
 class AxisGP(MeanGP):
     """One marker before one camera or tracker, on joints whose axes were found without a URDF.
 
-    chain: the axes of greatest posterior; its unknowns are those of `AxisChain.move`.
+    chain: the axes of greatest posterior; its unknowns are those of `AxisChain.move_axes`.
     """
 
     chain: AxisChain
 
-    def _see(self, x: Array) -> MeanAt:
+    def _evaluate_mean(self, x: Array) -> MeanAt:
         return self.chain.see(x)
 
-    def _see_one(self, x: Array) -> MeanAt:
+    def _evaluate_mean_once(self, x: Array) -> MeanAt:
         return self._instant(x)
 
     @cached_property

@@ -15,8 +15,7 @@ _STEP = 1e-4
 
 MeanAt = tuple[Array, Array, Array]
 """At N postures or at one: what the mean predicts (N,D) · its slope (N,D,M) by the joints · its
-design (N,D,P) by the unknowns.
-"""
+design (N,D,P) by the unknowns."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +23,8 @@ class MeanGP(GP):
     """The fields of GP are those of the residual, whose mean is zero.
 
     root (P,p): the covariance of the mean's unknowns is root rootᵀ · lean (D,p,n): weights with
-    which the samples predict root's columns · drift (D,) px²: variance of an error that lasts longer
-    than a log.
+    which the samples predict root's columns · drift (D,) px²: variance of an error that outlasts a
+    log.
     """
 
     root: Array
@@ -39,11 +38,11 @@ class MeanGP(GP):
         return cls(**residual, **unknowns)
 
     @abstractmethod
-    def _see(self, x: Array) -> MeanAt:
+    def _evaluate_mean(self, x: Array) -> MeanAt:
         """The mean at x (N,M) rad."""
 
     @abstractmethod
-    def _see_one(self, x: Array) -> MeanAt:
+    def _evaluate_mean_once(self, x: Array) -> MeanAt:
         """The mean at one x (M,) rad: (D,), (D,M) and (D,P)."""
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
@@ -59,14 +58,14 @@ class MeanGP(GP):
             value, slope, spread = (np.concatenate(column) for column in zip(*parts, strict=True))
             return value, slope, spread
         value, slope, spread = super().predict(x)
-        image, by_joints, design = self._see(x)
-        unknown = np.square(self._unknown(x, design)).sum(axis=2)
+        image, by_joints, design = self._evaluate_mean(x)
+        unknown = np.square(self._compute_unknown_effects(x, design)).sum(axis=2)
         return value + image, slope + by_joints, spread + unknown + self.drift
 
     def predict_one(self, x: Array) -> tuple[Array, Array, Array]:
         """Predict at one x (M,) rad: mean (D,) · Jacobian (D,M) per rad · variance (D,)."""
         single = self._singles[0]
-        image, by_joints, design = self._see_one(x)
+        image, by_joints, design = self._evaluate_mean_once(x)
         kernel, tilt = single.kernel(x - self._origin)
         sums = self._rows.dot(kernel)
         own = len(single.rows)
@@ -80,22 +79,25 @@ class MeanGP(GP):
     def means(self, x: Array) -> tuple[Array, Array]:
         """Predict at x (N,M) rad: mean (N,D) · Jacobian (N,D,M) per rad, without the variance."""
         value, slope = super().means(x)
-        image, by_joints, _ = self._see(x)
+        image, by_joints, _ = self._evaluate_mean(x)
         return value + image, slope + by_joints
 
     def design(self, x: Array) -> Array:
         """Derivative of the mean by its unknowns at x (N,M) rad: (N,D,P) px per unit of them."""
-        return np.asarray(self._see(np.atleast_2d(x))[2])
+        return np.asarray(self._evaluate_mean(np.atleast_2d(x))[2])
 
     def unknowns(self, x: Array) -> Array:
         """Effect (N,D,p), px, of one standard deviation of
         each direction of the unknowns at x (N,M) rad, given the samples.
         """
-        return self._unknown(x, self._see(x)[2])
+        return self._compute_unknown_effects(x, self._evaluate_mean(x)[2])
 
     def covariance(self, x: Array) -> Array:
         """Covariance between all pairs of x (N,M) rad: (1,N,N) px², the outputs' mean."""
-        leaning = self._unknown(x, self._see(x)[2]) / np.sqrt(self.share)[:, None]
+        leaning = (
+            self._compute_unknown_effects(x, self._evaluate_mean(x)[2])
+            / np.sqrt(self.share)[:, None]
+        )
         return np.asarray(
             super().covariance(x)
             + np.einsum("ndp,kdp->nk", leaning, leaning)[None] / len(self.share)
@@ -116,7 +118,7 @@ class MeanGP(GP):
         leaning = self.lean.reshape(-1, self.lean.shape[2]) * self.amplitude[0]
         return np.asfortranarray(np.concatenate([self._singles[0].rows, leaning]))
 
-    def _unknown(self, x: Array, design: Array) -> Array:
+    def _compute_unknown_effects(self, x: Array, design: Array) -> Array:
         """Effect (N,D,p), px, of one standard deviation
         of each direction of the unknowns, given the samples.
         """

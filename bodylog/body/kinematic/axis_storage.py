@@ -40,7 +40,8 @@ def axis_shapes(outputs: Sequence[str]) -> dict[str, str]:
 
 def build_axis_gp(plain: GP, found: Mapping[str, Array]) -> AxisGP:
     """Build a model from a residual process and arrays; ValueError for inconsistent fields."""
-    frames, order = found["frames"], found["order"]
+    frames = found["frames"]
+    order = found["order"]
     away = np.abs(frames @ frames.transpose(0, 2, 1) - np.eye(3)).max()
     insist_sound(away <= _ROUNDING, "frames", "axes that are not at right angles", "rotations")
     joints = np.arange(len(order))
@@ -49,7 +50,7 @@ def build_axis_gp(plain: GP, found: Mapping[str, Array]) -> AxisGP:
     chain = AxisChain(
         found["place"], lens, frames, found["pivots"], order.astype(np.int64), found["middle"]
     )
-    unknowns = len(chain.std)
+    unknowns = chain.unknowns
     insist_sound(len(found["root"]) == unknowns, "root", len(found["root"]), f"{unknowns} rows")
     rest = {name: found[name] for name in ("root", "lean", "drift")}
     return AxisGP.on(plain, chain=chain, **rest)

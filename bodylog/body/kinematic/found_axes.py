@@ -11,7 +11,7 @@ import numpy as np
 from ...kinematics.axis_chain import AxisChain
 from ...kinematics.axis_search import AxisSightings, find_axes
 from ...kinematics.camera import lens_without_distortion
-from ...kinematics.links import FREE_LENS
+from ...kinematics.links import FREE_LENS, scale_lens_std
 from ...runtime.blas_threads import one_thread
 from ...settings import Settings
 from ...sources import group_of
@@ -20,11 +20,12 @@ from .. import exploration_report
 from ..data.pairs import Pairs, correlate_angle_errors
 from ..data.subsampling import choose_spaced_rows
 from ..gp.axis_gp import AxisGP
-from ..gp.fit import Coupling
+from ..gp.fit import Coupling, Samples
 from ..gp.inducing import build_basis, choose_inducing_points
 from ..gp.marginal_likelihood import Hyper, Spread, cholesky_with_jitter
 from ..gp.model import GP, drop_negligible_rows, se_kernel
 from ..learning import LearnedBody
+from ..noise_estimates import replace_sense_noise
 from .explicit import (
     ResidualRows,
     condense_posterior,
@@ -34,7 +35,7 @@ from .explicit import (
     solve_linear_unknowns,
 )
 from .lasting import fit_slow_error
-from .residuals import MOST, RESIDUAL, spread_of
+from .residuals import MOST, RESIDUAL, build_residual_process, spread_of
 from .scores import evidence_of_gp_alone
 
 MOST_JOINTS = 8
@@ -50,7 +51,6 @@ more predict its other postures as their error bars say, and with 0.001 rad erro
 _ROUNDS = 4
 _SETTLED = 0.01
 """Posterior standard deviations of a step of the unknowns that ends the iteration."""
-_LEAST_NOISE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ def learn_axes(found: LearnedBody, features: Sequence[Features], settings: Setti
 
 def _tells_axes(part: Pairs) -> bool:
     """Whether a track has twice as many numbers as a chain has unknowns, and each
-    joint moved by itself: what one does with the others tells nothing of its own axis.
+    joint moved by itself: joints that move as one show no axes of their own.
     """
     joints = part.x.shape[1]
     if part.y.size < 2 * (8 + 4 * joints):
@@ -109,13 +109,13 @@ def _residual_std(others: Array, joint: Array) -> float:
 
 
 def _list_sightings(plain: GP, size: tuple[int, int] | None) -> AxisSightings:
-    """The samples of a Gaussian process with their noise, and what is known of the camera's lens."""
+    """The samples of a Gaussian process with their noise, and the prior of the camera's lens."""
     std = np.sqrt(plain.spread + plain.noise)
     if plain.targets.shape[1] == 3:
         return AxisSightings(plain.samples, plain.targets, std, np.zeros(0), np.zeros(0))
     width, height = size or _likely_size(plain.targets)
     lens = lens_without_distortion(width, width, height)
-    lens_std = FREE_LENS * np.array([1.0, 1.0, width / 640, width / 640, 1.0, 1.0])
+    lens_std = scale_lens_std(FREE_LENS, width)
     return AxisSightings(plain.samples, plain.targets, std, lens, lens_std)
 
 
@@ -131,12 +131,12 @@ def _learn_on_chain(
     """The model of a track with a chain near this one as its mean."""
     part = found.used[name]
     track = _Track(part, correlate_angle_errors(part, found.joints), sightings)
-    rows = track.linearise(chain)
+    rows = track.linearise_about(chain)
     kernel, rows, drift = fit_slow_error(part.t, search_residual_kernel(rows, RESIDUAL, seed), rows)
     track = replace(track, noise=rows.spread)
-    model = _solve_unknowns(plain, chain, track, kernel, drift)
+    model = _solve_unknowns(chain, track, kernel, drift)
     some = choose_spaced_rows(len(part.x), MOST)
-    few, kept = track.linearise(model.chain).some(some), part.rows(some)
+    few, kept = track.linearise_about(model.chain).some(some), part.rows(some)
     z = few.x / kernel.scales
     chol = cholesky_with_jitter(se_kernel(z, z, kernel.amplitude), few.spread, kernel.noise)
     alone = evidence_of_gp_alone(plain, kept, correlate_angle_errors(kept, found.joints))
@@ -147,70 +147,59 @@ def _learn_on_chain(
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """A track's sightings, the covariance of their angles, the lens before it, and the known noise
-    of all, once it is known.
+    """A track's sightings, the covariance of their angles, and the prior of the lens.
+
+    noise: of the sightings; None while it follows from the slope of each chain.
     """
 
-    part: Pairs
+    pairs: Pairs
     coupling: Coupling
     sightings: AxisSightings
     noise: Spread | None = None
 
-    def prior_of(self, chain: AxisChain) -> tuple[Array, Array]:
+    def compare_with_prior(self, chain: AxisChain) -> tuple[Array, Array]:
         """The prior's mean (P,) less the chain's unknowns, and its std (P,).
 
         Axes may be anywhere: their prior says how far they may be off, not from where.
         """
-        away = np.zeros(len(chain.std))
+        std = chain.prior_std(self.sightings.lens_std)
+        away = np.zeros(len(std))
         away[chain.of_lens] = self.sightings.lens - chain.lens
-        std = chain.std
-        std[chain.of_lens] = self.sightings.lens_std
         return away, std
 
-    def linearise(self, chain: AxisChain) -> ResidualRows:
+    def linearise_about(self, chain: AxisChain) -> ResidualRows:
         """Residuals about a chain, with z = 0 at the prior's mean."""
-        image, slope, design = chain.see(self.part.x)
-        away, std = self.prior_of(chain)
-        noise = self.noise or spread_of(self.part, slope, self.coupling)
-        residual = self.part.y - image - design @ away
-        return ResidualRows(self.part.x, residual, design * std, noise)
+        image, slope, design = chain.see(self.pairs.x)
+        away, std = self.compare_with_prior(chain)
+        noise = self.noise or spread_of(self.pairs, slope, self.coupling)
+        residual = self.pairs.y - image - design @ away
+        return ResidualRows(self.pairs.x, residual, design * std, noise)
 
 
-def _solve_unknowns(
-    plain: GP, chain: AxisChain, track: _Track, kernel: Hyper, drift: float
-) -> AxisGP:
-    """The axes of greatest posterior near a chain by Gauss-Newton, and the residuals' process there."""
-    rows = track.linearise(chain)
+def _solve_unknowns(chain: AxisChain, track: _Track, kernel: Hyper, drift: float) -> AxisGP:
+    """The axes of greatest posterior near a chain, by Gauss-Newton, and the
+    process of the residuals there.
+    """
+    rows = track.linearise_about(chain)
     quietest = float(rows.spread.diagonal.min()) + kernel.noise
     basis = build_basis(kernel, choose_inducing_points([kernel], rows.x, quietest))
     for _ in range(_ROUNDS):
-        solved = condense_posterior(basis, track.linearise(chain))
+        solved = condense_posterior(basis, track.linearise_about(chain))
         z, root, _ = posterior_of_unknowns(solved.information, solved.pull)
-        away, std = track.prior_of(chain)
+        away, std = track.compare_with_prior(chain)
         step = away + std * z
-        chain = chain.move(step)
+        chain = chain.move_axes(step)
         if (np.abs(step) < _SETTLED * std * np.linalg.norm(root, axis=1)).all():
             break
-    away, std = track.prior_of(chain)
-    rows = track.linearise(chain)
+    away, std = track.compare_with_prior(chain)
+    rows = track.linearise_about(chain)
     solved = condense_posterior(
         basis, replace(rows, residual=rows.residual + rows.design @ (away / std))
     )
-    share = np.broadcast_to(rows.spread.share, track.part.y.shape[1])
-    residual = GP(
-        plain.outputs,
-        plain.unit,
-        centres=basis.centres,
-        scales=kernel.scales[None],
-        amplitude=np.array([kernel.amplitude]),
-        mean=np.zeros(len(share)),
-        weights=np.ascontiguousarray(solved.weights),
-        factor=solved.factor[None],
-        noise=kernel.noise * share,
-        samples=track.part.x,
-        targets=track.part.y,
-        spread=np.outer(np.maximum(rows.spread.diagonal - drift, 0.0), share),
-    )
+    share = np.broadcast_to(rows.spread.share, track.pairs.y.shape[1])
+    spread = np.outer(np.maximum(rows.spread.diagonal - drift, 0.0), share)
+    samples = Samples(track.pairs.x, track.pairs.y, spread)
+    residual = build_residual_process(kernel, basis.centres, solved, kernel.noise * share, samples)
     return AxisGP.on(
         drop_negligible_rows(residual),
         root=std[:, None] * root,
@@ -223,7 +212,7 @@ def _solve_unknowns(
 def _scores_of_axes(
     name: str, model: AxisGP, chol: Array, rows: ResidualRows, part: Pairs
 ) -> Iterator[Score]:
-    """Yield held-out error, noise and length scales of a track on found axes."""
+    """Yield held-out error, and its square over the stated variance, of a track on found axes."""
     residual, variance = hold_out_blocks(chol, rows, part.block)
     yield Score(f"rmse/held_out/{name}", float(np.sqrt(np.mean(residual**2))), model.unit)
     yield Score(f"nis/held_out/{name}", float(np.mean(residual**2 / variance)), "1")
@@ -233,13 +222,9 @@ def _with_axes(found: LearnedBody, better: Mapping[str, _FoundAxes]) -> LearnedB
     """The body with these models, their noise, scores and remarks."""
     body = found.model
     models = {name: one.model for name, one in better.items()}
-    variances = dict(body.noise.senses)
-    errors = dict(body.noise.std_error)
-    for name, one in better.items():
-        variance = np.maximum(one.model.noise + one.floor.mean(axis=0), _LEAST_NOISE)
-        variances[name] = tuple(float(v) for v in variance)
-        errors[name] = tuple(float(v) for v in variance * np.sqrt(2.0 / len(one.floor)))
-    noise = replace(body.noise, senses=variances, std_error=errors)
+    variances = {n: one.model.noise + one.floor.mean(axis=0) for n, one in better.items()}
+    counts = {n: len(one.floor) for n, one in better.items()}
+    noise = replace_sense_noise(body.noise, variances, counts)
     model = replace(body, senses={**body.senses, **models}, noise=noise)
     observed = {n: s for n, s in model.senses.items() if isinstance(s, GP) and n != "encoders"}
     reported = exploration_report.exploration_scores(found.joints, observed, noise)

@@ -16,10 +16,11 @@ from ...kinematics.weights import collect_weights
 from ...runtime.blas_threads import one_thread
 from ...settings import Settings
 from ...sources import group_of
-from ...types import Features, Finding
+from ...types import Array, Features, Finding
 from .. import exploration_report
 from ..gp.model import GP
 from ..learning import LearnedBody
+from ..noise_estimates import replace_sense_noise
 from ..senses import encoder_function
 from .adjusting import (
     Resting,
@@ -41,7 +42,6 @@ from .sightings import ThingSightings, gather_sightings
 
 UNFIT = 0.1
 """Largest residual share of a track's motion with the right robot; a real NAO's is 0.03."""
-_LEAST_NOISE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,17 +339,15 @@ def _with_residual_models(
     found: LearnedBody, things: Mapping[str, Mapping[str, KinematicGP]], both: Together
 ) -> LearnedBody:
     """The body with these senses and their noise."""
-    noise = found.model.noise
-    variances = dict(noise.senses)
-    errors = dict(noise.std_error)
     senses = {track: model for of in things.values() for track, model in of.items()}
+    variances = dict[str, Array]()
+    counts = dict[str, int]()
     for name, of in things.items():
         part = both.parts[name]
         for track, model in of.items():
-            variance = np.maximum(model.noise + part.tracks[track].floor.mean(axis=0), _LEAST_NOISE)
-            variances[track] = tuple(float(v) for v in variance)
-            errors[track] = tuple(float(v) for v in variance * np.sqrt(2.0 / len(part.pairs.x)))
-    noise = replace(noise, senses=variances, std_error=errors)
+            variances[track] = model.noise + part.tracks[track].floor.mean(axis=0)
+            counts[track] = len(part.pairs.x)
+    noise = replace_sense_noise(found.model.noise, variances, counts)
     return replace(
         found, model=replace(found.model, senses={**found.model.senses, **senses}, noise=noise)
     )

@@ -22,7 +22,8 @@ class KinematicGP(MeanGP):
     of GP are those of the residual, whose mean is zero.
 
     rig: one camera, one marker, one sight of one point · theta (P,), the unknowns, of greatest
-    posterior · base: the chain from the robot's root to the marker, or to a moving camera, if known.
+    posterior · base: the chain from the robot's root to the marker, or to a moving camera, if that
+    is known.
 
     printed (P,): θ of the calibration, which has the least error without the process · resting
     (K+1,4,4): the fixed steps of the chain with the zeros of joints that stood still, as printed;
@@ -45,8 +46,8 @@ class KinematicGP(MeanGP):
         return np.asarray(self.rig.see(sight, self.printed, np.atleast_2d(x)).image)
 
     def hand_levers(self, x: Array) -> Array | None:
-        """How far the marker rises with each joint (N,M), m per rad, at x (N,M) rad: minus the torque
-        of a unit weight there. None where the robot's root does not carry it.
+        """How far the marker rises with each joint (N,M), m per rad, at x (N,M) rad: minus the
+        torque of a unit weight there. None where the robot's root does not carry it.
 
         A URDF's root stands upright.
         """
@@ -87,11 +88,11 @@ class KinematicGP(MeanGP):
     def _instant(self) -> Instant:
         return compile_predictor(self.rig, self.theta)
 
-    def _see(self, x: Array) -> MeanAt:
+    def _evaluate_mean(self, x: Array) -> MeanAt:
         seen = self.rig.see(self.rig.sights[0], self.theta, x)
         return seen.image[:, 0], seen.slope[:, 0], seen.design[:, 0]
 
-    def _see_one(self, x: Array) -> MeanAt:
+    def _evaluate_mean_once(self, x: Array) -> MeanAt:
         return self._instant(x)
 
 

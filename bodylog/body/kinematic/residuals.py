@@ -314,16 +314,30 @@ def _residual_process_at_point(
         targets = seen.y
         spread = seen.floor
         beyond = max(part.own - float(seen.floor.mean()), 0.0)
+    kernel = replace(part.kernel, scales=part.kernel.scales[:joints])
+    nearby = replace(solved, weights=solved.weights * near, factor=solved.factor * near)
+    noise = (kernel.noise + beyond) * share
+    return build_residual_process(
+        kernel, centres[:, :joints], nearby, noise, Samples(samples, targets, spread)
+    )
+
+
+def build_residual_process(
+    kernel: Hyper, centres: Array, solved: Condensed, noise: Array, data: Samples
+) -> GP:
+    """The process of residuals on inducing points: centres (n,M) rad · noise (D,) beyond the
+    samples' own, their `floor`.
+    """
     return GP(
-        *TRACK_AXES[targets.shape[1]],
-        centres=centres[:, :joints],
-        scales=part.kernel.scales[None, :joints],
-        amplitude=np.array([part.kernel.amplitude]),
-        mean=np.zeros(len(share)),
-        weights=np.ascontiguousarray(solved.weights * near),
-        factor=(solved.factor * near)[None],
-        noise=(part.kernel.noise + beyond) * share,
-        samples=samples,
-        targets=targets,
-        spread=spread,
+        *TRACK_AXES[data.y.shape[1]],
+        centres=centres,
+        scales=kernel.scales[None],
+        amplitude=np.array([kernel.amplitude]),
+        mean=np.zeros(len(noise)),
+        weights=np.ascontiguousarray(solved.weights),
+        factor=solved.factor[None],
+        noise=noise,
+        samples=data.x,
+        targets=data.y,
+        spread=data.floor,
     )

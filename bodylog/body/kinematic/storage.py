@@ -33,7 +33,7 @@ BASE = {"base": "x44", "base_steps": "y4", "base_tool": "44"}
 RESTING = {"resting": "k44"}
 """The array of a model in which joints that stood still have zeros."""
 HAND = {"hand": "z44", "hand_steps": "w4", "still": "e"}
-"""Arrays of a base with a chain to the hand: z steps and one, w steps, e joints that stood still."""
+"""Arrays of a base with a chain to the hand: z steps and one, w steps, e joints that rest."""
 _STILL = "still_joints"
 _BASE_NAMES = ("base_start", "base_end", "base_tool", "base_thing")
 _SCALED = "scales"

@@ -75,8 +75,8 @@ def _find_least_slip(y: Array) -> float:
 
 
 def average_between_slips(t: Array, y: Array) -> Array:
-    """Readings y (N,) at t (N,) s of a joint that evidently sticks, or never moves, averaged while it
-    stands still; those of others as they are.
+    """Readings y (N,) at t (N,) s of a joint that evidently sticks, or never moves, averaged
+    while it stands still; those of others as they are.
     """
     known = np.flatnonzero(np.isfinite(y))
     least = _find_least_slip(y[known])
