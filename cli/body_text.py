@@ -36,6 +36,8 @@ def _sense_text(sense: dict[str, Any]) -> str:
         if links is None
         else f"camera on {links['camera_link']}, marker on {links['marker_link']}; "
     )
+    if "axes" in sense:
+        on = f"axes in the order {', '.join(sense['axes'])}; "
     return f"{on}{sense['samples']} samples, length scales {'; '.join(kernels)} rad"
 
 
