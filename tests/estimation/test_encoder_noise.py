@@ -1,5 +1,6 @@
 """Variances found by evidence, against the ones the readings were drawn with."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -91,6 +92,28 @@ def test_no_rounding_makes_a_variance_negative_at_uneven_times():
     rng = np.random.default_rng(0)
     t = np.sort(np.arange(0.0, 160.0, 0.01) + rng.uniform(0.0, 0.02, 16000))
     learn(t, rng.normal(0.0, 1e-3, len(t)), order=3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_of_counted_readings_stays_where_a_drift_is_taken_out_of_them(seed):
+    """Readings are no whole counts any more: what repeats would pass for a perfect motion."""
+    count = math.tau / 4096
+    t = np.arange(0.0, 16.0, 0.01)
+    rng = np.random.default_rng(seed)
+    sound = np.sin(0.9 * t + seed) + rng.normal(0.0, 3e-4, len(t))
+    taken = 0.005 * np.maximum(t - 5.0, 0.0)
+    counted = Encoders(t, np.round(sound[:, None] / count) * count, np.zeros(len(t), int))
+    read = Encoders(t, np.round((sound + taken)[:, None] / count) * count, counted.source_ns)
+    corrected = read.with_corrected_readings(read.values - taken[:, None])
+    found = [
+        encoder_noise.learn_encoder_noise(
+            encoder_noise.average_joint_readings(each), np.full(1, 1e-6), np.ones(1), 3
+        )
+        for each in (corrected, counted)
+    ]
+    np.testing.assert_allclose(found[0].process, found[1].process, rtol=0.2)
+    np.testing.assert_allclose(found[0].encoder, found[1].encoder, rtol=0.2)
+    assert corrected.select_rows(slice(0, 900)).count_variance == pytest.approx(count**2 / 12)
 
 
 def test_encoder_noise_of_constant_joints_is_the_bodys():

@@ -91,7 +91,7 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
     values = np.where(same, read.values, screened.values / size)
     return replace(
         evidence,
-        encoders=replace(screened, values=values),
+        encoders=read.with_corrected_readings(values),
         faults=(*evidence.faults, *sorted(faults, key=lambda fault: fault.since)),
         findings=(*evidence.findings, *findings),
         hypotheses=(*evidence.hypotheses, *hypotheses),
@@ -117,7 +117,7 @@ def _unwrap_columns(encoders: Encoders) -> Encoders:
 
 
 def _with_columns(encoders: Encoders, columns: Sequence[Array]) -> Encoders:
-    return replace(encoders, values=np.stack(columns, axis=1)) if columns else encoders
+    return encoders.with_corrected_readings(np.stack(columns, axis=1)) if columns else encoders
 
 
 def _measure_slip_nats_of_angles(

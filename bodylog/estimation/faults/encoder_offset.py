@@ -227,9 +227,8 @@ def _with_readings(problem: FilterProblem, joint: int, y: Array) -> FilterProble
     encoders = problem.evidence.encoders
     assert encoders is not None
     values = np.where(np.arange(encoders.values.shape[1]) == joint, y[:, None], encoders.values)
-    return replace(
-        problem, evidence=replace(problem.evidence, encoders=replace(encoders, values=values))
-    )
+    corrected = encoders.with_corrected_readings(values)
+    return replace(problem, evidence=replace(problem.evidence, encoders=corrected))
 
 
 def score_encoder_offsets(
@@ -595,7 +594,7 @@ def find_smallest_fault(evidence: Evidence) -> Array | float:
     least = OFFSET_STD / evidence.rad_per_unit
     if encoders is None:
         return least
-    columns = [column[np.isfinite(column)] for column in encoders.values.T]
+    columns = [column[np.isfinite(column)] for column in encoders.as_read.values.T]
     steps = [find_reading_step(y) for y in columns]
     steps_shown = [
         step if len(y) and np.ptp(y) else max(steps) for step, y in zip(steps, columns, strict=True)

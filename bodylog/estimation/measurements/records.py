@@ -21,13 +21,25 @@ class Encoders:
     """Encoder rows: t (N,) s strictly rising · values
     (N,M) rad, NaN where missing · source_ns (N,).
 
-    own_variance: variance (N,M) of each reading over its encoder's, None where all are 1.
+    own_variance: variance (N,M) of each reading over its encoder's, None where all are 1 ·
+    original: the encoders before changes were taken out of their readings, which are no whole
+    counts since; None where none were.
     """
 
     t: Array
     values: Array
     source_ns: Array
     own_variance: Array | None = None
+    original: "Encoders | None" = None
+
+    @property
+    def as_read(self) -> "Encoders":
+        """The encoders with all changes in their readings."""
+        return self.original or self
+
+    def with_corrected_readings(self, values: Array) -> "Encoders":
+        """The encoders with readings (N,M) rad out of which changes were taken."""
+        return replace(self, values=values, original=self.as_read)
 
     def interpolate_at(self, t: Array) -> Array:
         """Readings (F,M) rad at other times t (F,) s, as `interpolate_values` gives them."""
@@ -36,7 +48,8 @@ class Encoders:
     def select_rows(self, rows: Array | slice) -> "Encoders":
         """Some of the readings."""
         relative = self.relative_variance[rows]
-        return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], relative)
+        original = None if self.original is None else self.original.select_rows(rows)
+        return Encoders(self.t[rows], self.values[rows], self.source_ns[rows], relative, original)
 
     def weigh_joints(self, weigh: Callable[[Array, Array, int], Array]) -> "Encoders":
         """The encoders with other variances over their own: weigh(t (N,) s, readings (N,) rad,
@@ -57,7 +70,8 @@ class Encoders:
     @cached_property
     def count_variance(self) -> Array:
         """Variance (M,) rad² of readings that comes from whole counts; 0 where none are seen."""
-        return np.array([compute_quantisation_variance(y[np.isfinite(y)]) for y in self.values.T])
+        columns = self.as_read.values.T
+        return np.array([compute_quantisation_variance(y[np.isfinite(y)]) for y in columns])
 
     @cached_property
     def variance(self) -> Array:

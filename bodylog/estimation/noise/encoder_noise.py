@@ -16,7 +16,7 @@ from ..inference.scan import GATE_SIGMA
 from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, measure_median_step
 from ..measurements.records import Encoders
 from ..measurements.timeline import GAP_STEPS, MAX_OUTPUT_RATE_HZ
-from .quantisation import compute_rest_factor, dither_readings
+from .quantisation import SAME_READING, compute_rest_factor, dither_readings
 
 SKIPPED_READINGS = 10
 """Readings that do not count at the start, as a vague start costs white jerk more, nor
@@ -128,22 +128,26 @@ class AveragedReadings(NamedTuple):
 def average_joint_readings(encoders: Encoders) -> list[AveragedReadings]:
     """The readings of each joint in the middle of the log."""
     return [
-        _average_one_joint(encoders.t[known], column[known])
-        for column in encoders.values.T
+        _average_one_joint(encoders.t[known], column[known], read[known])
+        for column, read in zip(encoders.values.T, encoders.as_read.values.T, strict=True)
         for known in [index_true_rows(np.isfinite(column))]
     ]
 
 
-def _average_one_joint(t: Array, y: Array) -> AveragedReadings:
-    """The averages of one joint's readings (N,) rad at t (N,) s, in the middle of the log."""
+def _average_one_joint(t: Array, y: Array, as_read: Array) -> AveragedReadings:
+    """The averages of one joint's readings (N,) rad at t (N,) s, in the middle of the log.
+
+    as_read (N,) rad: these before changes were taken out of them, in whole counts.
+    """
     most = MAX_INSTANTS * count_readings_per_average(t)
     begin = max(0, (len(t) - most) // 2)
     t = t[begin : begin + most]
     y = y[begin : begin + most]
+    as_read = as_read[begin : begin + most]
     if len(t) // count_readings_per_average(t) <= SKIPPED_READINGS or np.ptp(y) == 0.0:
         return AveragedReadings(None, repeated=compute_rest_factor(t) if len(t) else 1.0)
-    spread, added, least = dither_readings(t, y)
-    return AveragedReadings(*_average_between_breaks(t, spread), added, least)
+    spread, added, least = dither_readings(t, as_read)
+    return AveragedReadings(*_average_between_breaks(t, spread + (y - as_read)), added, least)
 
 
 def learn_encoder_noise(
@@ -328,7 +332,7 @@ def _find_far_bends(bend: Array) -> Array:
     neighbours, errors where 2 % of the readings are false are a third
     larger, and error bars too large; on sound logs nothing changes.
     """
-    moved = bend[bend > 0.0]
+    moved = bend[bend > SAME_READING]
     # where most readings repeat, the others are typical
     typical = np.inf
     if 2 * len(moved) > len(bend):
