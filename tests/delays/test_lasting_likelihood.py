@@ -14,7 +14,7 @@ STD = np.array([2e-3, 1e-3, 1.5e-3])
 SECONDS = 1.0
 
 
-def drawn(std, seed=1, count=100):
+def drawn(std, seed=1, count=100, seconds=SECONDS):
     """Residuals of a track seen ten times a second, with slopes that turn, and noise of 0.3 px."""
     rng = np.random.default_rng(seed)
     t = 0.1 * np.arange(count)
@@ -23,7 +23,7 @@ def drawn(std, seed=1, count=100):
     both = np.tile(t, 2)
     noise = 0.09 * np.eye(2 * count)
     prior = np.kron(np.eye(2), 0.04 * np.exp(-0.5 * np.square((t[:, None] - t) / 5.0)))
-    cov = prior + noise + lasting_covariance(slopes, both, std, SECONDS)
+    cov = prior + noise + lasting_covariance(slopes, both, std, seconds)
     residual = np.linalg.cholesky(cov + 1e-9 * np.eye(2 * count)) @ rng.normal(size=2 * count)
     return TrackResiduals(residual, prior, noise, slopes, both)
 
@@ -36,6 +36,13 @@ def test_errors_that_last_are_found_and_white_ones_are_not():
     for seed in range(3, 7):
         assert measure_lasting_errors([drawn(0.0 * STD, seed)]) is None
     assert measure_lasting_errors([]) is None
+
+
+def test_errors_that_last_two_steps_between_residuals_are_found():
+    for seed in range(21, 25):
+        found = measure_lasting_errors([drawn(STD, seed, 200, 0.2)])
+        assert found is not None
+        assert found[1] == pytest.approx(0.2, rel=0.5)
 
 
 def test_the_gradient_is_that_of_the_likelihood():
