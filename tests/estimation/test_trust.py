@@ -12,6 +12,7 @@ from bodylog.settings import EstimationSettings
 from bodylog.types import Array
 from tests.estimation.conftest import draw
 from tests.estimation.mechanisms import errors_and_nees
+from tests.validation import logs, outliers
 
 
 @dataclass
@@ -112,3 +113,15 @@ def test_readings_of_smooth_joints_have_no_colour_for_a_smoother_either(seed):
     assert not [one.text for one in found.findings if "stick" in one.text]
     errors, nees = errors_and_nees(found, world.truth)
     assert 0.4 < nees < 2.0 and np.sqrt(np.mean(errors**2)) < 6e-3
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_false_first_readings_that_a_filter_believes_are_no_joints_that_stick(seed):
+    """The filter loses the joint for half a second, and hindsight removes the readings."""
+    spoil = outliers.KINDS["one encoder off by 0.5 rad in its first three"]
+    log = spoil(logs.drawn("reach", seed, outliers.LENGTH, cameras=2), np.random.default_rng(seed))
+    body = logs.learned(seed + 1, cameras=2)
+    found = estimate_from_features(log.features, body, EstimationSettings(method="smoother"))
+    assert not [one.text for one in found.findings if "stick" in one.text]
+    errors, nees = errors_and_nees(found, log.truth)
+    assert 0.3 < nees < 2.0 and np.sqrt(np.mean(errors**2)) < 1.2e-3

@@ -26,8 +26,9 @@ from ..factors.whole_log import (
     solve_log,
 )
 from ..faults.threshold import SIGNIFICANT_SIGMA
-from ..inference.filter_log import filter_roughly
+from ..inference.filter_log import filter_roughly, loses_encoder
 from ..inference.filter_problem import FilterProblem
+from ..inference.scan import GATE_SIGMA
 from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence
@@ -184,7 +185,12 @@ def measure_rough_motion(
         process = problem.precision.filter_process
         problem = replace(problem, precision=replace(problem.precision, process=process))
     if not causal:
-        solution = filter_roughly(replace(problem, path=(problem.timeline.t, x)), rest=1.0)
+        problem = replace(problem, path=(problem.timeline.t, x))
+        solution = filter_roughly(problem, rest=1.0)
+        if loses_encoder(problem, solution):
+            # readings that hindsight contradicts made it lose the joint: that is no motion
+            problem = _leave_out_contradicted_readings(problem, read)
+            solution = filter_roughly(problem, rest=1.0)
         trace = solution.trace
         found = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
         x, cov, read, nats = map(solution.fold.unfold_events, found)
@@ -195,6 +201,17 @@ def measure_rough_motion(
     if not variance.any():
         return None
     return RoughMotion(variance, image_nats, at, nats)
+
+
+def _leave_out_contradicted_readings(problem: FilterProblem, errors: Array) -> FilterProblem:
+    """The problem without the readings whose errors (E,M), in standard deviations of what all
+    others say, are beyond the gate.
+    """
+    encoders = problem.evidence.encoders
+    assert encoders is not None  # or there are no errors
+    far = np.abs(errors[problem.timeline.encoders]) > GATE_SIGMA
+    kept = replace(encoders, values=np.where(far, np.nan, encoders.values))
+    return replace(problem, evidence=replace(problem.evidence, encoders=kept))
 
 
 def _compare_images_with_readings(
