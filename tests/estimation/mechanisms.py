@@ -22,11 +22,14 @@ _GRAVITY = np.array([0.0, 1.0, 0.4])
 
 @dataclass(frozen=True)
 class Mechanism:
-    """How joints turn and are read: noise of each reading `white` (rad), errors of the hardware, images a second."""
+    """How joints turn and are read: noise of each reading `white` (rad), errors of the hardware, images a second,
+    and their noise (px).
+    """
 
     white: float = 1e-3
     hardware: Hardware = field(default_factory=Hardware)
     camera_hz: float = 20.0
+    pixel_std: float = PIXEL_STD
 
 
 SOUND = Mechanism()
@@ -88,14 +91,14 @@ def replayed(
     sagging = (hardware.sag + hardware.payload + fault.sag(t)) * np.cos(motors[:, 1:2]) * _GRAVITY
     links = add_play(motors, hardware.play) + sagging
     at_frames = np.column_stack([np.interp(frames, t, column) for column in links.T])
-    seen = Arm().place(at_frames) + rng.normal(0.0, PIXEL_STD, (len(frames), 2))
+    seen = Arm().place(at_frames) + rng.normal(0.0, mechanism.pixel_std, (len(frames), 2))
     since = np.maximum(t - 8.0, 0.0)
     read = motors + encoder_noise(hardware, mechanism.white, motors.shape, ENCODER_HZ, rng)
     read[:, fault.joint] += fault.drift * since + fault.offset * (since > 0.0)
     read = rounded_to_counts(hardware, read)
     stamps = np.maximum.accumulate(t + rng.normal(0.0, 1.0, len(t)) * hardware.jitter)
     joints = Series(stamps, read, JOINTS, "rad", (t * 1e9).astype(np.int64))
-    std = np.full(seen.shape, PIXEL_STD)
+    std = np.full(seen.shape, mechanism.pixel_std)
     track = Series(frames, seen, ("u", "v"), "px", (frames * 1e9).astype(np.int64), std)
     return Features(joints, {"effector": track}, None, (), (), {})
 

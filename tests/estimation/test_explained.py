@@ -255,3 +255,30 @@ def test_a_load_that_is_found_follows_the_posture_to_the_second_order():
     orders = [len(one.factors) for one in found.explanation.columns]
     assert [orders.count(order) for order in range(3)] == [3, 9, 18]
     assert len(found.explanation.learned.sizes) == 30
+
+
+PRECISE = 0.04
+"""px: noise of rendered images, whose track tells a joint ten times as well as a reading does."""
+
+
+def test_play_beside_precise_images_leads_no_filter_away():
+    """Its rounds diverge: a link elsewhere within its play moves the motor, which moves the link."""
+    arm = mechanisms.Mechanism(1e-3, Hardware(play=8.7e-3), pixel_std=PRECISE)
+    features = mechanisms.replayed(4, arm, Fault(), reaches=True)
+    found = estimate_from_features(features, mechanisms.fitted(arm), EstimationSettings())
+    assert HARDWARE_ERRORS in found.settings
+    error, nees = errors_and_nees(found, mechanisms.links_of(4, arm, Fault(), reaches=True))
+    assert 0.5 < nees < 1.6 and np.sqrt(np.mean(error**2)) < 0.75e-3
+
+
+def test_errors_that_last_beside_precise_images_are_taken_out():
+    """White noise has error bars so small that two ways to find outliers differ by as much."""
+    arm = mechanisms.Mechanism(
+        1e-3, Hardware(correlated=1e-3, correlation_s=0.2), pixel_std=PRECISE
+    )
+    features = mechanisms.replayed(5, arm, Fault(), reaches=True)
+    settings = EstimationSettings(method="smoother")
+    found = estimate_from_features(features, mechanisms.fitted(arm), settings)
+    assert HARDWARE_ERRORS in found.settings
+    error, nees = errors_and_nees(found, mechanisms.links_of(5, arm, Fault(), reaches=True))
+    assert 0.5 < nees < 1.6 and np.sqrt(np.mean(error**2)) < 0.8e-3

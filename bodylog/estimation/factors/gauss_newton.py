@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.scan import ROUGHLY_CONVERGED_MOVE
 from ..measurements.arm_errors import LEAST_PLAY, NOISE_SIGMAS, follow_slack
 from ..measurements.records import interpolate_values
@@ -82,17 +83,28 @@ def solve_problem(
     causal: bool = False,
     rounds: int = ROUNDS,
 ) -> Solution:
-    """Linearise and solve until the links rest; `causal`: by what was known at each knot."""
+    """Linearise and solve until the links rest, or what is measured is evidently less likely than
+    in a round before; `causal`: by what was known at each knot.
+
+    Rounds of a filter may lead away from its solution: where images tell more of a motor than its
+    encoder does, a link that lies otherwise within its play moves the motor, which moves the link.
+    """
     path = guess_path(problem) if path is None else path
+    best: Solution | None = None
     for _ in range(rounds):
         linear = linearise_problem(problem, path, noise)
         system = build_system(linear)
         eliminated = eliminate_states(system)
         beliefs = filter_knots(system, eliminated) if causal else smooth_knots(system, eliminated)
+        found = Solution(linear, system, eliminated, beliefs)
+        if best is not None and found.nats > best.nats + EVIDENCE_THRESHOLD_NATS:
+            return best
+        if best is None or found.nats < best.nats:
+            best = found
         after = path_from_beliefs(problem, noise, beliefs)
         var = beliefs.list_angle_variances(noise.joints)
         moved = np.square(after.links - path.links) / var
         if np.sqrt(moved.max()) < ROUGHLY_CONVERGED_MOVE:
             break
         path = after
-    return Solution(linear, system, eliminated, beliefs)
+    return found

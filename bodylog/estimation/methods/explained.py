@@ -147,13 +147,13 @@ def _explain_estimate(
         beliefs = replace(beliefs, faults=())
     elif is_white:
         return LIKE_OFFSETS
-    else:
-        why = find_reason_of_disagreement(problem, beliefs, found, causal)
+    solved = solve_log(problem, found, causal)
+    if simpler is None:
+        why = find_reason_of_disagreement(problem, beliefs, found, solved, causal)
         if why is not None:
             return why
     if found.explanation.is_sound:
         return "white noise explains the log as well"
-    solved = solve_log(problem, found, causal)
     why = find_reason_of_misfit(problem, found, solved, causal)
     if why is not None:
         return why
