@@ -13,8 +13,12 @@ from bodylog.estimation.faults.encoder_offset import _score_offsets, score_encod
 from bodylog.estimation.inference.filter_log import solve_by_gauss_newton
 from bodylog.estimation.methods import filtering
 from bodylog.settings import EstimationSettings, Settings
+from bodylog.sim.scenarios import SCENARIOS
+from bodylog.types import FaultKind
 from tests.estimation.conftest import draw
+from tests.estimation.mechanisms import errors_and_nees
 from tests.seeds import seeds
+from tests.validation import logs
 
 WALK = encoder_offset.RANDOM_WALKS[0]
 
@@ -271,3 +275,18 @@ def test_a_change_is_worth_no_more_than_the_log_with_it(monkeypatch, world):
         assert found is None or found.nats - found.prior >= 1e3 - 1.0
     near = encoder_offset._size_likeliest_change(problem, 1, None, {2.0: 0.028}, grows=False)
     assert near.fault.size == pytest.approx(0.03, abs=1e-3)
+
+
+@pytest.mark.parametrize("method", ["filter", "smoother"])
+def test_a_drift_of_hundreds_of_times_the_noise_is_named(method):
+    """Innovations are cut at 4 σ, so that the first score shows an offset smaller than a fault."""
+    quiet = logs.drawn(
+        "drift", 1002, 20.0, plan=lambda request: replace(SCENARIOS["drift"].plan(request), noise=3e-4)
+    )
+    found = estimate_from_features(
+        quiet.features, logs.learned(2), EstimationSettings(method=method)
+    )
+    (fault,) = found.faults
+    assert fault.name == "shoulder_pan_joint" and fault.kind == FaultKind.DRIFTING
+    errors, nees = errors_and_nees(found, quiet.truth)
+    assert 0.5 < nees < 2.0 and np.sqrt(np.mean(errors**2)) < 0.4e-3

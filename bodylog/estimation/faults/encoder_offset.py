@@ -232,12 +232,14 @@ def _with_readings(problem: FilterProblem, joint: int, y: Array) -> FilterProble
 
 
 def score_encoder_offsets(
-    problem: FilterProblem, solved: Solution, walk: float
+    problem: FilterProblem, solved: Solution, walk: float, most: float = CERTAIN_SIGMA
 ) -> tuple[Array, Array, Array]:
     """Nats (M,) that an offset of each encoder with
     random walk `walk` rad²/s would win; 0 without images.
 
-    Also returns that offset over spans of the log (S,M) rad, and its variance (S,M).
+    Also returns that offset over spans of the log (S,M) rad, and its variance (S,M). Innovations
+    count as no more than `most` standard deviations, so that single blunders do not look like an
+    offset; one of many times their noise looks smaller than it is.
     """
     t = problem.timeline.t
     m = len(problem.start)
@@ -249,8 +251,9 @@ def score_encoder_offsets(
     # in a span an offset walks by less than the least fault: by two standard deviations
     begins = np.unique(np.searchsorted(t, list_span_starts(t, (0.5 * OFFSET_STD) ** 2 / walk)))
     bounds = np.append(begins, len(t))
-    pull, weight = _sum_encoder_innovations(solved, bounds)
-    seen = np.sum([_sum_track_information(problem, solved, k, bounds) for k in visual], axis=0)
+    pull, weight = _sum_encoder_innovations(solved, bounds, most)
+    tracks = [_sum_track_information(problem, solved, k, bounds, most) for k in visual]
+    seen = np.sum(tracks, axis=0)
     return _filter_offset_score(
         np.diff(t[begins], append=t[-1]), *_score_offsets(pull, weight, seen), walk
     )
@@ -273,20 +276,18 @@ def _score_offsets(pull: Array, weight: Array, seen: Array) -> tuple[Array, Arra
     return score, weight * np.einsum("skj,sjk->sk", known, others)
 
 
-def _sum_encoder_innovations(solved: Solution, bounds: Array) -> tuple[Array, Array]:
-    """Sums (S,M) of S⁻¹ν, clipped so that single blunders
-    do not look like an offset, and of S⁻¹ over spans.
-    """
+def _sum_encoder_innovations(solved: Solution, bounds: Array, most: float) -> tuple[Array, Array]:
+    """Sums (S,M) of S⁻¹ν, clipped at `most` standard deviations, and of S⁻¹ over spans."""
     d = solved.trace.encoder_d
     spread = np.einsum("liic->lic", solved.trace.prior_cov) + solved.readings.encoder_var
-    each = np.clip(d, -CERTAIN_SIGMA, CERTAIN_SIGMA) / np.sqrt(spread), 1.0 / spread
+    each = np.clip(d, -most, most) / np.sqrt(spread), 1.0 / spread
     rows = (solved.fold.unfold_events(np.where(np.isfinite(d), a, 0.0)) for a in each)
     pull, weight = (np.add.reduceat(a, bounds[:-1]) for a in rows)
     return pull, weight
 
 
 def _sum_track_information(
-    problem: FilterProblem, solved: Solution, track: int, bounds: Array
+    problem: FilterProblem, solved: Solution, track: int, bounds: Array, most: float
 ) -> Array:
     """Sums of a track's JᵀS⁻¹J, and of JᵀS⁻¹ν clipped alike, over spans: (S,M,M+1)."""
     readings = solved.readings
@@ -305,7 +306,7 @@ def _sum_track_information(
     s[:, size, size] += var + _measure_correlated_error(solved, track, seen)
     white = np.linalg.solve(s, np.concatenate([jac, nu], axis=2))
     far = np.sqrt((nu[..., 0] * white[..., -1]).mean(axis=1))
-    white[..., -1] /= np.maximum(far / CERTAIN_SIGMA, 1.0)[:, None]
+    white[..., -1] /= np.maximum(far / most, 1.0)[:, None]
     each = (jac.swapaxes(1, 2) @ white).cumsum(axis=0)
     return np.diff(np.insert(each, 0, 0.0, axis=0)[np.searchsorted(events, bounds)], axis=0)
 
@@ -351,7 +352,12 @@ def find_suspected_encoders(
     bool win EVIDENCE_THRESHOLD_NATS.
     """
     gain, offset, var = score_encoder_offsets(problem, solved, RANDOM_WALKS[0])
-    certain = _mark_significant_offsets(offset, var, find_smallest_fault(problem.evidence))
+    least = find_smallest_fault(problem.evidence)
+    certain = _mark_significant_offsets(offset, var, least)
+    if ((gain > EVIDENCE_THRESHOLD_NATS) & ~certain.any(axis=0)).any():
+        # of readings with little noise, innovations that are cut show no offset of that size
+        _, offset, var = score_encoder_offsets(problem, solved, RANDOM_WALKS[0], np.inf)
+        certain = certain | _mark_significant_offsets(offset, var, least)
     found = (("offset", j, nats, False) for j, nats in enumerate(gain)) if gain.any() else ()
     return _add_hypotheses(problem, found), np.asarray(
         (gain > EVIDENCE_THRESHOLD_NATS) & certain.any(axis=0) & (_list_random_walks(problem) == 0)
