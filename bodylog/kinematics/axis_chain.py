@@ -45,7 +45,7 @@ class AxisChain:
         return slice(first, first + len(self.lens))
 
     @property
-    def unknowns(self) -> int:
+    def unknown_count(self) -> int:
         """P: the marker's place (2, or 3 for a tracker), the lens (6), and of each axis from the
         camera on two turns of its direction (rad) and two shifts across it.
         """
@@ -72,7 +72,7 @@ class AxisChain:
         )
         outputs = image.shape[1]
         slope = np.zeros((*image.shape, q.shape[1]))
-        design = np.zeros((*image.shape, self.unknowns))
+        design = np.zeros((*image.shape, self.unknown_count))
         design[..., self.of_lens] = by_lens
         # rows: derivatives by a shift of the arm, and by a turn about the axis' point
         rows = np.empty((len(q), 2 * outputs, 3))

@@ -31,7 +31,9 @@ def compile_axes(chain: AxisChain) -> Instant:
             still = px - ox, py - oy, pz - oz
             arm = _turn_about_axis(axis, c, s, still)
             arms.append((still, arm))
-            px, py, pz = arm[0] + ox, arm[1] + oy, arm[2] + oz
+            px = arm[0] + ox
+            py = arm[1] + oy
+            pz = arm[2] + oz
         image, rows, by_lens = project_point(px, py, pz, lens) if lens else scale_point(px, py, pz)
         steps = list(zip(order, axes, sides, arms[::-1], turns, strict=True))
         slopes = [[0.0] * len(angles) for _ in rows]
@@ -44,8 +46,12 @@ def compile_axes(chain: AxisChain) -> Instant:
                 sx, sy, sz = _cross_product(arm, row)
                 slope[m] = axis[0] * sx + axis[1] * sy + axis[2] * sz
                 bx, by, bz = _cross_product(still, before)
-                sx, sy, sz = sx - bx, sy - by, sz - bz
-                tx, ty, tz = row[0] - before[0], row[1] - before[1], row[2] - before[2]
+                sx -= bx
+                sy -= by
+                sz -= bz
+                tx = row[0] - before[0]
+                ty = row[1] - before[1]
+                tz = row[2] - before[2]
                 by_axes += (
                     e * sx + f * sy + g * sz,
                     -(a * sx + b * sy + d * sz),

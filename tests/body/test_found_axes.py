@@ -140,7 +140,7 @@ def test_axes_of_many_joints_are_not_looked_for(explored, monkeypatch):
     assert found is plain
 
 
-def test_evidence_of_two_kernels_is_that_of_one_where_they_are_alike(explored):
+def test_evidence_of_two_equal_kernels_is_that_of_one(explored):
     run = explored(0, 0.003, 20.0)
     plain = learn_from_features([run.features], Settings(), {})
     gp, part = plain.model.senses["effector"], plain.used["effector"]
@@ -148,9 +148,9 @@ def test_evidence_of_two_kernels_is_that_of_one_where_they_are_alike(explored):
         gp, scales=np.repeat(gp.scales, 2, axis=0), amplitude=np.repeat(gp.amplitude, 2), factor=np.repeat(gp.factor, 2, axis=0)
     )
     known = correlate_angle_errors(part, [])
-    alike = replace(part, variance=np.zeros(part.variance.shape), floor=np.full(part.floor.shape, 0.1))
+    even = replace(part, variance=np.zeros(part.variance.shape), floor=np.full(part.floor.shape, 0.1))
     models = [replace(one, noise=np.full(2, 0.01)) for one in (gp, each)]
-    shared, apart = (evidence_of_gp_alone(one, alike, known) for one in models)
+    shared, apart = (evidence_of_gp_alone(one, even, known) for one in models)
     assert shared == pytest.approx(apart, rel=1e-9)
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache, partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from bodylog.estimation import estimate_from_features
 from bodylog.estimation.faults import encoder_offset
 from bodylog.estimation.faults.encoder_offset import _score_offsets, score_encoder_offsets
 from bodylog.estimation.inference.filter_log import solve_by_gauss_newton
+from bodylog.estimation.measurements.records import Encoders
 from bodylog.estimation.methods import filtering
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.sim.scenarios import SCENARIOS
@@ -290,3 +292,12 @@ def test_a_drift_of_hundreds_of_times_the_noise_is_named(method):
     assert fault.name == "shoulder_pan_joint" and fault.kind == FaultKind.DRIFTING
     errors, nees = errors_and_nees(found, quiet.truth)
     assert 0.5 < nees < 2.0 and np.sqrt(np.mean(errors**2)) < 0.4e-3
+
+
+def test_readings_out_of_which_a_drift_was_taken_have_no_fault_below_a_count():
+    t = np.arange(0.0, 10.0, 0.01)
+    drift = 0.02 * t
+    counted = Encoders(t, np.round((np.sin(t) + drift)[:, None] / 0.02) * 0.02, t.astype(np.int64))
+    corrected = counted.with_corrected_readings(counted.values - drift[:, None])
+    evidence = SimpleNamespace(encoders=corrected, rad_per_unit=1.0)
+    np.testing.assert_allclose(encoder_offset.find_smallest_fault(evidence), 0.02)

@@ -40,7 +40,7 @@ def test_derivatives_are_those_of_differences(lens, seed):
     for m, way in enumerate(step * np.eye(4)):
         found = (chain.see(q + way)[0] - chain.see(q - way)[0]) / (2.0 * step)
         assert np.allclose(slope[..., m], found, rtol=1e-6, atol=1e-5)
-    for p, way in enumerate(step * np.eye(chain.unknowns)):
+    for p, way in enumerate(step * np.eye(chain.unknown_count)):
         found = (chain.move_axes(way).see(q)[0] - chain.move_axes(-way).see(q)[0]) / (2.0 * step)
         assert np.allclose(design[..., p], found, rtol=1e-6, atol=1e-5)
 
@@ -57,7 +57,7 @@ def test_one_posture_is_predicted_as_many(lens):
 def test_moved_frames_stay_rotations():
     chain = _chain(1, 3, LENS)
     for seed in range(20):
-        chain = chain.move_axes(np.random.default_rng(seed).normal(0.0, 1.0, chain.unknowns))
+        chain = chain.move_axes(np.random.default_rng(seed).normal(0.0, 1.0, chain.unknown_count))
     assert np.allclose(chain.frames @ chain.frames.transpose(0, 2, 1), np.eye(3), atol=1e-12)
 
 
@@ -79,7 +79,7 @@ def test_axes_are_found_in_whatever_order_the_log_names_the_joints(order):
 
 def test_a_known_chain_is_found_again_before_others_are_tried(monkeypatch):
     known = find_axes(_sightings(0, (0, 1, 2)), 0)
-    moved = known.move_axes(0.05 * np.random.default_rng(1).normal(size=known.unknowns))
+    moved = known.move_axes(0.05 * np.random.default_rng(1).normal(size=known.unknown_count))
     data = _sightings(0, (0, 1, 2))
     monkeypatch.delattr(axis_search, "_draw_chain")
     again = find_axes(data, 7, moved)

@@ -50,7 +50,7 @@ def build_axis_gp(plain: GP, found: Mapping[str, Array]) -> AxisGP:
     chain = AxisChain(
         found["place"], lens, frames, found["pivots"], order.astype(np.int64), found["middle"]
     )
-    unknowns = chain.unknowns
+    unknowns = chain.unknown_count
     insist_sound(len(found["root"]) == unknowns, "root", len(found["root"]), f"{unknowns} rows")
     rest = {name: found[name] for name in ("root", "lean", "drift")}
     return AxisGP.on(plain, chain=chain, **rest)

@@ -92,7 +92,7 @@ def learn_axes(found: LearnedBody, features: Sequence[Features], settings: Setti
 
 def _tells_axes(part: Pairs) -> bool:
     """Whether a track has twice as many numbers as a chain has unknowns, and each
-    joint moved by itself: joints that move as one show no axes of their own.
+    joint moved on its own: joints that move as one show no axes of their own.
     """
     joints = part.x.shape[1]
     if part.y.size < 2 * (8 + 4 * joints):
@@ -136,7 +136,8 @@ def _learn_on_chain(
     track = replace(track, noise=rows.spread)
     model = _solve_unknowns(chain, track, kernel, drift)
     some = choose_spaced_rows(len(part.x), MOST)
-    few, kept = track.linearise_about(model.chain).some(some), part.rows(some)
+    few = track.linearise_about(model.chain).some(some)
+    kept = part.rows(some)
     z = few.x / kernel.scales
     chol = cholesky_with_jitter(se_kernel(z, z, kernel.amplitude), few.spread, kernel.noise)
     alone = evidence_of_gp_alone(plain, kept, correlate_angle_errors(kept, found.joints))

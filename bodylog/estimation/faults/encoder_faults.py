@@ -60,7 +60,7 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
         for name, own in zip(body.joints, turned.T, strict=True)
         if own.any()
     ]
-    in_units = replace(encoders, values=encoders.values / size)
+    in_units = read.with_corrected_readings(encoders.values / size)
     complete = reads_angles and np.isfinite(encoders.values).any(axis=0).all()
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
     found = {

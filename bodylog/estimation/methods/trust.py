@@ -28,6 +28,7 @@ from ..factors.whole_log import (
 from ..faults.threshold import SIGNIFICANT_SIGMA
 from ..inference.filter_log import filter_roughly, loses_encoder
 from ..inference.filter_problem import FilterProblem
+from ..inference.leave_one_out import remove_readings
 from ..inference.scan import GATE_SIGMA
 from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..measurements.records import Encoders
@@ -197,7 +198,9 @@ def measure_rough_motion(
         solution = filter_roughly(problem, rest=1.0)
         if loses_encoder(problem, solution):
             # readings that hindsight contradicts made it lose the joint: that is no motion
-            problem = _leave_out_contradicted_readings(problem, read)
+            far = np.abs(read[problem.timeline.encoders]) > GATE_SIGMA
+            kept = (np.zeros(len(one.t), bool) for one in problem.evidence.sightings)
+            problem = remove_readings(problem, (far, *kept))
             solution = filter_roughly(problem, rest=1.0)
         trace = solution.trace
         found = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
@@ -209,17 +212,6 @@ def measure_rough_motion(
     if not variance.any():
         return None
     return RoughMotion(variance, image_nats, at, nats)
-
-
-def _leave_out_contradicted_readings(problem: FilterProblem, errors: Array) -> FilterProblem:
-    """The problem without the readings whose errors (E,M), in standard deviations of what all
-    others say, are beyond the gate.
-    """
-    encoders = problem.evidence.encoders
-    assert encoders is not None  # or there are no errors
-    far = np.abs(errors[problem.timeline.encoders]) > GATE_SIGMA
-    kept = replace(encoders, values=np.where(far, np.nan, encoders.values))
-    return replace(problem, evidence=replace(problem.evidence, encoders=kept))
 
 
 def _compare_images_with_readings(
