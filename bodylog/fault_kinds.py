@@ -87,6 +87,7 @@ FORMS: Mapping[tuple[str, FaultKind], FaultForm] = {
     ),
 }
 _FROM_START = FaultForm("encoder is off from the start, by {size}", "encoder is off from the start")
+_UNTIL_JUMP = FaultForm("encoder is off by {size} {since}")
 _TRACKER = FaultForm("tracker moved {since}, by {size}")
 _TURNED = FaultForm("turned since the body was learned, by {size}")
 
@@ -96,8 +97,8 @@ class Fault:
     """One sensor that lied: which joint or sense, what kind,
     since when (s), how much ± std (`unit`, None: unknown).
 
-    until: when it ended (s); None where it lasts to the end of the log,
-    or has no end, as a jump. turn ± turn_std: rad by which a board also
+    until: when it ended (s); None where it lasts to the end of the log. An encoder that is true
+    after a jump is jumping until then. turn ± turn_std: rad by which a board also
     turned, whose size is the displacement of its centre; None otherwise.
     """
 
@@ -145,6 +146,8 @@ def fault_sentence(fault: Fault) -> str:
     form = fault.form
     if fault.kind == FaultKind.DRIFTING and fault.since < OFF_FROM_START_S:
         form = _FROM_START
+    elif fault.kind == FaultKind.JUMPING and fault.until is not None:
+        form = _UNTIL_JUMP
     elif fault.kind == FaultKind.MOVED and fault.unit == "rad" and fault.sized:
         form = _TURNED
     elif fault.kind == FaultKind.DISPLACED and fault.unit == "m":

@@ -268,7 +268,7 @@ METHODS = {"ours": Method(filtering.estimate_by_filter, Capabilities(), live=Tru
             line + '    ("encoders", FaultKind.SLEEPY): FaultForm("encoder is sleepy {since}"),\n',
         ),
         "bodylog/estimation/faults/encoder_faults.py": (
-            (found := "        for fault in one.faults\n    ]\n"),
+            (found := "        for fault in one.faults\n        ],\n    )\n"),
             found + '    faults.append(Fault("encoders", body.joints[0], FaultKind.SLEEPY, 1.0, 0.1, "rad"))\n',
         ),
     },

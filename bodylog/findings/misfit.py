@@ -20,7 +20,7 @@ from ..estimation.timing import correction
 from ..evaluation.figures import MISFIT
 from ..runtime.blas_threads import one_thread
 from ..settings import EstimationSettings
-from ..types import ALTERNATIVE_SEPARATOR, Array, Estimate, Features, Finding, Health
+from ..types import ALTERNATIVE_SEPARATOR, Array, Estimate, FaultKind, Features, Finding, Health
 from .sighting_evidence import (
     WALK,
     FittedUnknowns,
@@ -128,8 +128,14 @@ def from_many_faults(
 ) -> LogMisfit | None:
     """Return that a log does not fit where more than MOST_CAUSES
     sensors would have faults that only the body shows.
+
+    Encoders that jump at one moment have one cause.
     """
-    causes = {fault.name for fault in found.faults if fault.form.by_body}
+    causes = {
+        (fault.since, fault.until) if fault.kind == FaultKind.JUMPING else fault.name
+        for fault in found.faults
+        if fault.form.by_body
+    }
     log = select_sightings(
         correction.shift_features(features, _known_delays(features, body, delay)), body, settings
     )

@@ -149,7 +149,9 @@ def select_sightings(
     ]
     if found.encoders is None or not named:
         return None
-    encoders = found.encoders if features.poses else repair_readings(found.encoders)
+    encoders = found.encoders
+    if not features.poses:
+        encoders = repair_readings(encoders, named, body.joints)
     some = _spread_evenly(named, MOST_TRACKS)
     tracks = [
         track

@@ -1,6 +1,7 @@
 """Faulty encoders: named with kind, time and size, and replaced by vision."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -8,7 +9,9 @@ import pytest
 from bodylog.estimation import estimate_from_features
 from bodylog.estimation.faults.jumping import find_jumps, unwrap_turns
 from bodylog.estimation.faults.repeats import find_final_silence, find_frozen_readings
+from bodylog.estimation.faults.screening import screen_measurements
 from bodylog.estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS
+from bodylog.findings import misfit
 from bodylog.findings.faults import fault_warnings
 from bodylog.findings.verdict import verdict_of_estimate
 from bodylog.settings import EstimationSettings
@@ -34,6 +37,10 @@ def die(t, y):
 
 def jump(t, y):
     y[t >= 7.0] -= 0.2
+
+
+def homed_late(t, y):
+    y[t < 4.0] += 0.15
 
 
 def fall_to_zero(t, y):
@@ -333,6 +340,61 @@ def test_a_repaired_jump_adds_its_own_uncertainty(world, method, senses, noise, 
         error = (found.joints.values - drawn.truth.values)[late, 0]
         spread.append(np.mean(error**2 / found.cov[late, 0, 0]))
     assert max(shares) < 3.0 and 0.5 < np.mean(spread) < 2.0
+
+
+@pytest.mark.parametrize("method", ["filter", "smoother"])
+@pytest.mark.parametrize("late", [["elbow"], ["pan", "lift", "elbow"]])
+@pytest.mark.parametrize("seed", seeds(1, 3))
+def test_encoders_that_are_homed_late_are_wrong_before_they_jump(world, method, late, seed):
+    """Readings after each jump were taken for the wrong ones: 135 mrad, and a camera that moved."""
+    drawn = world(seed, duration=12.0, encoder_std=0.002, camera_hz=20.0)
+    features = drawn.features
+    for k, name in enumerate(late):
+        homed = partial(lambda size, t, y: np.add(y, size, out=y, where=t < 4.0), 0.15 * (-1) ** k)
+        features = spoil(replace(drawn, features=features), homed, name)
+    found = estimate_from_features(features, drawn.body, EstimationSettings(method=method))
+    assert sorted(fault.name for fault in found.faults) == sorted(late)
+    for fault in found.faults:
+        assert (fault.kind, fault.since) == ("jumping", pytest.approx(0.0, abs=0.03))
+        assert fault.until == pytest.approx(4.0, abs=0.03)
+        assert abs(fault.size - 0.15 * (-1) ** late.index(fault.name)) < 4.0 * fault.std
+    error = found.joints.values - drawn.truth.values
+    assert np.sqrt(np.mean(error**2)) < 0.003
+    assert 0.2 < np.mean(error**2 / np.einsum("nii->ni", found.cov)) < 1.6
+    settings = EstimationSettings()
+    assert misfit.from_many_faults(found, features, drawn.body, settings, "auto") is None
+    assert misfit.find_misfit(features, drawn.body, settings) is None
+
+
+@pytest.mark.parametrize("seed", seeds(1, 2))
+def test_the_stretch_between_two_jumps_may_be_the_true_one(world, seed):
+    def homed_twice(t, y):
+        y[t < 3.0] += 0.2
+        y[t >= 9.0] -= 0.1
+
+    drawn = world(seed, duration=12.0, encoder_std=0.002, camera_hz=20.0)
+    found = estimate_from_features(spoil(drawn, homed_twice), drawn.body, EstimationSettings())
+    first, second = sorted(found.faults, key=lambda fault: fault.since)
+    assert (first.size, first.until) == (pytest.approx(0.2, abs=0.01), pytest.approx(3.0, abs=0.03))
+    assert (second.size, second.until) == (pytest.approx(-0.1, abs=0.01), None)
+    assert second.since == pytest.approx(9.0, abs=0.03)
+    assert np.sqrt(np.mean((found.joints.values - drawn.truth.values) ** 2)) < 0.003
+
+
+@pytest.mark.parametrize("seed", seeds(1, 2))
+def test_images_of_something_else_do_not_choose_the_true_stretch(world, seed):
+    drawn = world(seed, duration=12.0, encoder_std=0.002, camera_hz=20.0)
+    track = drawn.features.tracks["effector"]
+    rng = np.random.default_rng(seed)
+    strange = rng.random((len(track.t), 1)) < 0.3
+    values = np.where(strange, rng.uniform(0.0, 640.0, track.values.shape), track.values)
+    features = replace(drawn.features, tracks={"effector": replace(track, values=values)})
+    for change, until in ((jump, None), (homed_late, 4.0)):
+        found = screen_measurements(
+            spoil(replace(drawn, features=features), change), drawn.body, EstimationSettings()
+        )
+        (fault,) = found.faults
+        assert (fault.kind, fault.until) == ("jumping", until and pytest.approx(until, abs=0.03))
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))

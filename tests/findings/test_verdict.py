@@ -40,6 +40,10 @@ def test_verdict_without_truth_gives_typical_error_bars() -> None:
             "encoder is off from the start, by -0.1 rad (-5.73°)",
         ),
         (Fault("encoders", JOINTS[0], FaultKind.JUMPING, 5.0, 0.2, "rad"), "encoder jumps by 0.2 rad (11.5°) at 5.0 s"),
+        (
+            Fault("encoders", JOINTS[0], FaultKind.JUMPING, 0.0, 0.2, "rad", until=0.5),
+            "encoder is off by 0.2 rad (11.5°) 0.0 to 0.5 s",
+        ),
         (Fault("encoders", JOINTS[0], FaultKind.FROZEN, 5.0, 0.0, "rad"), "encoder is frozen since 5.0 s"),
         (Fault("encoders", JOINTS[0], FaultKind.DEAD, 5.0, 0.0, "rad"), "encoder is silent since 5.0 s"),
         (

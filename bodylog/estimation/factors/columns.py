@@ -138,13 +138,14 @@ def describe_displacement(displaced: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True)
 class EncoderShift(Column):
-    """What an encoder reads too much from `since` s on, rad."""
+    """What an encoder reads too much from `since` to `until` s, rad."""
 
     joint: int = 0
     since: float = -np.inf
+    until: float = np.inf
 
     def changes_readings(self, t: Array, path: Path) -> Array:
-        """A step."""
+        """A step, or two."""
         own = np.zeros((len(t), path.angles.shape[1]))
-        own[:, self.joint] = t >= self.since
+        own[:, self.joint] = (t >= self.since) & (t < self.until)
         return own

@@ -247,8 +247,9 @@ def _list_repaired_steps(problem: FilterProblem) -> Iterator[EncoderShift]:
     for fault in problem.evidence.faults:
         joint = fault.names[0]
         if fault.sense == "encoders" and fault.std is not None and joint in names:
+            until = np.inf if fault.until is None else fault.until
             yield EncoderShift(
-                "repaired step", fault.std, joint=names.index(joint), since=fault.since
+                "repaired step", fault.std, joint=names.index(joint), since=fault.since, until=until
             )
 
 

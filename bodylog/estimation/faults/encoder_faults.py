@@ -27,6 +27,7 @@ from .jumping import (
 )
 from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, measure_motion_nats
 from .threshold import EVIDENCE_THRESHOLD_NATS
+from .true_stretch import refer_to_true_stretch
 
 
 class ScreenedEncoder(NamedTuple):
@@ -73,11 +74,19 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
         )
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))
     }
-    faults = [
-        convert_fault_to_units(fault, evidence.unit, 1.0 / size)
-        for one in found.values()
-        for fault in one.faults
-    ]
+    repaired = np.stack([one.values for one in found.values()], axis=1)
+    # readings that screening left as they were stay exact
+    same = repaired == angled.values
+    screened, faults = refer_to_true_stretch(
+        read.with_corrected_readings(np.where(same, read.values, repaired / size)),
+        images,
+        body.joints,
+        [
+            convert_fault_to_units(fault, evidence.unit, 1.0 / size)
+            for one in found.values()
+            for fault in one.faults
+        ],
+    )
     hypotheses = [
         Hypothesis(
             f"encoder {kind}", name, nats, EVIDENCE_THRESHOLD_NATS, nats > EVIDENCE_THRESHOLD_NATS
@@ -85,31 +94,31 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
         for name, one in found.items()
         for kind, nats in one.nats.items()
     ]
-    screened = _with_columns(encoders, [one.values for one in found.values()])
-    # readings that screening left as they were stay exact
-    same = screened.values == angled.values
-    values = np.where(same, read.values, screened.values / size)
     return replace(
         evidence,
-        encoders=read.with_corrected_readings(values),
+        encoders=screened,
         faults=(*evidence.faults, *sorted(faults, key=lambda fault: fault.since)),
         findings=(*evidence.findings, *findings),
         hypotheses=(*evidence.hypotheses, *hypotheses),
     )
 
 
-def repair_readings(encoders: Encoders) -> Encoders:
-    """The readings (angles) without faulty stretches and jumps; those of joints
-    that evidently stick as they are.
+def repair_readings(
+    encoders: Encoders, images: Sequence[Sighting], joints: Sequence[str]
+) -> Encoders:
+    """The readings (angles) without faulty stretches and jumps, as they are where images show them
+    to be true; those of joints that evidently stick as they are.
     """
     encoders = _unwrap_columns(encoders)
     each = [
-        y
+        ScreenedEncoder(y, (), {})
         if len(find_evident_slips(encoders.t, y)) >= SURE_SLIPS
-        else _screen_encoder("", encoders.t, y, lambda begin, end: 0.0, lambda shifts: 0.0).values
-        for y in encoders.values.T
+        else _screen_encoder(name, encoders.t, y, lambda begin, end: 0.0, lambda shifts: 0.0)
+        for name, y in zip(joints, encoders.values.T, strict=True)
     ]
-    return _with_columns(encoders, each)
+    repaired = _with_columns(encoders, [one.values for one in each])
+    faults = [fault for one in each for fault in one.faults]
+    return refer_to_true_stretch(repaired, images, joints, faults)[0]
 
 
 def _unwrap_columns(encoders: Encoders) -> Encoders:

@@ -549,14 +549,18 @@ def with_drift(problem: FilterProblem, drift: Array) -> FilterProblem:
 
 
 def choose_preset_walks(setting: str, evidence: Evidence) -> Array | None:
-    """Random walks (M,) rad²/s set beforehand: for all
-    joints if `on`, for encoders that jumped if `auto`.
+    """Random walks (M,) rad²/s set beforehand: for all joints if `on`, for encoders that are wrong
+    after a jump if `auto`.
 
     Without images nothing tells what is left of a jump: its size's variance is all that is known.
     """
     names = evidence.joints
     seen = any(sighting.name != "touch" for sighting in evidence.sightings)
-    jumped = {fault.name for fault in evidence.faults if fault.kind == FaultKind.JUMPING and seen}
+    jumped = {
+        fault.name
+        for fault in evidence.faults
+        if fault.kind == FaultKind.JUMPING and fault.until is None and seen
+    }
     if setting == "on" or (setting == "auto" and jumped):
         return np.array(
             [RANDOM_WALKS[1] if setting == "on" or name in jumped else 0.0 for name in names]
@@ -586,7 +590,8 @@ def measure_repair_variance(problem: FilterProblem, offset_var: Array | None) ->
             prior = OFFSET_STD**2 + walks[column] * (t - t[0])
             known = np.minimum(offset_var[:, column], prior)
             left = 1.0 / (1.0 / (prior + fault.std**2) + 1.0 / known - 1.0 / prior) - known
-        added[:, column] += np.where(t >= fault.since, left, 0.0)
+        until = np.inf if fault.until is None else fault.until
+        added[:, column] += np.where((t >= fault.since) & (t < until), left, 0.0)
     return added
 
 

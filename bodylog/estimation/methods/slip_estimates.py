@@ -3,13 +3,12 @@ and where slips explain a log better than a smooth motion.
 """
 
 from collections.abc import Iterable, Sequence
-from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...settings import EstimationSettings
-from ...types import Array, Estimate, Fault
+from ...types import Array, Estimate, Fault, FaultKind
 from ..factors.whole_log import LEARNED_S
 from ..faults.encoder_offset import list_drifting_encoders
 from ..faults.jumping import SURE_SLIPS
@@ -62,18 +61,16 @@ def estimate_evident_slips(problem: FilterProblem, settings: EstimationSettings)
     fewest = 1 if sighted else SURE_SLIPS
     if encoders is None or max(map(len, list_evident_slips(encoders))) < fewest:
         return None
-    drift = problem.precision.drift
-    # the size of a jump that was found before is roughly known
-    jumped = frozenset() if drift is None else frozenset(np.flatnonzero(drift).tolist())
     learned = _learn_sticking(
         replace(problem, precision=replace(problem.precision, drift=None)), settings
     )
     if learned is None:
         return None
-    found = _follow_without_encoders(*learned, jumped)
+    if sighted:
+        learned = (_weigh_repaired_readings(*learned), learned[1])
+    found = _follow_without_encoders(*learned, ())
     if sighted and not _expects_images(found):
-        others = (joint for joint in range(len(problem.start)) if joint not in jumped)
-        tried = {j: _follow_without_encoders(*learned, jumped | {j}) for j in others}
+        tried = {j: _follow_without_encoders(*learned, (j,)) for j in range(len(problem.start))}
         nats = {j: one.belief.image_nats.sum() for j, one in tried.items() if _expects_images(one)}
         if nats:
             off = min(nats, key=lambda joint: nats[joint])
@@ -85,14 +82,31 @@ def estimate_evident_slips(problem: FilterProblem, settings: EstimationSettings)
     return _build_slip_estimate(_with_hindsight(found, settings), settings)
 
 
+def _weigh_repaired_readings(problem: FilterProblem, slips: StickSlip) -> FilterProblem:
+    """The problem with readings out of which a jump was taken: its size is known to its standard
+    deviation, and all of them together tell that once.
+    """
+    encoders = problem.evidence.encoders
+    assert encoders is not None  # joints stick by what they read
+    weights = encoders.relative_variance.copy()
+    for fault in problem.evidence.faults:
+        if fault.kind == FaultKind.JUMPING and fault.std and fault.name in problem.evidence.joints:
+            joint = problem.evidence.joints.index(fault.name)
+            until = np.inf if fault.until is None else fault.until
+            wrong = (encoders.t >= fault.since) & (encoders.t < until)
+            weights[wrong, joint] += wrong.sum() * fault.std**2 / slips.white[joint]
+    encoders = replace(encoders, own_variance=weights)
+    return replace(problem, evidence=replace(problem.evidence, encoders=encoders))
+
+
 def _follow_without_encoders(
-    problem: FilterProblem, slips: StickSlip, left_out: AbstractSet[int]
+    problem: FilterProblem, slips: StickSlip, left_out: Sequence[int]
 ) -> FollowedSlips:
     """The filtered beliefs without the readings of these joints."""
     encoders = problem.evidence.encoders
     assert encoders is not None  # joints stick by what they read
     values = encoders.values.copy()
-    values[:, sorted(left_out)] = np.nan
+    values[:, list(left_out)] = np.nan
     evidence = replace(problem.evidence, encoders=replace(encoders, values=values))
     problem = replace(problem, evidence=evidence)
     scales, belief = learn_image_noise(problem, slips, range(len(problem.timeline.t)))

@@ -302,7 +302,9 @@ def gather_sound_measurements(
     for sighting in found.sightings:
         if sighting.name in features.tracks:
             seen.setdefault(camera_of_track(sighting.name), []).append(sighting)
-    return None if found.encoders is None else repair_readings(found.encoders), seen
+    if found.encoders is None:
+        return None, seen
+    return repair_readings(found.encoders, found.sightings, body.joints), seen
 
 
 def restore_stamps(found: Estimate, features: Features) -> Estimate:
