@@ -10,7 +10,7 @@ import numpy as np
 
 from ...linear_algebra import mix_normals
 from ...types import Array
-from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
+from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
 from ..measurements.arm_errors import PLAY_STD
 from ..measurements.track import camera_of_track
 from ..noise.lasting_error import MOST_COUNTS
@@ -123,7 +123,7 @@ def find_explanation(
     problem, lasting, played = _allow_play(problem, basis, halves, sides)
     problem, lasting, displaced = _displace_images(problem, basis, lasting)
     others = played is not None or displaced is not None
-    problem, lasting, loaded = _allow_load(problem, basis, loads, lasting, others)
+    problem, lasting, loaded = _allow_load(problem, basis, loads, lasting, others, halves)
     each = {"play": played, "displaced": displaced, "load": loaded}
     gains = {name: gain for name, gain in each.items() if gain is not None}
     found = learn_noise(
@@ -200,12 +200,17 @@ def _displace_images(
 
 
 def _allow_load(
-    problem: FactorProblem, basis: _Basis, loads: tuple[Load, ...], before: Learned, others: bool
+    problem: FactorProblem,
+    basis: _Basis,
+    loads: tuple[Load, ...],
+    before: Learned,
+    others: bool,
+    halves: Array,
 ) -> tuple[FactorProblem, Learned, float | None]:
     """The problem and its noise with a load where the log shows one, and the nats that it wins.
 
-    A load stands for none of the noise that is known before images · others: whether play or
-    displaced images explain part of the log.
+    A load stands for none of the noise that is known before images, and for no play that the
+    exploration had · others: whether play or displaced images explain part of the log.
     """
     if not loads:
         return problem, before, None
@@ -220,9 +225,24 @@ def _allow_load(
     # what lasts long and is gone beside a load stood for it: neither is simpler; play leaves none
     rival = not others and _is_long(before.noise) and not _is_long(bent.noise)
     bends = bend_under_load(loads, bent.sizes[-len(loads) :], bent.path.knots, bent.path.angles)
-    if gain <= (0.0 if rival else EVIDENCE_THRESHOLD_NATS) or np.abs(bends).max() > MOST_BEND:
+    least = 0.0 if rival else EVIDENCE_THRESHOLD_NATS
+    replaces = _replaces_play(problem, before, bent, halves)
+    if gain <= least or replaces or np.abs(bends).max() > MOST_BEND:
         return problem, before, None
     return problem.with_columns(loads), bent, gain
+
+
+def _replaces_play(problem: FactorProblem, before: Learned, bent: Learned, halves: Array) -> bool:
+    """Whether some joint's play is evidently less beside a load than without it, and than half of
+    it was in the exploration: a load that comes and goes with the play stands for it.
+    """
+    stds = [np.sqrt(np.diag(one.sizes_cov)) for one in (before, bent)]
+    return any(
+        min(before.sizes[k], halves[one.joint]) - bent.sizes[k]
+        > SIGNIFICANT_SIGMA * np.hypot(stds[0][k], stds[1][k])
+        for k, one in enumerate(problem.columns)
+        if isinstance(one, Play)
+    )
 
 
 def _learn_load(

@@ -14,8 +14,9 @@ from ...linear_algebra import project_covariance
 from ...motion import WHITE_JERK
 from ...settings import EstimationSettings
 from ...types import Array
+from ..factors.columns import Play
 from ..factors.hypotheses import Explanation
-from ..factors.load import Load, bend_under_load
+from ..factors.load import bend_under_load
 from ..factors.robust import compute_mixture_nats, measure_image_span
 from ..factors.whole_log import (
     ExplainedLog,
@@ -30,6 +31,7 @@ from ..inference.filter_log import filter_roughly, loses_encoder
 from ..inference.filter_problem import FilterProblem
 from ..inference.leave_one_out import remove_readings
 from ..inference.scan import GATE_SIGMA
+from ..measurements.arm_errors import LEAST_PLAY, follow_links
 from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..measurements.records import Encoders
 from ..noise.evidence_search import tune_by_evidence
@@ -100,10 +102,10 @@ def find_reason_of_disagreement(
     """Why the solution with white noise is not that of the beliefs; None if it is, to what these
     or the explained log say of their own errors, whichever is more.
 
-    Where a load explains the log, white noise blames images or encoders for it, each engine others.
-    So both filter that log again, from readings of the links that bend under the load.
+    Where play or a load explains the log, white noise blames images or encoders for it, each engine
+    others. So both filter that log again, from readings of the links.
     """
-    if any(isinstance(one, Load) for one in found.explanation.columns):
+    if any(one.bends for one in found.explanation.columns):
         problem = _move_readings_to_links(problem, found.explanation)
         problem = replace(problem, precision=tune_by_evidence(problem, whole=False)[0])
         filtered = filter_roughly(problem)
@@ -130,14 +132,24 @@ def find_reason_of_disagreement(
 
 
 def _move_readings_to_links(problem: FilterProblem, explanation: Explanation) -> FilterProblem:
-    """The problem with readings of the links, which bend under the load that explains the log."""
+    """The problem with readings of the links, which lie in the play that explains the log, and bend
+    under the load.
+    """
+    names = problem.evidence.joints
+    sizes = list(zip(explanation.columns, explanation.learned.sizes.tolist(), strict=True))
+    play = {
+        names[column.joint]: (2.0 * size, 0.0)
+        for column, size in sizes
+        if isinstance(column, Play) and size > LEAST_PLAY
+    }
 
     def bend_with_load(t: Array, angles: Array) -> Array:
         return angles + bend_under_load(explanation.columns, explanation.learned.sizes, t, angles)
 
     encoders = problem.evidence.encoders
     assert encoders is not None  # of what is explained
-    read = replace(encoders, values=bend_with_load(encoders.t, encoders.values))
+    links = follow_links(encoders.t, encoders.values, names, play)
+    read = replace(encoders, values=bend_with_load(encoders.t, links))
     evidence = replace(problem.evidence, encoders=read)
     return replace(
         problem,
