@@ -240,17 +240,17 @@ def _weigh_outliers(problem: FactorProblem) -> float:
 
 
 def _list_repaired_steps(problem: FilterProblem) -> Iterator[EncoderShift]:
-    """Steps that were taken out of readings: what is
-    left of each is known to its standard deviation.
+    """Steps that were taken out of readings: what is left of each is known to its standard
+    deviation. Those that images show are sized by them again, beside what explains the log.
     """
     names = problem.evidence.joints
     for fault in problem.evidence.faults:
         joint = fault.names[0]
         if fault.sense == "encoders" and fault.std is not None and joint in names:
+            number = names.index(joint)
+            std = max(fault.std, OFFSET_STD) if number in problem.alternatives else fault.std
             until = np.inf if fault.until is None else fault.until
-            yield EncoderShift(
-                "repaired step", fault.std, joint=names.index(joint), since=fault.since, until=until
-            )
+            yield EncoderShift("repaired step", std, joint=number, since=fault.since, until=until)
 
 
 def _thin_times(t: Array, least: float) -> Array:

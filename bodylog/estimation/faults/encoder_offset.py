@@ -24,6 +24,7 @@ import numpy as np
 from ...types import ALTERNATIVE_SEPARATOR, Array, Fault, FaultKind, Hypothesis
 from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
+from ..inference.scan import GATE_SIGMA
 from ..inference.solution import Solution
 from ..inference.tangents import OFFSET_STD
 from ..measurements.long_arrays import find_finite_rows
@@ -33,6 +34,7 @@ from ..noise.correlated_noise import count_effective_frames
 from ..noise.encoder_noise import MAX_MEMORY_S
 from ..noise.quantisation import find_reading_step
 from .threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
+from .true_stretch import compare_with_images
 
 TRIED_DRIFT_BEGINS = 64
 """Times tried at which a steady drift may begin."""
@@ -40,6 +42,8 @@ SIZE_ROUNDS = 4
 """Parabolas by which the size of a change is found: one holds near its points alone, and a minimum
 far from them promised 1,700 nats for a drift of 5 rad, which hid a step of 2°.
 """
+FIT_ROUNDS = 10
+"""Rounds that fit a constant offset to images."""
 TRAILING_S = (0.0, 0.25, 0.5, 1.0, 1.5)
 """s by which a filter may show a drift late."""
 RANDOM_WALKS = (1e-4, 1e-5, 1e-3, 1e-7)
@@ -81,7 +85,10 @@ def find_likeliest_changes(
     A step or drift that the log does not determine is left out.
     """
     off = _measure_residuals(wandering, problem, joint, solved)
-    found = [_find_likeliest_step(problem, off, joint, solved)]
+    found = [
+        _find_likeliest_step(problem, off, joint, solved),
+        _find_constant_offset(problem, joint, solved),
+    ]
     assert problem.evidence.encoders is not None
     if np.ptp(problem.evidence.encoders.t) > 2.0 * MAX_MEMORY_S:
         found.append(_find_likeliest_drift(problem, off, joint, solved))
@@ -119,6 +126,43 @@ def _find_likeliest_step(
     # an encoder that is off so soon is off from the start
     steps = {one if one - t[0] >= MAX_MEMORY_S else float(t[0]): size for one in sorted(begins)}
     return _size_likeliest_change(problem, joint, solved, steps, grows=False)
+
+
+def _find_constant_offset(
+    problem: FilterProblem, joint: int, solved: Solution
+) -> OffsetHypothesis | None:
+    """The most likely offset from the start: where images tell much more than readings, a gate
+    rejects them far from it, so that no offset wanders there.
+    """
+    encoders = problem.evidence.encoders
+    assert encoders is not None
+    size = _fit_constant_offset(problem, joint)
+    start = float(encoders.t[0])
+    return _size_likeliest_change(problem, joint, solved, {start: size}, grows=False)
+
+
+def _fit_constant_offset(problem: FilterProblem, joint: int) -> float:
+    """By how much (rad) a joint's encoder is off all the time, if its images are right: by
+    Gauss-Newton, with weights of a Cauchy law, whose tails hold errors of many standard deviations.
+    """
+    encoders = problem.evidence.encoders
+    assert encoders is not None
+    images = [one for one in problem.evidence.sightings if one.name != "touch"]
+    read = encoders.values[:, joint]
+    size = 0.0
+    for _ in range(FIT_ROUNDS):
+        pull = 0.0
+        weight = 1.0
+        shifted = _with_readings(problem, joint, read - size).evidence.encoders
+        assert shifted is not None
+        for off, slopes, var in compare_with_images(shifted, images):
+            total = var + np.square(slopes) @ problem.precision.encoder
+            slope = slopes[..., joint]
+            share = 1.0 / (total * (1.0 + (np.square(off) / total).sum(axis=1))[:, None])
+            pull -= float((share * slope * off).sum())
+            weight += float((share * np.square(slope)).sum())
+        size += pull / weight
+    return size
 
 
 def _find_likeliest_drift(
@@ -290,6 +334,19 @@ def _sum_track_information(
     problem: FilterProblem, solved: Solution, track: int, bounds: Array, most: float
 ) -> Array:
     """Sums of a track's JᵀS⁻¹J, and of JᵀS⁻¹ν clipped alike, over spans: (S,M,M+1)."""
+    events, jac, nu, white = _whiten_track(problem, solved, track)
+    far = np.sqrt((nu * white[..., -1]).mean(axis=1))
+    white[..., -1] /= np.maximum(far / most, 1.0)[:, None]
+    each = (jac.swapaxes(1, 2) @ white).cumsum(axis=0)
+    return np.diff(np.insert(each, 0, 0.0, axis=0)[np.searchsorted(events, bounds)], axis=0)
+
+
+def _whiten_track(
+    problem: FilterProblem, solved: Solution, track: int
+) -> tuple[Array, Array, Array, Array]:
+    """Of a track's images: their instants (F,), slopes J (F,D,M), innovations ν (F,D), and S⁻¹J
+    beside S⁻¹ν (F,D,M+1).
+    """
     readings = solved.readings
     trace = solved.trace
     sighting = problem.evidence.sightings[track]
@@ -304,11 +361,20 @@ def _sum_track_information(
     s = jac @ cov @ jac.swapaxes(1, 2)
     nu = y[..., None] - jac @ x[..., None]
     s[:, size, size] += var + _measure_correlated_error(solved, track, seen)
-    white = np.linalg.solve(s, np.concatenate([jac, nu], axis=2))
-    far = np.sqrt((nu[..., 0] * white[..., -1]).mean(axis=1))
-    white[..., -1] /= np.maximum(far / most, 1.0)[:, None]
-    each = (jac.swapaxes(1, 2) @ white).cumsum(axis=0)
-    return np.diff(np.insert(each, 0, 0.0, axis=0)[np.searchsorted(events, bounds)], axis=0)
+    return events, jac, nu[..., 0], np.linalg.solve(s, np.concatenate([jac, nu], axis=2))
+
+
+def _rejects_images(problem: FilterProblem, solved: Solution) -> bool:
+    """Whether most images are farther from where readings put them than a filter's gate allows: the
+    noise that it was given then says nothing of them.
+    """
+    far = [np.zeros(0)]
+    for k, sighting in enumerate(problem.evidence.sightings):
+        if sighting.name != "touch":
+            _, _, nu, white = _whiten_track(problem, solved, k)
+            far.append(np.sqrt((nu * white[..., -1]).mean(axis=1)))
+    rejected = np.concatenate(far) > GATE_SIGMA
+    return bool(rejected.size and rejected.mean() > 0.5)
 
 
 def _measure_correlated_error(solved: Solution, track: int, seen: Array) -> Array:
@@ -520,12 +586,14 @@ def _find_best_offset(
     best = min(hypotheses, key=lambda offset: offset.nats)
     changes = find_likeliest_changes(allowed, best.problem, joint, solved)
     offset = min((best, *changes), key=lambda one: one.nats)
-    # against no offset it counts with the problem's noise:
-    # less of it makes an offset of a poor body's errors
+    # against no offset it counts with the problem's noise: less of it makes an offset of a poor
+    # body's errors; with its own where the problem's is that of a filter which rejects all images
     found = replace(
         offset.problem, precision=replace(problem.precision, drift=offset.problem.precision.drift)
     )
-    return offset._replace(problem=found, nats=measure_free_energy(found, solved) + offset.prior)
+    usual = offset._replace(problem=found, nats=measure_free_energy(found, solved) + offset.prior)
+    lost = _rejects_images(problem, solved)
+    return min((usual, offset), key=lambda one: one.nats) if lost else usual
 
 
 def _list_random_walks(problem: FilterProblem) -> Array:

@@ -4,7 +4,7 @@ Readings alone show that encoders jump, and not whether they are wrong after it 
 that is homed late is wrong before it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -75,13 +75,22 @@ def _measure_misfits(encoders: Encoders, images: Sequence[Sighting]) -> list[Arr
     hold errors of many standard deviations.
     """
     misfits = list[Array]()
+    for off, _, var in compare_with_images(encoders, images):
+        outputs = off.shape[1]
+        misfits.append(0.5 * (1 + outputs) * np.log1p((np.square(off) / var).sum(axis=1)))
+    return misfits
+
+
+def compare_with_images(
+    encoders: Encoders, images: Sequence[Sighting]
+) -> Iterator[tuple[Array, Array, Array]]:
+    """Yield how far some of each sense's images are from where readings put them (F,D), the slopes
+    by the angles (F,D,M), and the variance of images and body (F,D).
+    """
     for sighting in images:
         known = np.flatnonzero(find_finite_rows(sighting.values))
         if not len(known):
             continue
         rows = known[:: 1 + len(known) // MOST_IMAGES]
-        mean, _, var = sighting.model.predict(encoders.interpolate_at(sighting.t[rows]))
-        squares = np.square(sighting.values[rows] - mean) / (sighting.var[rows] + var)
-        outputs = squares.shape[1]
-        misfits.append(0.5 * (1 + outputs) * np.log1p(squares.sum(axis=1)))
-    return misfits
+        mean, slope, var = sighting.model.predict(encoders.interpolate_at(sighting.t[rows]))
+        yield sighting.values[rows] - mean, slope, sighting.var[rows] + var

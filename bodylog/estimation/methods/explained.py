@@ -12,9 +12,9 @@ from ...body_model import BodyModel
 from ...fault_kinds import OFF_FROM_START_S
 from ...settings import EstimationSettings
 from ...types import Array, Estimate, Fault, FaultKind, Finding
-from ..factors.columns import ImageShift, Play, describe_displacement
+from ..factors.columns import EncoderShift, ImageShift, Play, describe_displacement
 from ..factors.factor_problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
-from ..factors.hypotheses import DRIFTS_S, Explanation
+from ..factors.hypotheses import DRIFTS_S, OFFSET, Explanation
 from ..factors.load import FIRST_BEND, Load, bend_under_load, build_load_columns, describe_load
 from ..factors.whole_log import ExplainedLog, SolvedLog, explain_log, resembles_load, solve_log
 from ..faults.moved_camera import restore_displacements
@@ -158,6 +158,7 @@ def _explain_estimate(
     if why is not None:
         return why
     explained = _with_explanation(problem, beliefs, found, solved)
+    problem = _size_steps_again(problem, found.explanation)
     made = results.build_estimate(settings.method, problem.evidence, problem.timeline, explained)
     errors = _describe_errors(found, problem.evidence.joints)
     text = "; ".join(_describe_errors_in_words(errors)) or "encoders: errors last"
@@ -231,7 +232,8 @@ def _choose_fault_allowance(
     beside: the log with them. What lasts for long, or is several times the exploration's, would be
     an offset itself. Play, unless it is there beside the offsets, too, and one load explain several
     offsets at once, and one encoder more that is off from the first reading on counts as one fault
-    more. A load is as simple as an offset of one encoder, if it is evident beside errors that last,
+    more. A load, or one encoder that is off beside other errors, is as simple as an offset of one
+    encoder, if it is evident beside errors that last,
     or is there beside the offsets, too; if not, it must be evident beside offsets of known size.
     An offset too small for a fault goes
     where the log is as likely without it. The sizes of a displacement cost no evidence.
@@ -239,11 +241,13 @@ def _choose_fault_allowance(
     passing = _is_usual(found.noise)
     moves = 0.0 if _is_picked_up(found.explanation) else cameras * EVIDENCE_THRESHOLD_NATS
     gains = found.explanation.gains
-    if (off := _count_from_start(problem, faults)) > 1:
+    off = _count_from_start(problem, faults)
+    if off > 1 and (passing or "load" in gains):
         return moves + (off - 1) * EVIDENCE_THRESHOLD_NATS
-    if "load" in gains and passing:
+    if ("load" in gains or "offset" in gains) and passing:
         named = any(np.isfinite(fault.size) for fault in faults)
-        evident = gains["load"] > EVIDENCE_THRESHOLD_NATS or "load" in beside.explanation.gains
+        gain = gains["load"] if "load" in gains else gains["offset"]
+        evident = gain > EVIDENCE_THRESHOLD_NATS or "load" in beside.explanation.gains
         return moves - EVIDENCE_THRESHOLD_NATS if named and not evident else moves
     if passing and not faults and not cameras:
         return 0.0
@@ -311,6 +315,28 @@ def _with_explanation(
         findings=(),  # they are of beliefs that are not reported
         places=tuple(places),
     )
+
+
+def _size_steps_again(problem: FilterProblem, explanation: Explanation) -> FilterProblem:
+    """The problem with faults of the sizes and standard deviations that steps of encoders have
+    beside what explains the log, and with the encoder that is off all the time.
+    """
+    begin = float(problem.timeline.t[0])
+    faults = list(problem.evidence.faults)
+    learned = explanation.learned
+    stds = np.sqrt(np.diag(learned.sizes_cov)).tolist()
+    for column, more, std in zip(explanation.columns, learned.sizes.tolist(), stds, strict=True):
+        if not isinstance(column, EncoderShift):
+            continue
+        name = problem.evidence.joints[column.joint]
+        if column.name == OFFSET:
+            unit = problem.evidence.unit
+            faults.append(Fault("encoders", name, FaultKind.DRIFTING, begin, more, unit, std))
+        for k, fault in enumerate(faults):
+            is_same = fault.names[0] == name and fault.since == column.since
+            if is_same and fault.std is not None:
+                faults[k] = replace(fault, size=fault.size + more, std=std)
+    return replace(problem, evidence=replace(problem.evidence, faults=tuple(faults)))
 
 
 def _estimate_resting_variances(noise: Noise) -> Array:

@@ -14,7 +14,7 @@ from ...linear_algebra import project_covariance
 from ...motion import WHITE_JERK
 from ...settings import EstimationSettings
 from ...types import Array
-from ..factors.columns import Play
+from ..factors.columns import EncoderShift, Play
 from ..factors.hypotheses import Explanation
 from ..factors.load import bend_under_load
 from ..factors.robust import compute_mixture_nats, measure_image_span
@@ -102,10 +102,11 @@ def find_reason_of_disagreement(
     """Why the solution with white noise is not that of the beliefs; None if it is, to what these
     or the explained log say of their own errors, whichever is more.
 
-    Where play or a load explains the log, white noise blames images or encoders for it, each engine
-    others. So both filter that log again, from readings of the links.
+    Where play, a load or what is left of an encoder's step explains the log, white noise blames
+    images or encoders for it, each engine others. So both filter that log again, from readings of
+    the links.
     """
-    if any(one.bends for one in found.explanation.columns):
+    if any(one.bends or isinstance(one, EncoderShift) for one in found.explanation.columns):
         problem = _move_readings_to_links(problem, found.explanation)
         problem = replace(problem, precision=tune_by_evidence(problem, whole=False)[0])
         filtered = filter_roughly(problem)
@@ -133,7 +134,7 @@ def find_reason_of_disagreement(
 
 def _move_readings_to_links(problem: FilterProblem, explanation: Explanation) -> FilterProblem:
     """The problem with readings of the links, which lie in the play that explains the log, and bend
-    under the load.
+    under the load, without what is left of the steps that were taken out of them.
     """
     names = problem.evidence.joints
     sizes = list(zip(explanation.columns, explanation.learned.sizes.tolist(), strict=True))
@@ -148,7 +149,14 @@ def _move_readings_to_links(problem: FilterProblem, explanation: Explanation) ->
 
     encoders = problem.evidence.encoders
     assert encoders is not None  # of what is explained
-    links = follow_links(encoders.t, encoders.values, names, play)
+    path = explanation.learned.path
+    left = (
+        size * column.changes_readings(encoders.t, path)
+        for column, size in sizes
+        if isinstance(column, EncoderShift)
+    )
+    motors = encoders.values - sum(left, np.zeros(encoders.values.shape))
+    links = follow_links(encoders.t, motors, names, play)
     read = replace(encoders, values=bend_with_load(encoders.t, links))
     evidence = replace(problem.evidence, encoders=read)
     return replace(
