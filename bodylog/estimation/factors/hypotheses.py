@@ -128,11 +128,12 @@ def find_explanation(
     others = played is not None or displaced is not None
     unloaded = (problem, lasting)
     problem, lasting, loaded = _allow_load(problem, basis, loads, lasting, others, halves)
-    off = None if loaded is None else _find_offset(*unloaded, basis, loaded)
     offset = None
-    if off is not None:
-        problem, lasting, offset = off
-        loaded = None
+    if loaded is not None or _is_long(lasting.noise):
+        off = _find_offset(*unloaded, basis, loaded or 0.0)
+        if off is not None:
+            problem, lasting, offset = off
+            loaded = None
     each = {"play": played, "displaced": displaced, "load": loaded, "offset": offset}
     gains = {name: gain for name, gain in each.items() if gain is not None}
     found = learn_noise(
