@@ -15,10 +15,12 @@ from bodylog.estimation.inference.filter_log import solve_by_gauss_newton
 from bodylog.estimation.measurements.records import Encoders
 from bodylog.estimation.methods import filtering
 from bodylog.settings import EstimationSettings, Settings
+from bodylog.sim.hardware import Hardware
 from bodylog.sim.scenarios import SCENARIOS
 from bodylog.types import FaultKind
+from tests.estimation import mechanisms
 from tests.estimation.conftest import draw
-from tests.estimation.mechanisms import errors_and_nees
+from tests.estimation.mechanisms import Mechanism, errors_and_nees
 from tests.seeds import seeds
 from tests.validation import logs
 
@@ -292,6 +294,31 @@ def test_a_drift_of_hundreds_of_times_the_noise_is_named(method):
     assert fault.name == "shoulder_pan_joint" and fault.kind == FaultKind.DRIFTING
     errors, nees = errors_and_nees(found, quiet.truth)
     assert 0.5 < nees < 2.0 and np.sqrt(np.mean(errors**2)) < 0.4e-3
+
+
+@pytest.mark.parametrize(
+    ("method", "joint", "size"),
+    [
+        ("filter", 0, -0.3),
+        ("smoother", 1, 0.02),
+        *(pytest.param("filter", *one, marks=pytest.mark.soak) for one in [(1, 0.02), (1, 0.1), (2, 0.17)]),
+        *(pytest.param("smoother", *one, marks=pytest.mark.soak) for one in [(0, -0.3), (1, 0.1), (2, 0.17)]),
+    ],
+)
+def test_an_encoder_that_is_off_far_beyond_precise_images_is_named_on_an_arm_with_play(method, joint, size):
+    """Images that tell a joint ten times as well as a reading were rejected, or taken for a payload: 66 mrad."""
+    arm = Mechanism(5e-4, Hardware(play=4e-3), pixel_std=0.05)
+    features = mechanisms.replayed(22, arm, mechanisms.Fault())
+    values = features.joints.values.copy()
+    values[:, joint] += size
+    features = replace(features, joints=replace(features.joints, values=values))
+    found = estimate_from_features(features, mechanisms.fitted(arm), EstimationSettings(method=method))
+    (fault,) = found.faults
+    assert (fault.name, fault.kind) == (found.joints.names[joint], FaultKind.DRIFTING)
+    assert fault.since < 0.05 and abs(fault.size - size) < 4.0 * fault.std < 2e-3
+    error = found.joints.values - mechanisms.links_of(22, arm, mechanisms.Fault()).values
+    assert np.sqrt(np.mean(error**2)) < 0.35e-3
+    assert 0.3 < np.mean(error**2 / np.einsum("nii->ni", found.cov)) < 2.0
 
 
 def test_readings_out_of_which_a_drift_was_taken_have_no_fault_below_a_count():

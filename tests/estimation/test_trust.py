@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.methods import trust
+from bodylog.estimation.factors.columns import EncoderShift, Path, Play
+from bodylog.estimation.measurements.records import Encoders
+from bodylog.estimation.methods import filtering, trust
 from bodylog.settings import EstimationSettings
 from bodylog.types import Array
 from tests.estimation.conftest import draw
@@ -125,3 +127,24 @@ def test_false_first_readings_that_a_filter_believes_are_no_joints_that_stick(se
     assert not [one.text for one in found.findings if "stick" in one.text]
     errors, nees = errors_and_nees(found, log.truth)
     assert 0.3 < nees < 2.0 and np.sqrt(np.mean(errors**2)) < 1.2e-3
+
+
+def test_readings_of_links_hold_the_play_and_not_what_is_left_of_a_step():
+    """Two engines that blame play on images or on encoders differ by more than their error bars."""
+    t = np.arange(0.0, 8.0, 0.01)
+    motors = np.stack([0.4 * np.sin(t), 0.3 * np.cos(0.7 * t)], axis=1)
+    encoders = Encoders(t, motors + [0.0, 2e-3] * (t >= 4.0)[:, None], (1e9 * t).astype(np.int64))
+    columns = (Play("play", 1e-2, joint=0), EncoderShift("repaired step", 1e-2, joint=1, since=4.0))
+    rest = np.zeros(motors.shape)
+    learned = SimpleNamespace(sizes=np.array([2e-3, 2e-3]), path=Path(t, motors, rest, motors, rest))
+    problem = replace(
+        filtering.build_filter_problem((world := draw(1)).features, world.body, EstimationSettings())
+    )
+    evidence = replace(problem.evidence, encoders=encoders, joints=("a", "b"))
+    problem = replace(problem, evidence=evidence, start=motors[0])
+    moved = trust._move_readings_to_links(problem, SimpleNamespace(columns=columns, learned=learned))
+    links = moved.evidence.encoders.values
+    np.testing.assert_allclose(links[:, 1], motors[:, 1], atol=1e-12)
+    far = links[:, 0] - motors[:, 0]
+    turning = np.abs(np.cos(t)) > 0.5
+    np.testing.assert_allclose(far[turning & (t > 1.0)], -2e-3 * np.sign(np.cos(t))[turning & (t > 1.0)], atol=5e-4)
