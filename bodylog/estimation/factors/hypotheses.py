@@ -263,7 +263,10 @@ def _find_offset(
     if best is None or abs(best[1].sizes[-1]) < OFFSET_STD:
         return None
     gain = before.nats - best[1].nats
-    return (*best, gain) if gain > max(loaded, EVIDENCE_THRESHOLD_NATS) else None
+    # what lasts long and is gone beside an offset stood for it, as it may for a load
+    rival = not loaded and _is_long(before.noise) and not _is_long(best[1].noise)
+    least = 0.0 if rival else max(loaded, EVIDENCE_THRESHOLD_NATS)
+    return (*best, gain) if gain > least else None
 
 
 def _replaces_play(problem: FactorProblem, before: Learned, bent: Learned, halves: Array) -> bool:
