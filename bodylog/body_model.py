@@ -8,6 +8,8 @@ from .logs.records import Array
 
 UNUSED_URDF = "unused_urdf"
 """In a body's provenance: why the URDF that it was given is not used."""
+HELD = "held"
+"""In the provenance: {joint: [low, high]} between which readings each stood that is not learned."""
 PATCH_PX = 25
 """Side of the pictures of landmarks."""
 WITHOUT_URDF = "or type --no-urdf"

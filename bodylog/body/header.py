@@ -8,7 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..body_model import UNUSED_URDF, BodyModel, Noise, TouchConstants
+from ..body_model import HELD, UNUSED_URDF, BodyModel, Noise, TouchConstants
 from ..errors import ModelError
 from ..io.values import encodable_text, read_json
 from . import surface
@@ -207,6 +207,14 @@ def _check_provenance(found: Any) -> dict[str, Any]:
         given = str(provenance["image_sizes"])[:200]
         raise ValueError(
             f"provenance.image_sizes: found {given}, possible: {{camera: [width, height]}} in px"
+        )
+    held = provenance.get(HELD, {})
+    spans = held.values() if isinstance(held, dict) else [None]
+    if not all(
+        isinstance(span, list) and len(span) == 2 and all(map(_is_number, span)) for span in spans
+    ):
+        raise ValueError(
+            f"provenance.{HELD}: found {str(held)[:200]}, possible: {{joint: [low, high]}}"
         )
     if not isinstance(provenance.get("sag", ""), str):
         raise ValueError(f"provenance.sag: found {provenance['sag']!r:.200}, possible: a text")

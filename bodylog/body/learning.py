@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from ..body_model import BodyModel, ForwardModel, Noise
+from ..body_model import HELD, BodyModel, ForwardModel, Noise
 from ..errors import EvidenceError, ModelError
 from ..runtime.blas_threads import one_thread
 from ..settings import FitSettings, Settings
@@ -33,6 +33,10 @@ from .senses import encoder_calibration, encoder_function, touch, track
 Keep = Literal["all", "explained", "telling"]
 """Tracks that keep a model: all that have one, for kinematics to explain; those explained by the
 joints; those of which one image also tells something about the joints."""
+
+
+HELD_QUANTILES = (0.05, 0.95)
+"""Quantiles between which a joint that is not learned stood: single false readings are beyond."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +115,8 @@ def learn_from_features(
     )
     gaps = exploration_report.missing_findings(angled, [j.name for j in available], wanted)
     dropped = _dropped_findings(features, senses, poor)
-    about = {**_image_provenance(features), **repeated, **provenance}
+    about = {**_image_provenance(features), **_held_provenance(features, names)}
+    about |= {**repeated, **provenance}
     return LearnedBody(
         BodyModel(names, {**given, **gps, **read.model}, read.noise, constants, about, cells),
         scores,
@@ -331,6 +336,18 @@ def _image_provenance(features: Sequence[Features]) -> dict[str, Any]:
     widths = {f.picture_size[0] for f in features if f.picture_size is not None}
     known = {"cameras": cameras, "image_width": widths.pop() if len(widths) == 1 else None}
     return {key: value for key, value in known.items() if value}
+
+
+def _held_provenance(features: Sequence[Features], learned: Sequence[str]) -> dict[str, Any]:
+    """Between which readings [low, high] each joint stood over which nothing is learned."""
+    held = dict[str, list[float]]()
+    for joints in (one.joints for one in features if one.joints is not None):
+        for name, y in zip(joints.names, joints.values.T, strict=True):
+            if name not in learned and np.isfinite(y).any():
+                low, high = np.nanquantile(y, HELD_QUANTILES).tolist()
+                before = held.get(name, [low, high])
+                held[name] = [min(low, before[0]), max(high, before[1])]
+    return {HELD: held} if held else {}
 
 
 def _require_known_joints(features: Sequence[Features], update: BodyModel) -> tuple[str, ...]:

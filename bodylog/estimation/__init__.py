@@ -20,7 +20,12 @@ from .measurements.reading_units import (
     find_joint_unit,
     scale_to_angles,
 )
-from .methods.consistency import check_consistency, report_numerical_errors, require_finite_estimate
+from .methods.consistency import (
+    check_consistency,
+    describe_moved_joints,
+    report_numerical_errors,
+    require_finite_estimate,
+)
 from .methods.table import METHODS, warn_of_ignored_settings
 from .noise import noise_model
 from .poses import estimate_still_poses as still_poses
@@ -62,7 +67,7 @@ def estimate_from_features(
     found = replace(found, can=method.can, settings=used)
     findings = (
         *read_arm_errors(body).warn_of_narrow_bars(),
-        *check_consistency(found, settings, unit, size),
+        *check_consistency(found, settings, unit, size, describe_moved_joints(features, body)),
     )
     return replace(found, findings=(*found.findings, *findings))
 

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bodylog.body import learn_body
 from bodylog.estimation import estimate_from_features
-from bodylog.settings import EstimationSettings
+from bodylog.settings import EstimationSettings, Settings
 
 NOT_FORETOLD = "standard deviations from what was expected"
 
@@ -71,3 +72,28 @@ def test_warning_of_two_publishers_on_one_topic(world):
         "scatters" in f.text
         for f in estimate_from_features(drawn.features, drawn.body, EstimationSettings()).findings
     )
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_joint_that_is_not_learned_and_stands_elsewhere_is_named_where_images_do_not_fit(world, seed):
+    """The body's images are right for where it stood then; an encoder that is off was named in its place."""
+    drawn = world(seed, duration=12.0, encoder_std=0.005)
+
+    def hold_wrist(features, angle):
+        joints = features.joints
+        held = np.full((len(joints.t), 1), angle)
+        values = np.concatenate([joints.values, held], axis=1)
+        return replace(features, joints=replace(joints, names=(*joints.names, "wrist"), values=values))
+
+    explored = learn_body([hold_wrist(drawn.features, 0.3)], Settings(), {}).model
+    assert explored.provenance["held"] == {"wrist": [0.3, 0.3]}
+    track = drawn.features.tracks["effector"]
+    rng = np.random.default_rng(seed)
+    far = 6.0 * rng.choice([-1.0, 1.0], track.values.shape)
+    displaced = replace(drawn.features, tracks={"effector": replace(track, values=track.values + far)})
+    settings = EstimationSettings(precision="model")
+    for angle, named in ((0.33, True), (0.305, False)):
+        found = estimate_from_features(hold_wrist(displaced, angle), explored, settings)
+        (text,) = (one for one in doubted(found) if one.startswith("effector: "))
+        assert ("wrist stands at 0.33 rad, and not at 0.3 as while" in text) == named
+    assert not doubted(estimate_from_features(hold_wrist(drawn.features, 0.33), explored, EstimationSettings()))

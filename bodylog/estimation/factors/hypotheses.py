@@ -248,7 +248,7 @@ def _find_offset(
     """The problem and its noise with one encoder that is off all the time, and the nats that it
     wins, where these are more than the `loaded` ones of a load; None where no encoder is.
 
-    Of 24 drawn logs with loads of up to 1°, an offset wins 3 nats at most, and the load 4 to 54; of
+    Of 18 drawn logs with loads of up to 1°, an offset wins 3 nats at most, and the load 4 to 54; of
     4 in which an encoder is off by 1.1°, it wins 22 to 58, and up to 10 more than a load.
     """
     best = None

@@ -9,10 +9,13 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from ...body_model import HELD, BodyModel
 from ...errors import EvidenceError
 from ...settings import EstimationSettings
-from ...types import Array, Estimate, Finding
+from ...types import Array, Estimate, Features, Finding
+from ...wording import list_in_words
 from ..faults.threshold import SIGNIFICANT_SIGMA
+from ..inference.tangents import OFFSET_STD
 from ..measurements.long_arrays import MIN_READINGS
 
 NOISY_STD_RAD = 0.1
@@ -67,12 +70,12 @@ def _list_checked_numbers(found: Estimate) -> Iterator[tuple[str, Array, Array]]
 
 
 def check_consistency(
-    found: Estimate, settings: EstimationSettings, unit: str, rad_per_unit: float
+    found: Estimate, settings: EstimationSettings, unit: str, rad_per_unit: float, moved: str
 ) -> Iterator[Finding]:
     """Yield a warning for each sense whose residuals
     exceed its error bars, and for each very noisy encoder.
 
-    unit: of the joints' readings · rad_per_unit: its size.
+    unit: of the joints' readings · rad_per_unit: its size · moved: as `describe_moved_joints` says.
     """
     learned = found.settings.get("encoder", found.settings.get("sigma_encoders"))
     is_learned = settings.precision == "auto" and settings.preset != "paper"
@@ -94,17 +97,39 @@ def check_consistency(
                 f"{sense}: {off.mean():.0%} of its readings are more than {SIGNIFICANT_SIGMA:g} "
                 "standard deviations from what was "
                 "expected (0.3 % where error bars are true): "
-                f"{_advise_on_inconsistency(found, settings, sense)}",
+                f"{_advise_on_inconsistency(found, settings, sense, moved)}",
             )
 
 
-def _advise_on_inconsistency(found: Estimate, settings: EstimationSettings, sense: str) -> str:
+def describe_moved_joints(features: Features, body: BodyModel) -> str:
+    """In words, which joints that the body is not learned over stand elsewhere than they stood
+    then; "" if none does.
+    """
+    joints = features.joints
+    if joints is None:
+        return ""
+    moved = list[str]()
+    for name, (low, high) in body.provenance.get(HELD, {}).items():
+        read = joints.values[:, joints.names.index(name)] if name in joints.names else np.zeros(0)
+        if not np.isfinite(read).any():
+            continue
+        stands = float(np.nanmedian(read))
+        if not low - OFFSET_STD <= stands <= high + OFFSET_STD:
+            moved.append(f"{name} stands at {stands:.4g} {joints.unit}, and not at {low:.4g}")
+    return list_in_words(moved) if moved else ""
+
+
+def _advise_on_inconsistency(
+    found: Estimate, settings: EstimationSettings, sense: str, moved: str
+) -> str:
     """Likely cause, and what to type."""
     if not found.can.moves:
         return (
             f"{found.method} holds the arm still and detects no faulty encoder; type --method "
             "filter"
         )
+    if moved and sense != "encoders":
+        return f"{moved} as while the body was learned; fit a body that is learned over it"
     if settings.precision != "auto":
         return f"noise differs from that of --precision {settings.precision}; type --precision auto"
     if settings.bias == "off":
