@@ -1,13 +1,14 @@
 """When a load is carried: its moments, by the same Schur complement as columns that are there from the start."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.factors import timed_columns
-from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path
+from bodylog.estimation.factors import hypotheses, timed_columns
+from bodylog.estimation.factors.columns import EncoderShift, ImageShift, Path, Play
 from bodylog.estimation.factors.elimination import eliminate_states
 from bodylog.estimation.factors.factor_problem import build_system, linearise_problem
 from bodylog.estimation.factors.gauss_newton import guess_path, solve_problem
@@ -210,3 +211,25 @@ def test_what_an_arm_picks_up_is_named_as_a_load_and_no_encoder_is_accused(mecha
 def test_a_sentence_says_when_a_load_is_carried(moments, words):
     load = {"weight": True, "nats": 20.0, "rad": {"lift": 0.01}, "moments": moments}
     assert describe_load(load).startswith(words)
+
+
+@pytest.mark.parametrize(
+    ("explored", "alone", "beside", "replaced"),
+    [
+        (1.7e-3, 1.5e-3, 0.8e-3, True),
+        (1.7e-3, 1.5e-3, 1.4e-3, False),
+        # play that came after the exploration, and play that had taken up a part of the load
+        (0.0, 1.5e-3, 0.8e-3, False),
+        (1.7e-3, 2.6e-3, 1.7e-3, False),
+    ],
+)
+def test_no_load_stands_for_play_that_the_exploration_had(explored, alone, beside, replaced):
+    """A load that came and went as the lift crossed its play won 32 nats."""
+
+    def learned(size):
+        return SimpleNamespace(sizes=np.array([2e-3, size]), sizes_cov=1e-8 * np.eye(2))
+
+    problem = SimpleNamespace(columns=(Play("play", 1e-2, joint=0), Play("play", 1e-2, joint=1)))
+    halves = np.array([2e-3, explored])
+    found = hypotheses._replaces_play(problem, learned(alone), learned(beside), halves)
+    assert found == replaced
