@@ -155,7 +155,10 @@ _BROKEN = {
     "negative shape": (_shape("(-1, -2)"), "effector/weights: found float64 (-1, -2)"),
     "empty giant": (_shape("(0, 4611686018427387904, 8)"), "effector/weights: found float64 (0, 46116860184273"),
     "true shape": (_shape("(True, 2)"), "effector/weights: found float64 (True, 2)"),
-    "held joint": (_header(provenance={"held": {"wrist": [0.1]}}), "provenance.held: found {'wrist': [0.1]}, possible: {joint: [low, high]}"),
+    "held joint": (
+        _header(provenance={"held": {"wrist": [0.1]}}),
+        "provenance.held: found {'wrist': [0.1]}, possible: {joint: [low, high]}",
+    ),
     "held joints": (_header(provenance={"held": 5}), "provenance.held: found 5, possible: {joint: [low, high]}"),
     "cameras": (_header(provenance={"cameras": 5}), "provenance.cameras: found 5, possible: a list of texts"),
     "deep": (_text('{"logs"', '{"x": ' + "[" * 900 + "]" * 900 + ', "logs"'), "field header: nested more than 64 deep"),
