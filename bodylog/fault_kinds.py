@@ -6,6 +6,7 @@ A new kind is a member of `FaultKind` and a line of `FORMS`, beside the detector
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from math import inf
 from typing import NamedTuple
 
 from .wording import quantity_text
@@ -34,8 +35,8 @@ class FaultKind(StrEnum):
 class FaultForm(NamedTuple):
     """One kind of fault of one sense.
 
-    words: the sentence after the sensor's name, with {size}, {since} (a span) and {at} · words_unsized:
-    where the size is unknown, None: as `words` · unit of its score where no fault is found, "" for
+    words: the sentence after the sensor's name, with {size}, {since} (a span) and {at} ·
+    words_unsized: where the size is unknown, None: as `words` · unit of its score where no fault is found, "" for
     that of its sensor · scored: as 0 where it is not found · offset: of an encoder · needs_images:
     only they show it · by_body: only the learned body shows it.
     """
@@ -127,6 +128,11 @@ class Fault:
     def form(self) -> FaultForm:
         """What holds for every fault of this kind and sense."""
         return FORMS[self.sense, self.kind]
+
+    @property
+    def end(self) -> float:
+        """When it ended (s); infinite where it lasts to the end of the log."""
+        return inf if self.until is None else self.until
 
     @property
     def sized(self) -> bool:

@@ -130,7 +130,7 @@ def find_explanation(
     problem, lasting, loaded = _allow_load(problem, basis, loads, lasting, others, halves)
     offset = None
     if loaded is not None or _is_long(lasting.noise):
-        off = _find_offset(*unloaded, basis, loaded or 0.0)
+        off = _find_offset(*unloaded, basis, loaded)
         if off is not None:
             problem, lasting, offset = off
             loaded = None
@@ -243,10 +243,11 @@ def _allow_load(
 
 
 def _find_offset(
-    problem: FactorProblem, before: Learned, basis: _Basis, loaded: float
+    problem: FactorProblem, before: Learned, basis: _Basis, loaded: float | None
 ) -> tuple[FactorProblem, Learned, float] | None:
     """The problem and its noise with one encoder that is off all the time, and the nats that it
-    wins, where these are more than the `loaded` ones of a load; None where no encoder is.
+    wins, where these are more than the `loaded` ones of a load, if there is one; None where no
+    encoder is off.
 
     Of 18 drawn logs with loads of up to 1°, an offset wins 3 nats at most, and the load 4 to 54; of
     4 in which an encoder is off by 1.1°, it wins 22 to 58, and up to 10 more than a load.
@@ -264,8 +265,8 @@ def _find_offset(
         return None
     gain = before.nats - best[1].nats
     # what lasts long and is gone beside an offset stood for it, as it may for a load
-    rival = not loaded and _is_long(before.noise) and not _is_long(best[1].noise)
-    least = 0.0 if rival else max(loaded, EVIDENCE_THRESHOLD_NATS)
+    rival = loaded is None and _is_long(before.noise) and not _is_long(best[1].noise)
+    least = 0.0 if rival else max(loaded or 0.0, EVIDENCE_THRESHOLD_NATS)
     return (*best, gain) if gain > least else None
 
 

@@ -249,8 +249,9 @@ def _list_repaired_steps(problem: FilterProblem) -> Iterator[EncoderShift]:
         if fault.sense == "encoders" and fault.std is not None and joint in names:
             number = names.index(joint)
             std = max(fault.std, OFFSET_STD) if number in problem.alternatives else fault.std
-            until = np.inf if fault.until is None else fault.until
-            yield EncoderShift("repaired step", std, joint=number, since=fault.since, until=until)
+            yield EncoderShift(
+                "repaired step", std, joint=number, since=fault.since, until=fault.end
+            )
 
 
 def _thin_times(t: Array, least: float) -> Array:

@@ -658,8 +658,7 @@ def measure_repair_variance(problem: FilterProblem, offset_var: Array | None) ->
             prior = OFFSET_STD**2 + walks[column] * (t - t[0])
             known = np.minimum(offset_var[:, column], prior)
             left = 1.0 / (1.0 / (prior + fault.std**2) + 1.0 / known - 1.0 / prior) - known
-        until = np.inf if fault.until is None else fault.until
-        added[:, column] += np.where((t >= fault.since) & (t < until), left, 0.0)
+        added[:, column] += np.where((t >= fault.since) & (t < fault.end), left, 0.0)
     return added
 
 

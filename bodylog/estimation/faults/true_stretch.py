@@ -15,8 +15,8 @@ from ..measurements.records import Encoders, Sighting
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 IMAGES_OF_LOG = 3
-"""Images that count, of all of a sense: what a body does not know of the arm is common to them. Where
-they are far off, they then tell two stretches apart if they are off by a quarter as much in one."""
+"""Images that count, of all of a sense: what a body does not know of the arm is common to them.
+Where they are far off, they then tell two stretches apart if one has a quarter of the errors."""
 MOST_STRETCHES = 16
 """Stretches that are compared with the first, the longest ones: a bound on time."""
 MOST_IMAGES = 100

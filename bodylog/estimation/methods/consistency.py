@@ -115,7 +115,8 @@ def describe_moved_joints(features: Features, body: BodyModel) -> str:
             continue
         stands = float(np.nanmedian(read))
         if not low - OFFSET_STD <= stands <= high + OFFSET_STD:
-            moved.append(f"{name} stands at {stands:.4g} {joints.unit}, and not at {low:.4g}")
+            stood = min((low, high), key=lambda bound: abs(stands - bound))
+            moved.append(f"{name} stands at {stands:.4g} {joints.unit}, and not at {stood:.4g}")
     return list_in_words(moved) if moved else ""
 
 

@@ -92,8 +92,7 @@ def _weigh_repaired_readings(problem: FilterProblem, slips: StickSlip) -> Filter
     for fault in problem.evidence.faults:
         if fault.kind == FaultKind.JUMPING and fault.std and fault.name in problem.evidence.joints:
             joint = problem.evidence.joints.index(fault.name)
-            until = np.inf if fault.until is None else fault.until
-            wrong = (encoders.t >= fault.since) & (encoders.t < until)
+            wrong = (encoders.t >= fault.since) & (encoders.t < fault.end)
             weights[wrong, joint] += wrong.sum() * fault.std**2 / slips.white[joint]
     encoders = replace(encoders, own_variance=weights)
     return replace(problem, evidence=replace(problem.evidence, encoders=encoders))
