@@ -129,6 +129,18 @@ def test_encoders_that_are_wrong_at_first_move_no_camera(seed):
     assert not cameras(replace(world.features, joints=replace(joints, values=values)), world.body)
 
 
+@pytest.mark.parametrize("joint", range(3))
+@pytest.mark.parametrize("seed", seeds(2, 10))
+def test_an_encoder_that_is_off_while_the_arm_stands_still_moves_no_camera(world, seed, joint):
+    """Both displace all images by the same; one angle explains both coordinates, and no two do by chance."""
+    drawn = world(seed, duration=10.0, encoder_std=0.003, pixel_std=0.1, speed=0.0)
+    off = stepped(drawn.features, joint, 0.13, -1.0)
+    assert not cameras(off, drawn.body)
+    found = estimate_from_features(off, drawn.body, EstimationSettings())
+    (fault,) = found.faults
+    assert fault.name == off.joints.names[joint] and abs(fault.size - 0.13) < 0.003
+
+
 @pytest.mark.parametrize("rate", [0.05, 0.2])
 def test_an_encoder_that_drifts_far_leaves_one_finite_hypothesis(rate):
     world = drawn(300, Drawn("sines", noise=0.002))

@@ -311,9 +311,11 @@ def find_displacements(
     first = _find_best_change(rows)
     if first.nats <= EVIDENCE_THRESHOLD_NATS:
         return [first]
+    begin = rows.t.min() + MAX_MEMORY_S
     settled = _find_best_step(rows, rows.jac, PRIOR_STD_RAD, until=True)
-    at_first = settled.t - rows.t.min() <= MAX_MEMORY_S
-    if at_first and (more := settled.nats + first.nats - rows.cost) < 0.0:
+    if settled.t <= begin and (more := settled.nats + first.nats - rows.cost) < 0.0:
+        return [replace(first, nats=more)]
+    if first.t <= begin and (more := _measure_gain_over_offsets(rows, first)) < 0.0:
         return [replace(first, nats=more)]
     joints = list(product(range(rows.jac.shape[1]), (False, True)))
     fixed = _explain_rows(rows, encoders, predict_rows, joints)
@@ -500,6 +502,14 @@ def _measure_gain_over_settling(rows: _DisplacementRows, changes: Sequence[Senso
     """Nats won by each change against encoders that all err at first."""
     settled = _find_best_step(rows, rows.jac, PRIOR_STD_RAD, until=True).nats
     return (settled - rows.measure_cost_beside(changes)) / len(changes)
+
+
+def _measure_gain_over_offsets(rows: _DisplacementRows, first: SensorChange) -> float:
+    """Nats won by the first displacement against encoders that are all off by a constant: all
+    images of an arm that stands still show the same of both.
+    """
+    offsets = rows.allow_for_columns(PRIOR_STD_RAD * rows.jac)
+    return offsets.cost - rows.measure_cost_beside([first])
 
 
 def _build_displacement_rows(
