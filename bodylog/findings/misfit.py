@@ -15,18 +15,30 @@ import numpy as np
 
 from ..body_model import BodyModel
 from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
+from ..estimation.inference.tangents import OFFSET_STD
 from ..estimation.measurements.track import camera_of_track
+from ..estimation.methods.consistency import describe_moved_joints
 from ..estimation.timing import correction
 from ..evaluation.figures import MISFIT
 from ..runtime.blas_threads import one_thread
 from ..settings import EstimationSettings
-from ..types import ALTERNATIVE_SEPARATOR, Array, Estimate, FaultKind, Features, Finding, Health
+from ..types import (
+    ALTERNATIVE_SEPARATOR,
+    LASTING_ERROR,
+    Array,
+    Estimate,
+    FaultKind,
+    Features,
+    Finding,
+    Health,
+)
 from .sighting_evidence import (
     WALK,
     FittedUnknowns,
     SightingLog,
     TrackSightings,
     constant_offsets,
+    count_determined_offsets,
     fit_unknowns,
     possible_faults,
     select_sightings,
@@ -56,7 +68,8 @@ class LogMisfit:
     """A log that does not fit the body: the share of its sightings off, after the likeliest faults,
     and how many there are; the explanation that wins, what to type then, the share off with it, and
     the nats it wins; change (M,M) makes the angles meant from those read, None where joints are not
-    the cause; causes: sensors that would be wrong at once.
+    the cause; causes: sensors that would be wrong at once; is_open: images leave open which
+    sensors are wrong.
     """
 
     off: float
@@ -67,6 +80,7 @@ class LogMisfit:
     nats: float = 0.0
     change: Array | None = None
     causes: int = 0
+    is_open: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +130,7 @@ def find_misfit(
         return _explain_misfit(fitting, plain, fault, log.count)
     if fault.off <= MAX_SHARE_OFF or _has_moved(features, body):
         return None
-    return _unexplained_misfit(log, plain.off)
+    return _unexplained_misfit(log, plain.off, describe_moved_joints(features, body))
 
 
 def from_many_faults(
@@ -129,7 +143,8 @@ def from_many_faults(
     """Return that a log does not fit where more than MOST_CAUSES
     sensors would have faults that only the body shows.
 
-    Encoders that jump at one moment have one cause.
+    Encoders that jump at one moment have one cause. Images of an arm that hardly moves determine
+    few numbers, and as many causes as these explain them, whichever they are.
     """
     causes = {
         (fault.since, fault.until) if fault.kind == FaultKind.JUMPING else fault.name
@@ -139,10 +154,34 @@ def from_many_faults(
     log = select_sightings(
         correction.shift_features(features, _known_delays(features, body, delay)), body, settings
     )
-    if len(causes) <= MOST_CAUSES or log is None:
+    if log is None:
         return None
-    unexplained = _unexplained_misfit(log, fit_unknowns(log, usual_offsets(log)).off)
-    return replace(unexplained, causes=len(causes))
+    is_open = _leaves_causes_open(found, log)
+    if len(causes) <= MOST_CAUSES and not is_open:
+        return None
+    off = fit_unknowns(log, usual_offsets(log)).off
+    unexplained = _unexplained_misfit(log, off, describe_moved_joints(features, body))
+    return replace(unexplained, causes=len(causes), is_open=is_open)
+
+
+def _leaves_causes_open(found: Estimate, log: SightingLog) -> bool:
+    """Whether others may as well be wrong as those that are named: what images show of fewer than
+    all joints is explained by at least two causes, or by a camera or marker that has moved.
+
+    Errors that last are one cause, and offsets where they are as large; a pose explains all that
+    such images show.
+    """
+    names = found.joints.names
+    seen = count_determined_offsets(log)
+    if seen == len(names):
+        return False
+    lasting = found.settings.get(LASTING_ERROR, {"std": 0.0, "nats": 0.0})
+    has_moved = any(fault.kind == FaultKind.MOVED for fault in found.faults)
+    if has_moved or lasting["std"] > OFFSET_STD:
+        return True
+    offsets = [fault for fault in found.faults if fault.form.offset and fault.form.needs_images]
+    causes = len(offsets) + (lasting["nats"] > EVIDENCE_THRESHOLD_NATS)
+    return bool(offsets) and causes >= max(seen, 2)
 
 
 def misfit_sentence(misfit: LogMisfit) -> str:
@@ -153,10 +192,16 @@ def misfit_sentence(misfit: LogMisfit) -> str:
         else ""
     )
     text = f"this log does not fit this body{off}"
-    if misfit.causes:
-        text = (
-            f"{text}{' and' if off else ':'} {misfit.causes} sensors would have to be wrong at once"
+    if misfit.causes or misfit.is_open:
+        causes = (
+            "more than one encoder or the camera would have to be wrong, and images of an arm that "
+            "hardly moves leave open which"
+            if misfit.is_open
+            else f"{misfit.causes} sensors would have to be wrong at once"
         )
+        text = f"{text}{' and' if off else ':'} {causes}"
+    if misfit.explanation is None and misfit.is_open:
+        return f"{text}; record a log in which the arm moves"
     if misfit.explanation is None:
         return f"{text}; no swapped joints, sign, unit or camera explains it"
     if misfit.off_explained is None:
@@ -339,8 +384,13 @@ def _explain_misfit(
     )
 
 
-def _unexplained_misfit(log: SightingLog, off: float) -> LogMisfit:
-    """The misfit of a log that no other reading of its columns explains; another camera may."""
+def _unexplained_misfit(log: SightingLog, off: float, moved: str) -> LogMisfit:
+    """The misfit of a log that no other reading of its columns explains; joints that the body is
+    not learned over may, as `describe_moved_joints` names them, or another camera.
+    """
+    if moved:
+        advice = "fit a body that is learned over it"
+        return LogMisfit(off, log.count, f"{moved} as while the body was learned", advice)
     if min(_predictable_share(track) for track in log.tracks) < MIN_PREDICTABLE_SHARE:
         return LogMisfit(off, log.count)
     words = (

@@ -275,6 +275,17 @@ def constant_offsets(log: SightingLog) -> Iterator[UnknownColumns]:
         yield UnknownColumns(OFFSET, joint, one, np.array([[PRIOR_STD_RAD**-2]]))
 
 
+def count_determined_offsets(log: SightingLog) -> int:
+    """How many directions of constant offsets of all encoders images determine to OFFSET_STD."""
+    m = log.tracks[0].x.shape[1]
+    information = np.zeros((m, m))
+    for track in log.tracks:
+        _, jac, var = track.model.predict(track.x)
+        white = np.linalg.solve(_sighting_covariance(track, jac, var), jac)
+        information += np.einsum("ndk,ndl->kl", jac, white)
+    return int((np.linalg.eigvalsh(information) > OFFSET_STD**-2).sum())
+
+
 def fit_unknowns(log: SightingLog, unknowns: Sequence[UnknownColumns]) -> FittedUnknowns:
     """Fit some unknowns to the sightings by robust Gauss-Newton, from wide errors to true ones."""
     precision = _block_diagonal([one.precision for one in unknowns])

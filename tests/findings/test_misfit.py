@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from bodylog.body import storage
+from bodylog.body_model import HELD
+from bodylog.estimation import estimate_from_features
 from bodylog.findings import misfit
 from bodylog.findings.log_estimate import infer_from_encoders
 from bodylog.findings.misfit import find_misfit
@@ -109,6 +111,44 @@ class Mirrored(Arm):
     def place(self, x: Array) -> Array:
         u, v = np.moveaxis(super().place(x[..., ::-1]), -1, 0)
         return np.stack([320.0 - v, u], axis=-1)
+
+
+def judged(world: World) -> misfit.LogMisfit | None:
+    found = estimate_from_features(world.features, world.body, EstimationSettings())
+    return misfit.from_many_faults(found, world.features, world.body, EstimationSettings(), "auto")
+
+
+def still(seed: int, **offsets: float) -> World:
+    """An arm that stands still, with encoders that are off from first to last."""
+    world = draw(seed, duration=10.0, encoder_std=0.003, pixel_std=0.1, speed=0.0)
+    for joint, size in offsets.items():
+        world = with_readings(world, off_by(joint, lambda t, size=size: np.full(len(t), size)))
+    return world
+
+
+@pytest.mark.parametrize("seed", seeds(2, 10))
+def test_one_encoder_that_is_off_is_told_while_the_arm_stands_still(seed) -> None:
+    assert judged(still(seed)) is None
+    assert judged(still(seed, **{JOINTS[2]: 0.13})) is None
+
+
+@pytest.mark.parametrize("seed", seeds(2, 10))
+def test_images_of_an_arm_that_stands_still_leave_open_which_encoders_are_off(seed) -> None:
+    """They are two numbers: any two of three encoders explain them."""
+    wrong = judged(still(seed, **{JOINTS[0]: 0.12, JOINTS[1]: -0.1, JOINTS[2]: 0.13}))
+    assert wrong is not None and wrong.is_open
+    assert misfit.misfit_sentence(wrong).endswith("leave open which; record a log in which the arm moves")
+
+
+def test_a_joint_that_stands_elsewhere_than_in_the_exploration_is_the_reason() -> None:
+    world = still(1, **{JOINTS[0]: 0.12, JOINTS[1]: -0.1, JOINTS[2]: 0.13})
+    joints = world.features.joints
+    assert joints is not None
+    more = replace(joints, values=np.column_stack([joints.values, np.full(len(joints.t), -1.3)]), names=(*joints.names, "wrist"))
+    held = replace(world.body, provenance={HELD: {"wrist": (-1.57, -1.56)}})
+    wrong = judged(replace(world, features=replace(world.features, joints=more), body=held))
+    assert wrong is not None and wrong.advice == "fit a body that is learned over it"
+    assert wrong.explanation == "wrist stands at -1.3 rad, and not at -1.56 as while the body was learned"
 
 
 @pytest.mark.parametrize("seed", seeds(1, 6))
