@@ -12,10 +12,11 @@ from ..body_model import BodyModel
 from ..checks import log_context, require_tracks
 from ..fault_kinds import OFF_FROM_START_S
 from ..robot import effector_poses
-from ..settings import EstimationSettings, Settings
+from ..settings import Settings
 from ..types import (
     ALTERNATIVE_SEPARATOR,
     HARDWARE_ERRORS,
+    LASTING_ERROR,
     Estimate,
     Fault,
     FaultKind,
@@ -27,12 +28,18 @@ from ..types import (
 from .faults import unseen_findings
 
 if TYPE_CHECKING:
+    from ..body.kinematic import change
     from ..body.kinematic.change import Change
     from ..estimation.measurements.arm_errors import ArmErrors
 
 DIFFERING_SIGMA = 3.0
 """Standard deviations by which two sizes of one
 offset must differ, in addition to a tenth of it.
+"""
+EXPLAINED_SHARE = 0.5
+"""Share of the variance of errors that last below which a moved camera explains them: 0.27 was left
+of one that had turned by 1°, before an arm whose errors of 3 mrad last, and 0.66 of none that had
+moved, before an arm with new errors of 2 mrad.
 """
 
 
@@ -63,9 +70,7 @@ def estimate_log(log: LogWithBody) -> Estimate:
     with log_context(log.path, log.read.facts.findings):
         misfit = find_misfit(features, learned, *chosen)
         if misfit is None:
-            found = compare_changes_with_faults(
-                features, learned, infer(features, learned, settings), settings.estimate
-            )
+            found, learned = infer_with_changes(features, learned, settings)
             misfit = from_many_faults(found, features, learned, *chosen)
         if misfit is not None:
             found = with_doubt(infer_from_encoders(features, learned, settings), features, misfit)
@@ -110,28 +115,109 @@ def infer(features: Features, learned: BodyModel, settings: Settings) -> Estimat
     )
 
 
-def compare_changes_with_faults(
-    features: Features, body: BodyModel, found: Estimate, settings: EstimationSettings
-) -> Estimate:
-    """Add changes of joint zeros, cameras and markers to the estimate's faults.
+def infer_with_changes(
+    features: Features, body: BodyModel, settings: Settings
+) -> tuple[Estimate, BodyModel]:
+    """`infer`, with changes of joint zeros, cameras and markers among the faults, and by the body
+    with cameras and markers where they are in this log; returns that body, too.
 
-    Without effect for a body learned without a URDF, with `bias = "off"`, and where the estimate
-    allows for a load, under which joints bend as if their zeros had changed. Play and errors of
-    encoders that last are those for which the estimate allows, or those of the exploration.
+    Without effect for a body learned without a URDF, and with `bias = "off"`; where the estimate
+    allows for a load, under which joints bend as if their zeros had changed, only cameras and
+    markers count. Play and errors of encoders that last are those for which the estimate allows, or
+    those of the exploration. A camera that has moved looks like faults from some time on, too: all
+    images tell where it is now, if an estimate by that needs fewer of them, or less of an error.
     """
     from ..body.kinematic.model import can_show_changes
+
+    found = infer(features, body, settings)
+    if settings.estimate.bias == "off" or not can_show_changes(body):
+        return found, body
+    if any(_measure_needs(found)):
+        every = _find_changes(_usable_tracks(features, _drop_faults_of_images(found)), body, {})
+        if every.body is not body and all(one.since is None for one in every.changes):
+            again = infer(features, every.body, settings)
+            if _needs_less(again, found):
+                return _with_changes(again, every), every.body
+    if _has_later_faults_of_images(found):
+        return found, body  # they begin before they are found, so no stretch is without them
+    errors = _list_errors(found)
+    changes = _find_changes(_usable_tracks(features, found), body, errors)
+    if changes.body is not body:
+        return _with_changes(infer(features, changes.body, settings), changes), changes.body
+    if errors.get("load") and changes.changes:
+        return found, body
+    return _with_changes(found, changes), body
+
+
+def _find_changes(
+    features: Features, body: BodyModel, errors: Mapping[str, Any]
+) -> "change.FoundChanges":
+    """Changes since the body was learned, beside errors of an explained log."""
+    from ..body.kinematic import change
     from ..estimation.measurements.arm_errors import with_links
 
-    errors = found.settings.get(HARDWARE_ERRORS, {})
-    if settings.bias == "off" or not can_show_changes(body) or errors.get("load"):
-        return found
-    from ..body.kinematic import change
-
     arm = _list_arm_errors(errors, body)
-    links = with_links(_usable_tracks(features, found), arm.play)
-    changes = change.find_changes(links, body, arm.lasting)
-    faults, findings = merge_changes_and_faults(changes, found)
-    return replace(found, faults=faults, findings=(*found.findings, *findings))
+    return change.find_changes(with_links(features, arm.play), body, arm.lasting)
+
+
+def _drop_faults_of_images(found: Estimate) -> Estimate:
+    """The estimate without faults that images alone show."""
+    kept = (fault for fault in found.faults if not _is_shown_by_images(fault))
+    return replace(found, faults=tuple(kept))
+
+
+def _has_later_faults_of_images(found: Estimate) -> bool:
+    """Whether images alone show a fault from some time after the start on."""
+    return any(
+        _is_shown_by_images(fault) and fault.since >= OFF_FROM_START_S for fault in found.faults
+    )
+
+
+def _is_shown_by_images(fault: Fault) -> bool:
+    """Whether images alone show a fault, with the body's encoders."""
+    return fault.form.needs_images or fault.kind == FaultKind.DISPLACED
+
+
+def _list_errors(found: Estimate) -> Mapping[str, Any]:
+    """Errors of the hardware for which an estimate allows, or by which it widens its error bars."""
+    widened = found.settings.get(LASTING_ERROR)
+    # without evidence of the log's own it is the exploration's, which the body holds
+    by_default = {"lasting": widened} if widened and widened["nats"] else {}
+    errors: Mapping[str, Any] = found.settings.get(HARDWARE_ERRORS, by_default)
+    return errors
+
+
+def _needs_less(again: Estimate, found: Estimate) -> bool:
+    """Whether an estimate needs fewer faults than another one; if that one has none, less of a
+    load; if it has no load either, errors that last of less than EXPLAINED_SHARE of the variance.
+    """
+    faults, bend, lasting = _measure_needs(again)
+    other_faults, other_bend, other_lasting = _measure_needs(found)
+    if other_faults:
+        return faults < other_faults
+    if other_bend:
+        return faults == 0 and bend < other_bend
+    return faults == 0 and bend == 0.0 and lasting < EXPLAINED_SHARE * other_lasting
+
+
+def _measure_needs(found: Estimate) -> tuple[int, float, float]:
+    """How many faults only the body shows, how far (rad) a load bends joints at most, and the
+    variance (rad²) of encoders' errors that last.
+    """
+    errors = _list_errors(found)
+    load = errors.get("load")
+    lasting = errors.get("lasting")
+    faults = sum(fault.form.by_body for fault in found.faults)
+    bend = max(load["rad"].values(), default=0.0) if load else 0.0
+    return faults, bend, lasting["std"] ** 2 if lasting else 0.0
+
+
+def _with_changes(found: Estimate, changes: "change.FoundChanges") -> Estimate:
+    """The estimate with changes among its faults, and with their doubt."""
+    faults, findings = merge_changes_and_faults(changes.changes, found)
+    return replace(
+        found, cov=found.cov + changes.doubt, faults=faults, findings=(*found.findings, *findings)
+    )
 
 
 def _list_arm_errors(explained: Mapping[str, Any], body: BodyModel) -> "ArmErrors":

@@ -85,7 +85,7 @@ def test_displacement_is_that_of_the_boards_own_centre_and_not_of_its_links_orig
     # p -> exp(w) p + v turns about the link's origin, 13 cm away
     board = np.concatenate([centre + shift - rotation_from_vector(turn) @ centre, turn])
     assert np.linalg.norm(board[:3]) > 1.4 * np.linalg.norm(shift)
-    (one,) = change.find_changes(features(robots.angles(60, seed=11), seed=5, board=board), learned.model)
+    (one,) = change.find_changes(features(robots.angles(60, seed=11), seed=5, board=board), learned.model).changes
     assert (one.kind, one.name) == ("marker", "board")
     assert abs(one.shift[0] - np.linalg.norm(shift)) < 3 * one.shift[1] < 0.0015
     assert abs(one.turn[0] - np.linalg.norm(turn)) < 3 * one.turn[1] < 0.03

@@ -16,10 +16,10 @@ def table():
     draw, named, alone, within, false = np.random.default_rng(7), [], 0, 0, 0
     for seed in range(BODIES):
         body = explored(seed)
-        false += sum(bool(change.find_changes(run(1000 + 10 * seed + k), body)) for k in range(SOUND))
+        false += sum(bool(change.find_changes(run(1000 + 10 * seed + k), body).changes) for k in range(SOUND))
         for k in range(OFF):
             joint, size = JOINTS[draw.integers(4)], draw.uniform(1, 5) * draw.choice([-1, 1]) * DEGREE
-            found = change.find_changes(run(2000 + 10 * seed + k, offset={joint: size}), body)
+            found = change.find_changes(run(2000 + 10 * seed + k, offset={joint: size}), body).changes
             right = [one for one in found if one.name == joint]
             named += right
             alone += len(right) == len(found) == 1

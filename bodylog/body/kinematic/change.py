@@ -7,13 +7,14 @@ residual's process. A change must win nats with z and g marginalised.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
 from ...body_model import BodyModel
-from ...errors import InputError
+from ...errors import InputError, ModelError
 from ...kinematics.rig import Rig
 from ...kinematics.rotations import vector_from_rotation
 from ...runtime.blas_threads import one_thread
@@ -29,6 +30,7 @@ from .change_system import (
     fit_parts,
     linear_evidence,
     linearise_sightings,
+    move_models,
 )
 from .model import KinematicGP, can_show_changes
 
@@ -51,6 +53,10 @@ a camera placed by a transform (links.TF_POSE).
 """
 MARKER = np.array([0.01] * 3 + [np.radians(5.0)] * 3)
 """m, rad: prior std of a marker's motion: its own size, and as far as a joint."""
+LOAD = 0.02
+"""rad: prior std of the largest sag of each joint under a load, 1.1°; as in `estimation`."""
+PAYLOAD = "payload"
+"""The name of a load among the things that explain a log."""
 MOST = 200
 FEWEST = 10
 """Most and fewest sightings of a track: few show a change, and the cost is O(n³)."""
@@ -84,27 +90,48 @@ class Change:
     turn: tuple[float, float] | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class FoundChanges:
+    """Changes since a body was learned, most likely first, and the body with cameras and markers
+    where they are now.
+
+    doubt (M,M) rad²: covariance of the angles by other changes that explain the log about as well.
+    """
+
+    changes: tuple[Change, ...]
+    body: BodyModel
+    doubt: Array
+
+
 @one_thread("scipy.linalg")
 def find_changes(
     features: Features, body: BodyModel, lasting: Mapping[str, tuple[float, float]] = NO_ERRORS
-) -> tuple[Change, ...]:
-    """Find changes between the exploration logs and these features, most likely first.
+) -> FoundChanges:
+    """Find changes between the exploration logs and these features.
 
-    lasting: as `smooth_all_joints` takes it. Empty where no track has kinematics, a joint lacks
+    lasting: as `smooth_all_joints` takes it. None where no track has kinematics, a joint lacks
     readings, or too little is seen.
     """
+    none = FoundChanges((), body, np.zeros((len(body.joints),) * 2))
     if (problem := pose_problem(features, body, lasting)) is None:
-        return ()
+        return none
     problem = drop_unexplained_sightings(problem)
     if sum(len(kept) for kept in problem.kept) < FEWEST:
-        return ()
+        return none
     found = _prefer_joint_pair(_search_parts(problem, len(body.joints)), problem)
+    if not found.parts:
+        return none
     centres = _marker_centres(problem, features.boards)
-    return tuple(
+    changes = tuple(
         one
         for one in _weighted_changes(found, centres)
         if one.kind != "joint" or abs(one.value[0]) > LEAST
     )
+    doubt = _weigh_explanations(found, body.joints)
+    if not any(part.is_pose for part in found.parts):
+        return FoundChanges(changes, body, doubt)
+    moved = move_models(found.problem, *_allow_for_load(found))
+    return FoundChanges(changes, replace(body, senses={**body.senses, **moved}), doubt)
 
 
 _Alternatives = tuple[tuple[str, str], ...]
@@ -150,16 +177,70 @@ def _prefer_joint_pair(found: _Search, problem: ChangeProblem) -> _Search:
     about = linearise_sightings(problem, found.fit.unknowns)
     best = max(combinations(constant, 2), key=lambda pair: linear_evidence(about, problem, pair))
     fit = fit_parts(problem, best)
-    if fit.evidence <= found.fit.evidence or {part.thing for part in best} == set(
-        found.alternatives
-    ):
+    things = tuple(part.thing for part in best)
+    alone = [fit_parts(problem, (part,), fit.unknowns).evidence for part in best]
+    needs_both = fit.evidence > max(alone) + CHANGE_NATS
+    gain = fit.evidence - found.fit.evidence
+    if set(things) == set(found.alternatives) or not needs_both or gain < -CHANGE_MARGIN_NATS:
         return found
-    return _Search(problem, best, fit, dict.fromkeys((part.thing for part in best), ()))
+    if gain > CHANGE_MARGIN_NATS:
+        return _Search(problem, best, fit, dict.fromkeys(things, ()))
+    known = {thing: (*others, *things) for thing, others in found.alternatives.items()}
+    return replace(found, alternatives=known)
+
+
+def _weigh_explanations(found: _Search, names: tuple[str, ...]) -> Array:
+    """Covariance (M,M) rad² of joints' zeros by single changes and pairs of joints, each as
+    probable as its evidence says.
+    """
+    problem = found.problem
+    constant = [part for part in problem.parts if np.isinf(part.onset)]
+    joints = [part for part in constant if part.kind == "joint"]
+    others = [*((part,) for part in constant), *combinations(joints, 2)]
+    fits = [(found.parts, found.fit)]
+    for parts in others:
+        with suppress(ModelError):  # no joint is where these would have it
+            fits.append((parts, fit_parts(problem, parts)))
+    evidence = np.array([fit.evidence for _, fit in fits])
+    share = np.exp(evidence - evidence.max())
+    zeros = np.array([_find_moved_zeros(problem, *one, names) for one in fits])
+    apart = zeros - zeros[0]
+    return np.asarray(np.einsum("k,ki,kj->ij", share / share.sum(), apart, apart))
+
+
+def _find_moved_zeros(
+    problem: ChangeProblem, parts: Sequence[ChangePart], fit: ChangeFit, names: tuple[str, ...]
+) -> Array:
+    """How far (M,) rad joints are from what they read, at most, by these parts."""
+    zeros = np.zeros(len(names))
+    for part in parts:
+        value = fit.unknowns[part.place]
+        if part.kind == "joint":
+            zeros[names.index(part.name)] += value[0]
+        elif part.kind == "load":
+            zeros += value[: len(names)]
+    return zeros
+
+
+def _allow_for_load(found: _Search) -> tuple[tuple[ChangePart, ...], ChangeFit]:
+    """The parts and their fit, with a load where it wins CHANGE_MARGIN_NATS beside a pose: a
+    camera would take up a part of it.
+    """
+    loads = tuple(part for part in found.problem.parts if part.kind == "load")
+    if not loads or loads[0] in found.parts:
+        return found.parts, found.fit
+    with_load = (*found.parts, *loads)
+    fit = fit_parts(found.problem, with_load, found.fit.unknowns)
+    if fit.evidence < found.fit.evidence + CHANGE_MARGIN_NATS:
+        return found.parts, found.fit
+    return with_load, fit
 
 
 def _weighted_changes(found: _Search, centres: Mapping[str, Array]) -> Iterator[Change]:
-    """Yield every part with the nats lost without it; centres: of markers (3,) m."""
+    """Yield every part but a load with the nats lost without it; centres: of markers (3,) m."""
     for part in found.parts:
+        if part.kind == "load":
+            continue
         others = tuple(one for one in found.parts if one is not part)
         without = fit_parts(found.problem, others, found.fit.unknowns)
         change = _make_change(
@@ -230,7 +311,8 @@ def pose_problem(
         part = pair_sightings([features], name, chosen, 1)
         part = part.rows(choose_spaced_rows(len(part.x), MOST)) if len(part.x) else part
         known = correlate_angle_errors(part, chosen)
-        tracks.append(ChangeTrack(model, part, (known.i, known.j, known.joint, known.value)))
+        coupling = (known.i, known.j, known.joint, known.value)
+        tracks.append(ChangeTrack(name, model, part, coupling, model.sink_under_weight(part.x)))
     tracks = [track for track in tracks if len(track.part.x)]
     return _lay_out_problem(tracks, body.joints) if tracks else None
 
@@ -263,6 +345,9 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
     carriers = {track.model.rig.carriers[0].name: track.model.rig.carriers[0] for track in tracks}
     for name, carrier in carriers.items():
         add("marker", name, MARKER[: len(carrier.doubt)])
+    if any(sinking.any() for track in tracks for sinking in track.sinking):
+        sizes = {track.sinking[1].shape[2] for track in tracks}
+        add("load", PAYLOAD, np.full(len(names) + max(sizes), LOAD))
     kept = tuple(np.arange(len(track.part.x)) for track in tracks)
     return ChangeProblem(tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)
 

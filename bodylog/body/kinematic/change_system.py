@@ -19,8 +19,8 @@ _OFF_SIGMA = 3.0
 
 @dataclass(frozen=True)
 class ChangePart:
-    """A group of unknowns: a joint's zero from its
-    onset (s) on, a camera's pose, a marker's place.
+    """A group of unknowns: a joint's zero from its onset (s) on, a camera's pose, a marker's place,
+    or the sag of all joints under a weight at the hand, after them of those that stood still.
     """
 
     kind: str
@@ -34,14 +34,25 @@ class ChangePart:
         """Kind and name of what it belongs to."""
         return self.kind, self.name
 
+    @property
+    def is_pose(self) -> bool:
+        """Whether it is of a camera or a marker."""
+        return self.kind in ("camera", "marker")
+
 
 @dataclass(frozen=True, eq=False)
 class ChangeTrack:
-    """Sightings of one track, the correlation of their angles' errors, and the forward model."""
+    """Sightings of one track, the correlation of their angles' errors, and the forward model.
 
+    sinking: what the largest sag of each joint, as its lever over the longest of all, is at each
+    sighting (n,M) rad, and what images show of that of joints that stood still (n,D,R) px.
+    """
+
+    name: str
     model: KinematicGP
     part: Pairs
     coupling: tuple[Array, Array, Array, Array]
+    sinking: tuple[Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +153,74 @@ def fit_parts(
         if (np.abs(step[chosen]) <= 0.02 * np.sqrt(np.diag(cov)[chosen])).all():
             break
     return ChangeFit(unknowns, cov, evidence)
+
+
+def move_models(
+    problem: ChangeProblem, parts: Sequence[ChangePart], fit: ChangeFit
+) -> dict[str, KinematicGP]:
+    """The tracks' models with cameras and markers where they are now, by a fit of these parts.
+
+    What was learned of z and u, the body's unknowns and the changes, is their posterior given the
+    log, with its drifts and joints' zeros marginalised: z and u are mean + spread w, w ~ N(0, I).
+    """
+    about = linearise_sightings(problem, fit.unknowns)
+    ends = _output_ends(problem)
+    directions = about.before - ends[-1]
+    places = [about.before + np.arange(len(problem.std))[part.place] for part in parts]
+    rows = np.concatenate([np.arange(about.before), *places])
+    mean, cov, _ = solve_system(about, rows)
+    posed = [part for part in parts if part.is_pose]
+    own = [place for part, place in zip(parts, places, strict=True) if part.is_pose]
+    kept = np.isin(rows, np.concatenate([np.arange(directions), *own]))
+    spread = np.linalg.cholesky(cov[np.ix_(kept, kept)])
+    moved = {}
+    for number, track in enumerate(problem.tracks):
+        columns = _columns_of_changes(problem, track.model, posed)
+        drift = mean[directions + ends[number] : directions + ends[number + 1]]
+        moved[track.name] = _move_model(track.model, columns, mean[kept], spread, drift)
+    return moved
+
+
+def _columns_of_changes(
+    problem: ChangeProblem, model: KinematicGP, posed: Sequence[ChangePart]
+) -> Array:
+    """What each standard deviation of changes of cameras and markers is in the model's θ (P,·)."""
+    columns = [np.zeros((len(model.theta), 0))]
+    for part in posed:
+        std = problem.std[part.place]
+        own = np.zeros((len(model.theta), len(std)))
+        if (place := _find_changed_unknowns(model, part)) is not None:
+            own[place] = np.diag(std)
+        columns.append(own)
+    return np.concatenate(columns, axis=1)
+
+
+def _find_changed_unknowns(model: KinematicGP, part: ChangePart) -> slice | None:
+    """The place in the model's θ of what a part changes; None where it is not of this model."""
+    thing = model.rig.cameras[0] if part.kind == "camera" else model.rig.carriers[0]
+    if not part.is_pose or thing.name != part.name:
+        return None
+    whole = model.rig.of_camera(0) if part.kind == "camera" else model.rig.of_carrier(0)
+    return slice(whole.start, whole.start + part.place.stop - part.place.start)
+
+
+def _move_model(
+    model: KinematicGP, columns: Array, mean: Array, spread: Array, drift: Array
+) -> KinematicGP:
+    """The model with the mean (Q,) and spread (Q,Q) of its directions and of changes, columns (P,·)
+    of θ, and its drift (D,) in this log.
+    """
+    known = mean[: model.root.shape[1]]
+    shift = columns @ mean[len(known) :]
+    return replace(
+        model,
+        theta=model.theta + model.root @ known + shift,
+        printed=model.printed + shift,
+        mean=model.mean + np.sqrt(model.drift) * drift,
+        weights=model.weights - np.einsum("dpn,p->dn", model.lean, known),
+        root=np.concatenate([model.root, columns], axis=1) @ spread,
+        lean=np.einsum("dpn,pq->dqn", model.lean, spread[: len(known)]),
+    )
 
 
 def outlier_share(problem: ChangeProblem, parts: Sequence[ChangePart]) -> float:
@@ -269,15 +348,18 @@ def _linearise_track(
     part = track.part
     t = part.t[kept]
     shift = np.zeros((len(kept), part.x.shape[1]))
+    sinks, shown = (one[kept] for one in track.sinking)
+    sunk = np.zeros(shown.shape[:2])
     theta = model.theta.copy()
-    of = {"camera": model.rig.of_camera(0), "marker": model.rig.of_carrier(0)}
-    own = {"camera": model.rig.cameras[0].name, "marker": model.rig.carriers[0].name}
     for one in problem.parts:
         value = unknowns[one.place]
         if one.kind == "joint":
             shift[:, model.rig.joints.index(one.name)] += (t >= one.onset) * value[0]
-        elif own[one.kind] == one.name:
-            theta[of[one.kind].start : of[one.kind].start + len(value)] += value
+        elif one.kind == "load":
+            shift += sinks * value[: sinks.shape[1]]
+            sunk += shown @ value[sinks.shape[1] :]
+        elif (place := _find_changed_unknowns(model, one)) is not None:
+            theta[place] += value
     x = part.x[kept] + shift
     moved = replace(model, theta=theta)
     value, slope = moved.means(x)
@@ -288,7 +370,8 @@ def _linearise_track(
         if one.kind == "joint":
             active = (t >= one.onset)[:, None]
             by[..., one.place] = (slope[..., model.rig.joints.index(one.name)] * active)[..., None]
-        elif own[one.kind] == one.name:
-            start = of[one.kind].start
-            by[..., one.place] = design[..., start : start + one.place.stop - one.place.start]
-    return part.y[kept] - value, by, unknown, slope, x
+        elif one.kind == "load":
+            by[..., one.place] = np.concatenate([slope * sinks[:, None], shown], axis=2)
+        elif (place := _find_changed_unknowns(model, one)) is not None:
+            by[..., one.place] = design[..., place]
+    return part.y[kept] - value - sunk, by, unknown, slope, x

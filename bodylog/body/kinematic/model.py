@@ -70,6 +70,18 @@ class KinematicGP(MeanGP):
         first = self.rig.of_carrier(0).start
         return self.design(x)[:, :, first : first + 3] @ moved, rise
 
+    def sink_under_weight(self, x: Array) -> tuple[Array, Array]:
+        """What the largest sag of each joint under a weight at the hand, by its lever over the
+        longest of all, is (N,M), and what images show of that of joints that stood still (N,D,R),
+        at x (N,M) rad; zero where nothing tells the levers.
+        """
+        levers = self.hand_levers(x) if len(x) else None
+        if levers is None:
+            return np.zeros(x.shape), np.zeros((len(x), len(self.drift), 0))
+        shown, rise = self.show_still_joints(x)
+        longest = max(float(np.abs(levers).max()), float(np.abs(rise).max(initial=0.0)))
+        return -levers / longest, -shown * rise[:, None] / longest
+
     @property
     def offsets(self) -> tuple[Array, Array]:
         """The joints' zeros (M,) rad or m, and their covariance (M,M)."""
