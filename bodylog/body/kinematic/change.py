@@ -313,8 +313,23 @@ def pose_problem(
         known = correlate_angle_errors(part, chosen)
         coupling = (known.i, known.j, known.joint, known.value)
         tracks.append(ChangeTrack(name, model, part, coupling, model.sink_under_weight(part.x)))
-    tracks = [track for track in tracks if len(track.part.x)]
+    tracks = _align_still_joints([track for track in tracks if len(track.part.x)])
     return _lay_out_problem(tracks, body.joints) if tracks else None
+
+
+def _align_still_joints(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
+    """The tracks with what images show of the sag of joints that stood still in the same order:
+    zero for those that do not carry a track's marker.
+    """
+    own = [track.model.still_joints[: track.sinking[1].shape[2]] for track in tracks]
+    names = list(dict.fromkeys(name for each in own for name in each))
+    aligned = []
+    for track, each in zip(tracks, own, strict=True):
+        sinks, shown = track.sinking
+        every = np.zeros((*shown.shape[:2], len(names)))
+        every[..., [names.index(name) for name in each]] = shown
+        aligned.append(replace(track, sinking=(sinks, every)))
+    return aligned
 
 
 def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> ChangeProblem | None:
@@ -346,8 +361,7 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
     for name, carrier in carriers.items():
         add("marker", name, MARKER[: len(carrier.doubt)])
     if any(sinking.any() for track in tracks for sinking in track.sinking):
-        sizes = {track.sinking[1].shape[2] for track in tracks}
-        add("load", PAYLOAD, np.full(len(names) + max(sizes), LOAD))
+        add("load", PAYLOAD, np.full(len(names) + tracks[0].sinking[1].shape[2], LOAD))
     kept = tuple(np.arange(len(track.part.x)) for track in tracks)
     return ChangeProblem(tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)
 
