@@ -156,7 +156,8 @@ def from_many_faults(
     )
     if log is None:
         return None
-    is_open = _leaves_causes_open(found, log)
+    # who allows for no offsets gets angles as if there were none
+    is_open = settings.bias != "off" and _leaves_causes_open(found, log)
     if len(causes) <= MOST_CAUSES and not is_open:
         return None
     off = fit_unknowns(log, usual_offsets(log)).off
