@@ -40,6 +40,7 @@ from .sighting_evidence import (
     constant_offsets,
     count_determined_offsets,
     fit_unknowns,
+    hold_still,
     possible_faults,
     select_sightings,
     usual_offsets,
@@ -156,8 +157,7 @@ def from_many_faults(
     )
     if log is None:
         return None
-    # who allows for no offsets gets angles as if there were none
-    is_open = settings.bias != "off" and _leaves_causes_open(found, log)
+    is_open = _leaves_causes_open(found, log)
     if len(causes) <= MOST_CAUSES and not is_open:
         return None
     off = fit_unknowns(log, usual_offsets(log)).off
@@ -166,15 +166,15 @@ def from_many_faults(
 
 
 def _leaves_causes_open(found: Estimate, log: SightingLog) -> bool:
-    """Whether others may as well be wrong as those that are named: what images show of fewer than
-    all joints is explained by at least two causes, or by a camera or marker that has moved.
+    """Whether others may as well be wrong as those that are named: what images show of an arm that
+    hardly moves is explained by at least two causes, or by a camera or marker that has moved.
 
     Errors that last are one cause, and offsets where they are as large; a pose explains all that
-    such images show.
+    such images show. The arm hardly moves where images of one posture, which do not determine all
+    offsets, determine as many as those of the log.
     """
-    names = found.joints.names
     seen = count_determined_offsets(log)
-    if seen == len(names):
+    if seen == len(found.joints.names) or seen > count_determined_offsets(hold_still(log)):
         return False
     lasting = found.settings.get(LASTING_ERROR, {"std": 0.0, "nats": 0.0})
     has_moved = any(fault.kind == FaultKind.MOVED for fault in found.faults)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..body_model import BodyModel, ForwardModel
 from ..estimation.faults.encoder_faults import repair_readings
-from ..estimation.faults.threshold import MIN_DELAY_S, PRIOR_STD_RAD
+from ..estimation.faults.threshold import CERTAIN_SIGMA, MIN_DELAY_S, PRIOR_STD_RAD
 from ..estimation.inference.tangents import OFFSET_STD
 from ..estimation.measurements.gather import gather_measurements
 from ..estimation.measurements.long_arrays import MIN_READINGS, find_finite_rows
@@ -276,14 +276,32 @@ def constant_offsets(log: SightingLog) -> Iterator[UnknownColumns]:
 
 
 def count_determined_offsets(log: SightingLog) -> int:
-    """How many directions of constant offsets of all encoders images determine to OFFSET_STD."""
+    """How many directions of constant offsets of all encoders images determine so well that one of
+    PRIOR_STD_RAD would be certain, at postures that differ by no more than the arm has moved.
+    """
     m = log.tracks[0].x.shape[1]
     information = np.zeros((m, m))
     for track in log.tracks:
-        _, jac, var = track.model.predict(track.x)
+        _, jac, var = track.model.predict(_remove_noise(track))
         white = np.linalg.solve(_sighting_covariance(track, jac, var), jac)
         information += np.einsum("ndk,ndl->kl", jac, white)
-    return int((np.linalg.eigvalsh(information) > OFFSET_STD**-2).sum())
+    certain = (CERTAIN_SIGMA / PRIOR_STD_RAD) ** 2
+    return int((np.linalg.eigvalsh(information) > certain).sum())
+
+
+def _remove_noise(track: TrackSightings) -> Array:
+    """Angles (N,M) as far from their mean as joints have moved: noise moves none."""
+    middle = track.x.mean(axis=0)
+    spread = track.x.var(axis=0)
+    moved = np.maximum(spread - track.encoder_var, 0.0)
+    share = np.sqrt(moved / np.maximum(spread, np.finfo(float).tiny))
+    return np.asarray(middle + share * (track.x - middle))
+
+
+def hold_still(log: SightingLog) -> SightingLog:
+    """The log as if the arm had stood at its mean posture."""
+    tracks = (replace(one, x=np.tile(one.x.mean(axis=0), (len(one.x), 1))) for one in log.tracks)
+    return replace(log, tracks=tuple(tracks))
 
 
 def fit_unknowns(log: SightingLog, unknowns: Sequence[UnknownColumns]) -> FittedUnknowns:
