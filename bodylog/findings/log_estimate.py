@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import degrees, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..body_model import BodyModel
 from ..checks import log_context, require_tracks
@@ -191,25 +191,34 @@ def _needs_less(again: Estimate, found: Estimate) -> bool:
     """Whether an estimate needs fewer faults than another one; if that one has none, less of a
     load; if it has no load either, errors that last of less than EXPLAINED_SHARE of the variance.
     """
-    faults, bend, lasting = _measure_needs(again)
-    other_faults, other_bend, other_lasting = _measure_needs(found)
-    if other_faults:
-        return faults < other_faults
-    if other_bend:
-        return faults == 0 and bend < other_bend
-    return faults == 0 and bend == 0.0 and lasting < EXPLAINED_SHARE * other_lasting
+    after = _measure_needs(again)
+    before = _measure_needs(found)
+    if before.faults:
+        return after.faults < before.faults
+    if before.bend:
+        return after.faults == 0 and after.bend < before.bend
+    has_cause = after.faults > 0 or after.bend > 0.0
+    return not has_cause and after.lasting < EXPLAINED_SHARE * before.lasting
 
 
-def _measure_needs(found: Estimate) -> tuple[int, float, float]:
+class _Needs(NamedTuple):
     """How many faults only the body shows, how far (rad) a load bends joints at most, and the
     variance (rad²) of encoders' errors that last.
     """
+
+    faults: int
+    bend: float
+    lasting: float
+
+
+def _measure_needs(found: Estimate) -> _Needs:
+    """What an estimate needs beside its body."""
     errors = _list_errors(found)
     load = errors.get("load")
     lasting = errors.get("lasting")
     faults = sum(fault.form.by_body for fault in found.faults)
     bend = max(load["rad"].values(), default=0.0) if load else 0.0
-    return faults, bend, lasting["std"] ** 2 if lasting else 0.0
+    return _Needs(faults, bend, lasting["std"] ** 2 if lasting else 0.0)
 
 
 def _with_changes(found: Estimate, changes: "change.FoundChanges") -> Estimate:

@@ -7,7 +7,7 @@ import pytest
 
 from bodylog import body
 from bodylog.body.kinematic import change
-from bodylog.body.kinematic.change_system import fit_parts
+from bodylog.body.kinematic.change_system import ChangeFit, fit_parts
 from bodylog.body.kinematic.model import KinematicGP, can_show_changes
 from bodylog.findings import log_estimate as change_findings
 from bodylog.findings.faults import fault_warnings
@@ -148,20 +148,21 @@ class Weighed(KinematicGP):
         return np.column_stack([zero, np.cos(x[:, 1]), 0.5 * np.cos(x[:, 1] + x[:, 2]), zero])
 
 
+@pytest.mark.parametrize("size", [0.006, 0.03])
 @pytest.mark.parametrize("seed", [50, 60, 61])
-def test_a_weight_at_the_hand_is_no_change_and_hides_none(known, seed):
+def test_a_weight_at_the_hand_is_no_change_and_hides_none(known, seed, size):
     """Joints that sink beyond what they read look like a camera that has moved, and one takes up a part of the other."""
     plain = known.senses["effector"]
     model = Weighed(**{field.name: getattr(plain, field.name) for field in fields(plain)})
     weighed = replace(known, senses={"effector": model})
 
     def laden(features):
-        sunk = 0.03 * model.sink_under_weight(features.joints.values)[0]
+        sunk = size * model.sink_under_weight(features.joints.values)[0]
         return replace(features, joints=replace(features.joints, values=features.joints.values - sunk))
 
     push = PUSHES[0]
     still, pushed = (laden(run(seed, encoder=1e-3, camera=camera)) for camera in (None, push))
-    assert find_changes(still, known) and not find_changes(still, weighed)
+    assert bool(find_changes(still, known)) == (size > 0.01) and not find_changes(still, weighed)
     found = change.find_changes(pushed, weighed)
     (one,) = found.changes
     assert one.name == "camera"
@@ -169,6 +170,20 @@ def test_a_weight_at_the_hand_is_no_change_and_hides_none(known, seed):
     camera = now.rig.of_camera(0).start + np.arange(6)
     off = now.theta[camera] - plain.theta[camera] - push
     assert np.abs(off / np.sqrt(np.square(now.root[camera]).sum(axis=1))).max() < 4.0
+
+
+@pytest.mark.parametrize(("gain", "allowed"), [(10.0, True), (3.0, False), (-5.0, False)])
+def test_a_load_is_allowed_for_beside_a_pose_where_it_wins_by_a_margin(known, monkeypatch, gain, allowed):
+    plain = known.senses["effector"]
+    model = Weighed(**{field.name: getattr(plain, field.name) for field in fields(plain)})
+    problem = change.pose_problem(run(), replace(known, senses={"effector": model}))
+    (camera,) = (part for part in problem.parts if part.kind == "camera")
+    unknowns = np.zeros(len(problem.std)), np.eye(len(problem.std))
+    monkeypatch.setattr(change, "fit_parts", lambda *_: ChangeFit(*unknowns, 100.0 + gain))
+    found = change._Search(problem, (camera,), ChangeFit(*unknowns, 100.0), {})
+    parts, fit = change._allow_for_load(found)
+    assert [part.kind for part in parts] == (["camera", "load"] if allowed else ["camera"])
+    assert fit.evidence == (100.0 + gain if allowed else 100.0)
 
 
 def test_markers_that_other_still_joints_carry_share_one_load(known):
@@ -200,11 +215,32 @@ def test_changes_that_explain_about_as_much_are_doubt(known, seed):
     assert not long.changes[0].alternatives and np.sqrt(np.diag(long.doubt)).max() < 1e-3
 
 
-def test_a_pair_of_joints_needs_both(known):
-    """A joint that moves no image adds nothing to another one."""
-    for joint in JOINTS:
-        found = find_changes(run(duration=4.0, offset={joint: 3 * DEGREE}), known)
-        assert all(one.nats > change.CHANGE_MARGIN_NATS for one in found)
+@pytest.mark.parametrize(
+    ("both", "alone", "parts", "alternatives"),
+    [
+        (100.0, 100.0, ["elbow"], ()),  # a joint that moves no image adds nothing to the other
+        (103.0, 60.0, ["elbow"], ("lift", "wrist")),
+        (110.0, 60.0, ["lift", "wrist"], ()),
+        (90.0, 60.0, ["elbow"], ()),
+    ],
+)
+def test_a_pair_of_joints_needs_both_and_wins_or_is_named_beside_one(known, monkeypatch, both, alone, parts, alternatives):
+    """The nats of the elbow are 100, those of lift and wrist together and of each alone as given."""
+    problem = change.pose_problem(run(), known)
+    of = {part.name: part for part in problem.parts if part.kind == "joint" and np.isinf(part.onset)}
+    nats = {("elbow",): 100.0, ("lift", "wrist"): both, ("lift",): alone, ("wrist",): alone}
+
+    def fit(_, chosen, begin=None):
+        size = len(problem.std)
+        return ChangeFit(np.zeros(size), np.eye(size), nats.get(tuple(part.name for part in chosen), -np.inf))
+
+    monkeypatch.setattr(change, "fit_parts", fit)
+    monkeypatch.setattr(change, "linearise_sightings", lambda *_: None)
+    monkeypatch.setattr(change, "linear_evidence", lambda _, problem, chosen: fit(problem, chosen).evidence)
+    found = change._Search(problem, (of["elbow"],), fit(problem, (of["elbow"],)), {("joint", "elbow"): ()})
+    preferred = change._prefer_joint_pair(found, problem)
+    assert [part.name for part in preferred.parts] == parts
+    assert all(tuple(name for _, name in others) == alternatives for others in preferred.alternatives.values())
 
 
 def test_bias_off_reports_no_offset(known):

@@ -1,15 +1,22 @@
 """The estimate of a log with the checks around it, where joints bend as if their zeros had changed."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from bodylog import pipeline
 from bodylog.body import storage
+from bodylog.body.kinematic import model
+from bodylog.body.kinematic.change import Change, FoundChanges
+from bodylog.estimation import estimate_from_features
 from bodylog.evaluation.scores import truth_at_times
 from bodylog.findings import log_estimate
 from bodylog.findings.log_estimate import LogWithBody
-from bodylog.settings import Settings
-from bodylog.types import HARDWARE_ERRORS
+from bodylog.settings import EstimationSettings, Settings
+from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, Fault, FaultKind
+from tests.estimation.conftest import draw
 
 LOAD = "payload=1"
 LOGS = 10
@@ -31,6 +38,82 @@ def estimate_run(scenario, run, body, **options):
     pipeline.record(scenario, run, **{**DRAWN, **options})
     read, features = pipeline.observe(run, Settings())
     return log_estimate.estimate_log(LogWithBody(run, read, features, body, Settings(), Settings()))
+
+
+@pytest.fixture
+def judged(monkeypatch):
+    """`infer_with_changes` where `infer` gives these estimates by the body as learned and as moved, and changes are these."""
+    world = draw(0, duration=4.0)
+    plain = estimate_from_features(world.features, world.body, EstimationSettings())
+    moved = replace(world.body, provenance={"camera": "moved"})
+
+    def judge(found, again, changes):
+        by_errors = []
+
+        def find(_, body, errors):
+            by_errors.append(errors)
+            return changes
+
+        monkeypatch.setattr(model, "can_show_changes", lambda body: True)
+        monkeypatch.setattr(log_estimate, "infer", lambda _, body, settings: again if body is moved else found)
+        monkeypatch.setattr(log_estimate, "_find_changes", find)
+        estimate, body = log_estimate.infer_with_changes(world.features, world.body, Settings())
+        return estimate, body is moved, by_errors
+
+    return SimpleNamespace(judge=judge, plain=plain, body=world.body, moved=moved)
+
+
+def displaced(since):
+    return Fault("vision", "camera", FaultKind.DISPLACED, since, 5.0, "px", 0.2)
+
+
+def camera_moved(body, doubt=0.0):
+    value = np.full(6, 0.01)
+    one = Change("camera", "camera", value, 0.1 * value, 100.0, shift=(0.01, 0.001), turn=(0.01, 0.001))
+    return FoundChanges((one,), body, doubt * np.eye(len(body.joints)))
+
+
+def test_a_moved_camera_that_explains_a_later_fault_replaces_it(judged):
+    found = replace(judged.plain, faults=(displaced(2.0),))
+    estimate, is_moved, _ = judged.judge(found, judged.plain, camera_moved(judged.moved, 1e-6))
+    assert is_moved and [fault.kind for fault in estimate.faults] == [FaultKind.MOVED]
+    assert np.allclose(estimate.cov, judged.plain.cov + 1e-6 * np.eye(3), rtol=1e-12, atol=0.0)
+
+
+def test_a_later_fault_that_a_moved_camera_does_not_explain_is_all(judged):
+    """It begins before it is found: what images show until then is no change."""
+    found = replace(judged.plain, faults=(displaced(2.0),))
+    estimate, is_moved, tried = judged.judge(found, found, camera_moved(judged.moved))
+    assert estimate is found and not is_moved and len(tried) == 1
+
+
+def test_changes_are_sought_beside_errors_that_only_widen_the_error_bars(judged):
+    """Only those of the log's own evidence: the body holds the exploration's."""
+    none = FoundChanges((), judged.body, np.zeros((3, 3)))
+    for nats in (50.0, 0.0):
+        widened = {"std": 2e-3, "seconds": 2.0, "nats": nats}
+        found = replace(judged.plain, settings={**judged.plain.settings, LASTING_ERROR: widened})
+        _, _, tried = judged.judge(found, found, none)
+        assert tried[-1] == ({"lasting": widened} if nats else {})
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "less"),
+    [
+        ((2, 0.0, 0.0), (1, 0.01, 1.0), True),
+        ((1, 0.0, 1.0), (1, 0.0, 0.0), False),
+        ((0, 0.01, 0.0), (0, 0.001, 0.0), True),
+        ((0, 0.01, 0.0), (1, 0.0, 0.0), False),
+        ((0, 0.0, 1.0), (0, 0.0, 0.4), True),
+        ((0, 0.0, 1.0), (0, 0.0, 0.6), False),
+        ((0, 0.0, 1.0), (0, 0.01, 0.4), False),
+    ],
+)
+def test_an_estimate_by_a_moved_camera_must_need_less(monkeypatch, before, after, less):
+    """Faults count first, then a load, then half of the variance of errors that last."""
+    needs = {"before": log_estimate._Needs(*before), "after": log_estimate._Needs(*after)}
+    monkeypatch.setattr(log_estimate, "_measure_needs", needs.get)
+    assert log_estimate._needs_less("after", "before") == less
 
 
 @pytest.mark.soak

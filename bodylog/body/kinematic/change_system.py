@@ -348,7 +348,8 @@ def _linearise_track(
     part = track.part
     t = part.t[kept]
     shift = np.zeros((len(kept), part.x.shape[1]))
-    sinks, shown = (one[kept] for one in track.sinking)
+    sinks = track.sinking[0][kept]
+    shown = track.sinking[1][kept]
     sunk = np.zeros(shown.shape[:2])
     theta = model.theta.copy()
     for one in problem.parts:
