@@ -391,7 +391,7 @@ def _unexplained_misfit(log: SightingLog, off: float, moved: str) -> LogMisfit:
     """
     if moved:
         advice = "fit a body that is learned over it"
-        return LogMisfit(off, log.count, f"{moved} as while the body was learned", advice)
+        return LogMisfit(off, log.count, f"because {moved} as while the body was learned", advice)
     if min(_predictable_share(track) for track in log.tracks) < MIN_PREDICTABLE_SHARE:
         return LogMisfit(off, log.count)
     words = (

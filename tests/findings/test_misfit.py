@@ -160,7 +160,7 @@ def test_a_joint_that_stands_elsewhere_than_in_the_exploration_is_the_reason() -
     held = replace(world.body, provenance={HELD: {"wrist": (-1.57, -1.56)}})
     wrong = judged(replace(world, features=replace(world.features, joints=more), body=held))
     assert wrong is not None and wrong.advice == "fit a body that is learned over it"
-    assert wrong.explanation == "wrist stands at -1.3 rad, and not at -1.56 as while the body was learned"
+    assert wrong.explanation == "because wrist stands at -1.3 rad, and not at -1.56 as while the body was learned"
 
 
 @pytest.mark.parametrize("seed", seeds(1, 6))
