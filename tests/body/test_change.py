@@ -148,6 +148,18 @@ class Weighed(KinematicGP):
         return np.column_stack([zero, np.cos(x[:, 1]), 0.5 * np.cos(x[:, 1] + x[:, 2]), zero])
 
 
+@pytest.mark.parametrize("lever", [0.0, 1e-17])
+def test_an_arm_with_upright_axes_carries_no_load(known, lever):
+    class Upright(KinematicGP):
+        def hand_levers(self, x):
+            return np.full(x.shape, lever)
+
+    plain = known.senses["effector"]
+    model = Upright(**{field.name: getattr(plain, field.name) for field in fields(plain)})
+    problem = change.pose_problem(run(), replace(known, senses={"effector": model}))
+    assert not any(part.kind == "load" for part in problem.parts)
+
+
 @pytest.mark.parametrize("size", [0.006, 0.03])
 @pytest.mark.parametrize("seed", [50, 60, 61])
 def test_a_weight_at_the_hand_is_no_change_and_hides_none(known, seed, size):

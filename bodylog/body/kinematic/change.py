@@ -109,7 +109,7 @@ def find_changes(
 ) -> FoundChanges:
     """Find changes between the exploration logs and these features.
 
-    lasting: as `smooth_all_joints` takes it. None where no track has kinematics, a joint lacks
+    lasting: as `smooth_all_joints` takes it. No change where no track has kinematics, a joint lacks
     readings, or too little is seen.
     """
     none = FoundChanges((), body, np.zeros((len(body.joints),) * 2))

@@ -16,6 +16,10 @@ from ...types import Array
 from ..gp.mean_gp import MeanAt, MeanGP
 
 
+LEAST_LEVER = 1e-3
+"""m, or m per m: below it no joint carries the hand, as of an arm whose axes are all upright."""
+
+
 @dataclass(frozen=True, eq=False)
 class KinematicGP(MeanGP):
     """One point of one marker before one camera; the fields
@@ -73,13 +77,16 @@ class KinematicGP(MeanGP):
     def sink_under_weight(self, x: Array) -> tuple[Array, Array]:
         """What the largest sag of each joint under a weight at the hand, by its lever over the
         longest of all, is (N,M), and what images show of that of joints that stood still (N,D,R),
-        at x (N,M) rad; zero where nothing tells the levers.
+        at x (N,M) rad; zero where nothing tells the levers, or all are shorter than LEAST_LEVER.
         """
+        nothing = np.zeros(x.shape), np.zeros((len(x), len(self.drift), 0))
         levers = self.hand_levers(x) if len(x) else None
         if levers is None:
-            return np.zeros(x.shape), np.zeros((len(x), len(self.drift), 0))
+            return nothing
         shown, rise = self.show_still_joints(x)
         longest = max(float(np.abs(levers).max()), float(np.abs(rise).max(initial=0.0)))
+        if longest < LEAST_LEVER:
+            return nothing
         return -levers / longest, -shown * rise[:, None] / longest
 
     @property
