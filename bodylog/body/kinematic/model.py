@@ -15,7 +15,6 @@ from ...kinematics.rig import Rig, Sight
 from ...types import Array
 from ..gp.mean_gp import MeanAt, MeanGP
 
-
 LEAST_LEVER = 1e-3
 """m, or m per m: below it no joint carries the hand, as of an arm whose axes are all upright."""
 
