@@ -170,9 +170,11 @@ def fault_sentence(fault: Fault) -> str:
 
 def fault_warning(fault: Fault) -> str:
     """A fault as a warning says it: sense, name, kind, when, size, and against what it stands."""
-    size = _size_text(fault) if fault.sized else "; the log does not determine which one"
     text = f"{fault.sense} {fault.name}: {fault.kind} {span_text(fault, 3)}"
-    text += f", {size}" if fault.sized else size
+    if fault.sized:
+        text += f", {_size_text(fault)}"
+    elif fault.alternatives:
+        text += "; the log does not determine which one"
     if fault.turn is not None:
         text += f", turned by {_turn_text(fault)}"
     if fault.kind == FaultKind.DRIFTING and fault.since < OFF_FROM_START_S:

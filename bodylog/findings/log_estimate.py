@@ -121,7 +121,7 @@ def infer_with_changes(
     """`infer`, with changes of joint zeros, cameras and markers among the faults, and by the body
     with cameras and markers where they are in this log; returns that body, too.
 
-    Without effect for a body learned without a URDF, and with `bias = "off"`; where the estimate
+    Without effect for a body without the joints' axes, and with `bias = "off"`; where the estimate
     allows for a load, under which joints bend as if their zeros had changed, only cameras and
     markers count. Play and errors of encoders that last are those for which the estimate allows, or
     those of the exploration. A camera that has moved looks like faults from some time on, too: all
@@ -316,14 +316,16 @@ def merge_changes_and_faults(
 
 
 def _change_as_fault(one: "Change", start: float) -> Fault:
-    """The change as a fault; an encoder's offset has the opposite sign of its joint's zero."""
+    """The change as a fault; an encoder's offset has the opposite sign of its joint's zero, and
+    a marker's displacement has no size where no length is known.
+    """
     name = ALTERNATIVE_SEPARATOR.join((one.name, *one.alternatives))
     since = start if one.since is None else one.since
     if one.kind == "joint":
         size, std = (nan, None) if one.alternatives else (-float(one.value[0]), float(one.std[0]))
         return Fault("encoders", name, FaultKind.OFFSET, since, size, one.unit, std)
     assert one.shift is not None
-    if one.alternatives:
+    if one.alternatives or (one.kind == "marker" and one.length_unit != "m"):
         return Fault(
             "vision", name, FaultKind.MOVED, since, nan, "rad" if one.kind == "camera" else "m"
         )
@@ -355,7 +357,10 @@ def _describe_change(one: "Change") -> str:
         std = factor * one.std[0]
         return f"{one.name}: reads {value:+.2f} ± {std:.2f}{unit} relative to the body, {sure}"
     assert one.shift is not None
-    place = f"{1e3 * one.shift[0]:.1f} ± {1e3 * one.shift[1]:.1f} mm"
+    factor, unit = (
+        (1e3, " mm") if one.length_unit == "m" else (100.0, " % of the marker's distance")
+    )
+    place = f"{factor * one.shift[0]:.1f} ± {factor * one.shift[1]:.1f}{unit}"
     turn = (
         ""
         if one.turn is None

@@ -7,10 +7,10 @@ from functools import cached_property
 
 import numpy as np
 
-from ..types import Array
+from ..types import MM_PER_M, Array
 from .camera import project_points, scale_points
 from .chain import cross_products
-from .rotations import cross_product_matrix, rotation_from_vector
+from .rotations import cross_product_matrix, left_jacobian, rotation_from_vector
 
 PLACE_STD = 1.0
 """Prior std of the marker's place and of the distance of each axis, in shares of the marker's
@@ -90,6 +90,13 @@ class AxisChain:
         design[..., : self.of_lens.start] = by_point[..., : self.of_lens.start]
         return image, slope, design
 
+    def lever_hand(self, q: Array) -> Array:
+        """How far the marker moves along each axis of the camera with each joint (N,M,3), in
+        lengths per rad, at q (N,M) rad.
+        """
+        slope = replace(self, lens=np.zeros(0)).see(q)[1]
+        return np.asarray(slope.transpose(0, 2, 1) / MM_PER_M)
+
     def move_axes(self, step: Array) -> "AxisChain":
         """The chain with its unknowns changed by step (P,)."""
         place = self.place.copy()
@@ -102,6 +109,53 @@ class AxisChain:
         return replace(
             self, place=place, lens=self.lens + step[self.of_lens], frames=frames, pivots=pivots
         )
+
+    def move_ends(self, camera: Array, marker: Array) -> tuple["AxisChain", Array, Array]:
+        """The chain after its marker moved by `marker` (3,), and then its camera by `camera` (6,):
+        p ↦ exp(w) p + v of all that it sees, v before w; and the derivatives by both, as steps
+        (P,6) and (P,3) of the unknowns.
+        """
+        shift, turn = camera[:3], camera[3:]
+        rotation = rotation_from_vector(turn)
+        moved = replace(
+            self,
+            place=rotation @ (self.place + marker) + shift,
+            frames=self.frames @ rotation.T,
+            pivots=self.pivots @ rotation.T + shift,
+        )
+        turns = left_jacobian(turn)
+        by_turn = moved._express_motion(cross_product_matrix(shift) @ turns, turns)
+        by_shift = moved._express_motion(np.eye(3), np.zeros((3, 3)))
+        axes = np.zeros((len(self.order), 3, 3))
+        by_marker = moved._express_steps(rotation, axes, np.zeros((3, 3)))
+        return moved, np.concatenate([by_shift, by_turn], axis=1), by_marker
+
+    def _express_motion(self, shifts: Array, turns: Array) -> Array:
+        """Steps of the unknowns (P,K) that move all that is seen by shifts (3,K) and by turns (3,K)
+        about the camera.
+        """
+        place = shifts - cross_product_matrix(self.place) @ turns
+        pivots = shifts - cross_product_matrix(self.pivots) @ turns
+        return self._express_steps(place, pivots, turns)
+
+    def _express_steps(self, place: Array, pivots: Array, turns: Array) -> Array:
+        """Steps of the unknowns (P,K) that shift the marker by place (3,K) and the axes' points by
+        pivots (n,3,K), and turn all axes by turns (3,K).
+
+        No image tells the marker's distance: all lengths shrink where it would grow.
+        """
+        if len(self.lens):
+            stretch = place[2] / self.place[2]
+            place = place - self.place[:, None] * stretch
+            pivots = pivots - self.pivots[..., None] * stretch
+        steps = np.zeros((self.unknown_count, place.shape[1]))
+        steps[: self.of_lens.start] = place[: self.of_lens.start]
+        leans = self._leans @ turns
+        shifts = self.frames[:, :2] @ pivots
+        steps[self.of_lens.stop :] = np.concatenate([leans, shifts], axis=1).reshape(
+            -1, place.shape[1]
+        )
+        return steps
 
     @cached_property
     def _leans(self) -> Array:

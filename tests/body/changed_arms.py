@@ -15,11 +15,14 @@ DEGREE = np.radians(1.0)
 CENTRE = np.array([0.0, -0.6, 0.9, 0.2])
 
 
-def run(seed=50, duration=10.0, encoder=0.01, offset=None, since=0.0, camera=None, bend=1.0) -> Features:
-    """A motion of the arm before the camera; `offset` rad is missing in its encoders' readings from `since` s on."""
+def run(seed=50, duration=10.0, encoder=0.01, offset=None, since=0.0, camera=None, bend=1.0, marker=0.0) -> Features:
+    """A motion of the arm before the camera; `offset` rad is missing in its encoders' readings from `since` s on.
+
+    marker (3,) m: how far it is on the hand from where it is otherwise."""
     rig, draw = robots.rig(known=False), np.random.default_rng(seed)
     theta = robots.truth(rig)
     theta[:6] += 0.0 if camera is None else camera
+    theta[rig.of_carrier(0)] += marker
     speed, phase = draw.uniform(0.4, 1.6, (4, 4)), draw.uniform(0, 2 * np.pi, (4, 4))
     t, frames = np.arange(0, duration, 0.01), np.arange(0.02, duration - 0.05, 0.08)
     q, seen = (CENTRE + 0.8 * np.sin(speed[..., None] * at + phase[..., None]).mean(axis=1).T for at in (t, frames))
@@ -38,3 +41,9 @@ def run(seed=50, duration=10.0, encoder=0.01, offset=None, since=0.0, camera=Non
 def explored(seed=3):
     features, given = run(seed, 16.0, 0.003), Robotics(urdf.parse_urdf(ARM, "arm"), {"": CameraHint()}, 5 * DEGREE)
     return learn_kinematics([features], Settings(), body.learn_body([features], Settings(), {}), given).model
+
+
+def explored_without_urdf(*logs):
+    """The body of an exploration, on axes that are found from it."""
+    features = logs or (run(3, 16.0, 0.003),)
+    return body.with_kinematics(features, Settings(), body.learn_body(features, Settings(), {}), None).model

@@ -14,7 +14,7 @@ from bodylog.findings.faults import fault_warnings
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.sim.hardware import Hardware, encoder_noise
 from bodylog.types import Fault, FaultKind
-from tests.body.changed_arms import DEGREE, explored, run
+from tests.body.changed_arms import DEGREE, explored, explored_without_urdf, run
 from tests.kinematics.robots import JOINTS
 from tests.seeds import seeds
 
@@ -26,6 +26,11 @@ def find_changes(*given):
 @pytest.fixture(scope="module")
 def known():
     return explored()
+
+
+@pytest.fixture(scope="module")
+def on_axes():
+    return explored_without_urdf()
 
 
 def test_change_is_absent_in_a_sound_log(known):
@@ -80,7 +85,7 @@ def test_errors_of_encoders_that_last_are_no_change_and_hide_none(known, seed):
     assert one.name == "lift" and abs(one.value[0] - 3 * DEGREE) < 3 * one.std[0]
 
 
-def test_change_needs_a_urdf_and_sightings(known):
+def test_change_needs_the_joints_axes_and_sightings(known):
     features = run(offset={"elbow": 2 * DEGREE})
     plain = replace(known, senses={"effector": body.learn_body([run(3, 10.0)], Settings(), {}).model.senses["effector"]})
     assert not can_show_changes(plain) and find_changes(features, plain) == ()
@@ -127,8 +132,10 @@ PUSHES = np.array([[0.01, 0.0, 0.0, 0.0, 0.03, 0.01], [0.0, -0.02, 0.01, 0.02, 0
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
-def test_angles_after_a_pushed_camera_are_as_good_as_without(known, seed):
+@pytest.mark.parametrize("learned", ["known", "on_axes"])
+def test_angles_after_a_pushed_camera_are_as_good_as_without(request, learned, seed):
     """By the camera where it is now: an encoder's offset or a load would take up a part of the push."""
+    known = request.getfixturevalue(learned)
     truth = run(60 + seed, encoder=0.0).joints
     errors = []
     for camera, faults in ((None, []), (PUSHES[seed], [("camera", FaultKind.MOVED)])):
@@ -138,6 +145,51 @@ def test_angles_after_a_pushed_camera_are_as_good_as_without(known, seed):
         errors.append(float(np.sqrt(np.square(off).mean())))
         assert 0.3 < float((off**2 / np.einsum("nii->ni", found.cov)).mean()) < 2.0
     assert errors[1] < 1.2 * errors[0]
+
+
+def _see_two_markers(seed, camera=None, **of):
+    """The marker, and another one half as far from the camera."""
+    near = np.array([0.0, 0.0, 0.9])
+    features, other = (run(seed, camera=camera, marker=marker, **of) for marker in (0.0, near))
+    return replace(features, tracks={**features.tracks, "tip": other.tracks["effector"]})
+
+
+def test_markers_without_a_urdf_have_lengths_of_their_own():
+    """Each has its distance as unit, so a camera's displacement is another number for each."""
+    learned = explored_without_urdf(_see_two_markers(3, duration=16.0, encoder=0.003))
+    push = np.array([0.02, 0.03, -0.02, 0.0, 0.0, 0.0])
+    truth = run(60, encoder=0.0).joints
+    found, moved = change_findings.infer_with_changes(_see_two_markers(60, push), learned, Settings())
+    assert {fault.kind for fault in found.faults} == {FaultKind.MOVED}
+    off = found.joints.values - np.column_stack([np.interp(found.joints.t, truth.t, column) for column in truth.values.T])
+    assert 0.3 < float((off**2 / np.einsum("nii->ni", found.cov)).mean()) < 2.0
+    far, near = (moved.senses[name].chain.place[2] - learned.senses[name].chain.place[2] for name in ("effector", "tip"))
+    assert near / far > 1.5
+
+
+def test_no_camera_is_moved_that_a_track_without_axes_sees(on_axes):
+    """Its Gaussian process cannot follow, and would hold the angles where they were."""
+    features = run(60, camera=PUSHES[0])
+    plain = body.learn_body([run(3, 16.0, 0.003)], Settings(), {}).model.senses["effector"]
+    seen = replace(features, tracks={**features.tracks, "hand": features.tracks["effector"]})
+    assert find_changes(features, on_axes)
+    assert not find_changes(seen, replace(on_axes, senses={**on_axes.senses, "hand": plain}))
+    elsewhere = replace(features, tracks={**features.tracks, "side/hand": features.tracks["effector"]})
+    assert find_changes(elsewhere, replace(on_axes, senses={**on_axes.senses, "side/hand": plain}))
+
+
+@pytest.mark.parametrize("size", [0.01, 0.03])
+@pytest.mark.parametrize("seed", [50, 60])
+def test_a_weight_at_the_hand_is_no_moved_camera_on_found_axes(on_axes, seed, size):
+    """No image tells which way is down: a load may pull the hand in any direction."""
+    features = run(seed, encoder=1e-3)
+    model = on_axes.senses["effector"]
+    down = np.array([0.2, 0.9, 0.4])
+    count = len(on_axes.joints)
+    pulls = model.sink_under_weight(features.joints.values)[0].reshape(-1, count, count, 3).sum(axis=2) @ down
+    laden = replace(features, joints=replace(features.joints, values=features.joints.values - size * pulls))
+    changes = find_changes(laden, on_axes)
+    assert all(change.PAYLOAD in one.alternatives for one in changes)
 
 
 class Weighed(KinematicGP):
@@ -169,7 +221,7 @@ def test_a_weight_at_the_hand_is_no_change_and_hides_none(known, seed, size):
     weighed = replace(known, senses={"effector": model})
 
     def laden(features):
-        sunk = size * model.sink_under_weight(features.joints.values)[0]
+        sunk = size * model.sink_under_weight(features.joints.values)[0].sum(axis=2)
         return replace(features, joints=replace(features.joints, values=features.joints.values - sunk))
 
     push = PUSHES[0]
@@ -227,6 +279,24 @@ def test_changes_that_explain_about_as_much_are_doubt(known, seed):
     assert not long.changes[0].alternatives and np.sqrt(np.diag(long.doubt)).max() < 1e-3
 
 
+@pytest.mark.parametrize(("nats", "doubted"), [(0.0, True), (-20.0, False)])
+def test_a_load_beside_a_moved_camera_is_doubt_where_it_explains_as_much(on_axes, monkeypatch, nats, doubted):
+    problem = change.pose_problem(run(), on_axes)
+    of = {part.kind: part for part in problem.parts if np.isinf(part.onset)}
+    size = len(problem.std)
+
+    def fit(_, parts, begin=None):
+        unknowns = np.zeros(size)
+        unknowns[of["load"].place] = 0.01 * (of["load"] in parts)
+        evidence = {("camera",): 100.0, ("camera", "load"): 100.0 + nats}.get(tuple(part.kind for part in parts), 0.0)
+        return ChangeFit(unknowns, 1e-12 * np.eye(size), evidence)
+
+    monkeypatch.setattr(change, "fit_parts", fit)
+    found = change._Search(problem, (of["camera"],), fit(problem, (of["camera"],)), {})
+    doubt = change._weigh_explanations(found, on_axes.joints)
+    assert (np.sqrt(np.diag(doubt)).max() > 1e-3) == doubted
+
+
 @pytest.mark.parametrize(
     ("both", "alone", "parts", "alternatives"),
     [
@@ -274,6 +344,16 @@ def test_ambiguous_changes_are_named_together(known):
     (one,) = find_changes(run(offset={"elbow": 3 * DEGREE}), known)
     (fault,), _ = change_findings.merge_changes_and_faults([replace(one, alternatives=("camera",))], found)
     assert fault.name == "elbow or camera" and fault.size != fault.size and fault.std is None
+
+
+def test_lengths_that_no_image_tells_are_shares(on_axes):
+    (camera,) = find_changes(run(60, camera=PUSHES[0]), on_axes)
+    assert "% of the marker's distance and turned by 1." in change_findings._describe_change(camera)
+    marker = replace(camera, kind="marker", name="effector", turn=None)
+    fault = change_findings._change_as_fault(marker, 0.0)
+    assert not fault.sized
+    (warning,) = fault_warnings((fault,))
+    assert warning.text == "vision effector: moved since 0.000 s; relative to the body"
 
 
 @pytest.mark.soak

@@ -1,23 +1,64 @@
 """A forward model with a chain of found axes as its mean."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
+
+import numpy as np
 
 from ...kinematics.axis_chain import AxisChain
 from ...kinematics.axis_instant import compile_axes
 from ...kinematics.instant import Instant
+from ...kinematics.rotations import invert_transform, make_transform, rotation_from_vector
 from ...types import Array
-from .mean_gp import MeanAt, MeanGP
+from .mean_gp import MeanAt
+from .posed_gp import PosedGP
+
+LEAST_LEVER = 1e-3
+"""m, or shares of the marker's distance: below it no joint carries the hand."""
 
 
 @dataclass(frozen=True, eq=False)
-class AxisGP(MeanGP):
+class AxisGP(PosedGP):
     """One marker before one camera or tracker, on joints whose axes were found without a URDF.
 
     chain: the axes of greatest posterior; its unknowns are those of `AxisChain.move_axes`.
     """
 
     chain: AxisChain
+
+    @property
+    def length_unit(self) -> str:
+        """ "1", shares of the marker's distance, before a camera; "m" before a tracker."""
+        return "1" if len(self.chain.lens) else "m"
+
+    def move_unknowns(self, step: Array) -> Self:
+        """The model with its unknowns changed by step (P,)."""
+        return replace(self, chain=self.chain.move_axes(step))
+
+    def move_ends(self, camera: Array, marker: Array) -> tuple[Self, Array, Array]:
+        """The model after its camera (6,) and its marker (3,) moved, and the derivatives (P,6) and
+        (P,3) of its unknowns by both there.
+        """
+        chain, by_camera, by_marker = self.chain.move_ends(camera, marker)
+        return replace(self, chain=chain), by_camera, by_marker
+
+    def locate_end(self, kind: str, change: Array) -> Array:
+        """Pose (4,4) of the camera in that before it moved, or of the marker in the camera's axes."""
+        if kind == "marker":
+            return make_transform(np.eye(3), change)
+        return invert_transform(make_transform(rotation_from_vector(change[3:]), change[:3]))
+
+    def sink_under_weight(self, x: Array) -> tuple[Array, Array]:
+        """How joints bend (N,M,3 M) under a weight that pulls the hand along each axis of the
+        camera, and nothing beside (N,D,3 M).
+        """
+        count = x.shape[1]
+        levers = self.chain.lever_hand(x)
+        bends = np.zeros((len(x), count, count, 3))
+        joints = np.arange(count)
+        bends[:, joints, joints] = levers / np.abs(levers).max(initial=LEAST_LEVER)
+        return bends.reshape(len(x), count, -1), np.zeros((len(x), len(self.drift), 3 * count))
 
     def _evaluate_mean(self, x: Array) -> MeanAt:
         return self.chain.see(x)

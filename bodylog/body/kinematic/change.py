@@ -15,12 +15,13 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import InputError, ModelError
-from ...kinematics.rig import Rig
 from ...kinematics.rotations import vector_from_rotation
 from ...runtime.blas_threads import one_thread
+from ...sources import group_of
 from ...types import Array, Board, Features
 from ..data.pairs import NO_ERRORS, correlate_angle_errors, pair_sightings, smooth_all_joints
 from ..data.subsampling import choose_spaced_rows
+from ..gp.posed_gp import PosedGP
 from .change_system import (
     ChangeFit,
     ChangePart,
@@ -74,8 +75,9 @@ class Change:
     camera or marker · value ± std (K,) rad or m · nats won.
 
     A joint has one value, its zero's. shift: by how far a camera's or marker's own centre moved ±
-    std, m · turn: by how much a camera or board turned ± std, rad. since: s, None from the start on
-    · alternatives: explanations nearly as good · unit: of a joint's.
+    std, in length_unit, as of `PosedGP` · turn: by how much a camera or board turned ± std, rad.
+    since: s, None from the start on · alternatives: explanations nearly as good · unit: of a
+    joint's.
     """
 
     kind: str
@@ -88,6 +90,7 @@ class Change:
     unit: str = "rad"
     shift: tuple[float, float] | None = None
     turn: tuple[float, float] | None = None
+    length_unit: str = "m"
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,36 +193,45 @@ def _prefer_joint_pair(found: _Search, problem: ChangeProblem) -> _Search:
 
 
 def _weigh_explanations(found: _Search, names: tuple[str, ...]) -> Array:
-    """Covariance (M,M) rad² of joints' zeros by single changes and pairs of joints, each as
-    probable as its evidence says.
+    """Covariance (M,M) rad² of joints' zeros by single changes, pairs of joints, and a pose or a
+    load beside what was found, each as probable as its evidence says.
     """
     problem = found.problem
     constant = [part for part in problem.parts if np.isinf(part.onset)]
     joints = [part for part in constant if part.kind == "joint"]
     others = [*((part,) for part in constant), *combinations(joints, 2)]
+    beside = [part for part in constant if part.kind != "joint" and part not in found.parts]
+    others += [(*found.parts, part) for part in beside]
     fits = [(found.parts, found.fit)]
     for parts in others:
         with suppress(ModelError):  # no joint is where these would have it
             fits.append((parts, fit_parts(problem, parts)))
     evidence = np.array([fit.evidence for _, fit in fits])
     share = np.exp(evidence - evidence.max())
-    zeros = np.array([_find_moved_zeros(problem, *one, names) for one in fits])
-    apart = zeros - zeros[0]
-    return np.asarray(np.einsum("k,ki,kj->ij", share / share.sum(), apart, apart))
+    share = share / share.sum()
+    zeros, within = zip(*(_find_moved_zeros(problem, *one, names) for one in fits), strict=True)
+    apart = np.array(zeros) - zeros[0]
+    between = np.einsum("k,ki,kj->ij", share, apart, apart)
+    # what was found has its own covariance in the body, or in the estimate
+    return np.asarray(between + np.einsum("k,kij->ij", share[1:], np.array(within[1:])))
 
 
 def _find_moved_zeros(
     problem: ChangeProblem, parts: Sequence[ChangePart], fit: ChangeFit, names: tuple[str, ...]
-) -> Array:
-    """How far (M,) rad joints are from what they read, at most, by these parts."""
-    zeros = np.zeros(len(names))
+) -> tuple[Array, Array]:
+    """How far (M,) rad joints are from what they read, at most, by these parts, and the covariance
+    (M,M) of that.
+    """
+    by_unknowns = np.zeros((len(names), len(problem.std)))
+    joints = np.arange(len(names))
     for part in parts:
-        value = fit.unknowns[part.place]
         if part.kind == "joint":
-            zeros[names.index(part.name)] += value[0]
+            by_unknowns[names.index(part.name), part.place] = 1.0
         elif part.kind == "load":
-            zeros += value[: len(names)]
-    return zeros
+            bends = np.concatenate([track.sinking[0] for track in problem.tracks])
+            most = np.abs(bends @ fit.unknowns[part.place]).argmax(axis=0)
+            by_unknowns[:, part.place] += bends[most, joints]
+    return by_unknowns @ fit.unknowns, by_unknowns @ fit.cov @ by_unknowns.T
 
 
 def _allow_for_load(found: _Search) -> tuple[tuple[ChangePart, ...], ChangeFit]:
@@ -296,9 +308,7 @@ def pose_problem(
     """Pose the linear problem of all changes; None where
     no track has kinematics, or a joint lacks readings.
     """
-    senses = {
-        n: s for n, s in body.senses.items() if isinstance(s, KinematicGP) and n in features.tracks
-    }
+    senses = _list_posed_senses(features, body)
     names = () if features.joints is None else features.joints.names
     if not senses or not can_show_changes(body) or not set(body.joints) <= set(names):
         return None
@@ -312,29 +322,80 @@ def pose_problem(
         part = part.rows(choose_spaced_rows(len(part.x), MOST)) if len(part.x) else part
         known = correlate_angle_errors(part, chosen)
         coupling = (known.i, known.j, known.joint, known.value)
-        tracks.append(ChangeTrack(name, model, part, coupling, model.sink_under_weight(part.x)))
-    tracks = _align_still_joints([track for track in tracks if len(track.part.x)])
-    return _lay_out_problem(tracks, body.joints) if tracks else None
+        bearer = model if isinstance(model, KinematicGP) else next(iter(senses.values()))
+        sinking = bearer.sink_under_weight(part.x)
+        tracks.append(ChangeTrack(name, model, part, coupling, sinking, *_name_ends(name, model)))
+    tracks = [track for track in tracks if len(track.part.x)]
+    if not tracks:
+        return None
+    has_urdf = isinstance(tracks[0].model, KinematicGP)
+    chosen_tracks = _align_still_joints(tracks) if has_urdf else _number_unknowns(tracks)
+    return _lay_out_problem(chosen_tracks, body.joints)
+
+
+def _list_posed_senses(features: Features, body: BodyModel) -> dict[str, PosedGP]:
+    """Models of the tracks whose camera can move: those of a camera that every one of the body's
+    tracks before it can follow.
+    """
+    fixed = {
+        name.rpartition("/")[0]
+        for name, model in body.senses.items()
+        if name != "encoders" and not isinstance(model, PosedGP)
+    }
+    return {
+        name: model
+        for name, model in body.senses.items()
+        if isinstance(model, PosedGP)
+        and name in features.tracks
+        and name.rpartition("/")[0] not in fixed
+    }
+
+
+def _name_ends(track: str, model: PosedGP) -> tuple[str, str]:
+    """The names of a track's camera and marker."""
+    if isinstance(model, KinematicGP):
+        return model.rig.cameras[0].name, model.rig.carriers[0].name
+    camera, _, marker = group_of(track).rpartition("/")
+    return f"camera {camera}".strip(), marker
+
+
+def _number_unknowns(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
+    """Tracks on found axes, with the places of their directions among those of all, and with
+    their scales: tracks learned with one URDF share all directions, and lengths in m.
+    """
+    first = 0
+    markers = dict[str, list[str]]()
+    numbered = []
+    for track in tracks:
+        own = markers.setdefault(track.camera, [])
+        if track.marker not in own:
+            own.append(track.marker)
+        scale = own.index(track.marker) if track.model.length_unit == "1" else 0
+        numbered.append(replace(track, first=first, scale=scale))
+        first = numbered[-1].directions.stop
+    return numbered
 
 
 def _align_still_joints(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
-    """The tracks with what images show of the sag of joints that stood still in the same order:
-    zero for those that do not carry a track's marker.
+    """Tracks with a URDF, with the sag of joints that stood still in the same order: zero for those
+    that do not carry a track's marker.
     """
-    own = [track.model.still_joints[: track.sinking[1].shape[2]] for track in tracks]
+    moving = tracks[0].part.x.shape[1]
+    own = [track.model.still_joints for track in tracks]
     names = list(dict.fromkeys(name for each in own for name in each))
     aligned = []
     for track, each in zip(tracks, own, strict=True):
-        sinks, shown = track.sinking
-        every = np.zeros((*shown.shape[:2], len(names)))
-        every[..., [names.index(name) for name in each]] = shown
-        aligned.append(replace(track, sinking=(sinks, every)))
+        place = [*range(moving), *(moving + names.index(name) for name in each)]
+        every = [np.zeros((*one.shape[:2], moving + len(names))) for one in track.sinking]
+        for wide, one in zip(every, track.sinking, strict=True):
+            wide[..., place] = one
+        aligned.append(replace(track, sinking=(every[0], every[1])))
     return aligned
 
 
 def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> ChangeProblem | None:
-    first = tracks[0].model.rig
-    if (first.doubt < 1e-6).all():
+    first = tracks[0].model
+    if isinstance(first, KinematicGP) and (first.rig.doubt < 1e-6).all():
         return None  # offsets are turned off
     t = np.concatenate([track.part.t for track in tracks])
     inner = (
@@ -352,18 +413,19 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
         std.append(spread)
 
     for m, name in enumerate(names):
-        factor, unit = (SLIDE, "m") if first.slides(m) else (1.0, "rad")
+        slides = isinstance(first, KinematicGP) and first.rig.slides(m)
+        factor, unit = (SLIDE, "m") if slides else (1.0, "rad")
         for onset in onsets:
             add("joint", name, np.array([SLIP * factor]), onset, unit)
-    for camera in dict.fromkeys(track.model.rig.cameras[0].name for track in tracks):
-        add("camera", camera, CAMERA)
-    carriers = {track.model.rig.carriers[0].name: track.model.rig.carriers[0] for track in tracks}
-    for name, carrier in carriers.items():
-        add("marker", name, MARKER[: len(carrier.doubt)])
+    for camera in dict.fromkeys(track.camera for track in tracks):
+        scales = max(track.scale for track in tracks if track.camera == camera)
+        add("camera", camera, np.concatenate([CAMERA, np.tile(CAMERA[:3], scales)]))
+    for name, model in {track.marker: track.model for track in tracks}.items():
+        add("marker", name, MARKER[: model.marker_freedom])
     if any(sinking.any() for track in tracks for sinking in track.sinking):
-        add("load", PAYLOAD, np.full(len(names) + tracks[0].sinking[1].shape[2], LOAD))
+        add("load", PAYLOAD, np.full(tracks[0].sinking[0].shape[2], LOAD))
     kept = tuple(np.arange(len(track.part.x)) for track in tracks)
-    return ChangeProblem(tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)
+    return ChangeProblem(names, tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)
 
 
 def _try_remaining_parts(
@@ -432,9 +494,9 @@ def _marker_centres(problem: ChangeProblem, boards: Mapping[str, Board]) -> dict
     """
     points = dict[str, list[Array]]()
     for track in problem.tracks:
-        points.setdefault(track.model.rig.carriers[0].name, []).append(
-            track.model.rig.sights[0].points[0]
-        )
+        model = track.model
+        seen = model.rig.sights[0].points[0] if isinstance(model, KinematicGP) else np.zeros(3)
+        points.setdefault(track.marker, []).append(seen)
     centres = {name: np.mean(seen, axis=0) for name, seen in points.items()}
     whole = {name.rpartition("/")[2]: corners.mean(axis=0) for name, (_, corners) in boards.items()}
     return {name: whole.get(name, centre) for name, centre in centres.items()}
@@ -450,50 +512,38 @@ def _add_displacement(
     """
     if change.kind == "joint":
         return change
-    model = next(track.model for track in found.problem.tracks if _has_part(track.model.rig, part))
-    rig = model.rig
-    theta = model.theta
-    place = rig.of_camera(0) if change.kind == "camera" else rig.of_carrier(0)
+    tracks = found.problem.tracks
+    track, place = next(
+        (one, place) for one in tracks if (place := one.find_place(part)) is not None
+    )
+    model = track.model
+    value = found.fit.unknowns[place]
+    size = len(value)
     centre = np.zeros(3) if change.kind == "camera" else centres[change.name]
-    size = part.place.stop - part.place.start
-
-    def pose(unknowns: Array) -> Array:
-        """The camera or marker in its link (4,4), with its unknowns (3,) or (6,) changed."""
-        changed = theta.copy()
-        changed[place.start : place.start + size] += unknowns
-        return (
-            np.linalg.inv(rig.camera_pose(0, changed))
-            if change.kind == "camera"
-            else rig.carrier_pose(0, changed)
-        )
-
-    before = pose(np.zeros(size))
-    after = pose(change.value)
+    before = model.locate_end(change.kind, np.zeros(size))
+    after = model.locate_end(change.kind, value)
 
     def displacement(there: Array) -> Array:
         """How far its centre is from where it was (3,) m, and its turn (3,) rad from `after`."""
         moved = (there - before)[:3, :3] @ centre + (there - before)[:3, 3]
         return np.concatenate([moved, vector_from_rotation(there[:3, :3] @ after[:3, :3].T)])
 
-    steps = _STEP * np.eye(size)
     slope = np.stack(
         [
-            displacement(pose(change.value + h)) - displacement(pose(change.value - h))
-            for h in steps
+            displacement(model.locate_end(change.kind, value + h))
+            - displacement(model.locate_end(change.kind, value - h))
+            for h in _STEP * np.eye(size)
         ],
         axis=1,
     ) / (2.0 * _STEP)
-    cov = slope @ found.fit.cov[part.place, part.place] @ slope.T
+    cov = slope @ found.fit.cov[np.ix_(place, place)] @ slope.T
     turned = vector_from_rotation(after[:3, :3] @ before[:3, :3].T)
-    shift = _vector_length(displacement(after)[:3], cov[:3, :3])
     return replace(
-        change, shift=shift, turn=_vector_length(turned, cov[3:, 3:]) if size == 6 else None
+        change,
+        shift=_vector_length(displacement(after)[:3], cov[:3, :3]),
+        turn=_vector_length(turned, cov[3:, 3:]) if size == 6 else None,
+        length_unit=model.length_unit,
     )
-
-
-def _has_part(rig: Rig, part: ChangePart) -> bool:
-    """Whether a rig of one camera and one marker has the camera or marker of a part."""
-    return (rig.cameras[0] if part.kind == "camera" else rig.carriers[0]).name == part.name
 
 
 def _vector_length(vector: Array, cov: Array) -> tuple[float, float]:

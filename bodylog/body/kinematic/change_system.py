@@ -10,7 +10,7 @@ from ...errors import ModelError
 from ...types import Array
 from ..data.pairs import Pairs
 from ..gp.model import GP
-from .model import KinematicGP
+from ..gp.posed_gp import PosedGP
 
 _TURNS = 4
 _OUTLYING = 5.0
@@ -20,7 +20,7 @@ _OFF_SIGMA = 3.0
 @dataclass(frozen=True)
 class ChangePart:
     """A group of unknowns: a joint's zero from its onset (s) on, a camera's pose, a marker's place,
-    or the sag of all joints under a weight at the hand, after them of those that stood still.
+    or the sag of all joints under a weight at the hand.
     """
 
     kind: str
@@ -44,23 +44,49 @@ class ChangePart:
 class ChangeTrack:
     """Sightings of one track, the correlation of their angles' errors, and the forward model.
 
-    sinking: what the largest sag of each joint, as its lever over the longest of all, is at each
-    sighting (n,M) rad, and what images show of that of joints that stood still (n,D,R) px.
+    sinking: how joints bend under a load (n,M,L), and what images show beside that (n,D,L).
+    camera, marker: their names · scale: tracks of one camera with the same number have the same
+    unit of length · first: the first of its directions of unknowns among those of all tracks.
     """
 
     name: str
-    model: KinematicGP
+    model: PosedGP
     part: Pairs
     coupling: tuple[Array, Array, Array, Array]
     sinking: tuple[Array, Array]
+    camera: str
+    marker: str
+    scale: int = 0
+    first: int = 0
+
+    @property
+    def directions(self) -> slice:
+        """Its directions of unknowns among those of all tracks."""
+        return slice(self.first, self.first + self.model.root.shape[1])
+
+    def find_place(self, part: ChangePart) -> Array | None:
+        """Where (K,) the motion of this track's own camera or marker is among all changes; None
+        where the part is of others.
+
+        A camera's further displacements, behind its first and its turn, are in other units.
+        """
+        own = {"camera": self.camera, "marker": self.marker}.get(part.kind)
+        if own != part.name:
+            return None
+        place = np.arange(part.place.start, part.place.stop)
+        if part.kind == "marker":
+            return place
+        begin = 3 * (self.scale + 1) if self.scale else 0
+        return np.concatenate([place[begin : begin + 3], place[3:6]])
 
 
 @dataclass(frozen=True, eq=False)
 class ChangeProblem:
-    """Tracks, the unknowns' parts with their prior std
+    """Joints, tracks, the unknowns' parts with their prior std
     (P,), onsets (S,) s; rows in use, factor on the noise.
     """
 
+    joints: tuple[str, ...]
     tracks: tuple[ChangeTrack, ...]
     parts: tuple[ChangePart, ...]
     std: Array
@@ -157,7 +183,7 @@ def fit_parts(
 
 def move_models(
     problem: ChangeProblem, parts: Sequence[ChangePart], fit: ChangeFit
-) -> dict[str, KinematicGP]:
+) -> dict[str, PosedGP]:
     """The tracks' models with cameras and markers where they are now, by a fit of these parts.
 
     What was learned of z and u, the body's unknowns and the changes, is their posterior given the
@@ -169,53 +195,50 @@ def move_models(
     places = [about.before + np.arange(len(problem.std))[part.place] for part in parts]
     rows = np.concatenate([np.arange(about.before), *places])
     mean, cov, _ = solve_system(about, rows)
-    posed = [part for part in parts if part.is_pose]
-    own = [place for part, place in zip(parts, places, strict=True) if part.is_pose]
-    kept = np.isin(rows, np.concatenate([np.arange(directions), *own]))
-    spread = np.linalg.cholesky(cov[np.ix_(kept, kept)])
+    posed = [place for part, place in zip(parts, places, strict=True) if part.is_pose]
     moved = {}
     for number, track in enumerate(problem.tracks):
-        columns = _columns_of_changes(problem, track.model, posed)
+        own = np.arange(about.before)[track.directions]
+        kept = np.isin(rows, np.concatenate([own, *posed]))
+        spread = np.linalg.cholesky(cov[np.ix_(kept, kept)])
+        poses = rows[kept][len(own) :] - about.before
+        unknowns = np.zeros(len(problem.std))
+        unknowns[poses] = problem.std[poses] * mean[kept][len(own) :]
+        model = track.model.move_unknowns(track.model.root @ mean[own])
+        model, columns = _move_ends(problem, replace(track, model=model), unknowns)
+        columns = columns[:, poses] * problem.std[poses]
         drift = mean[directions + ends[number] : directions + ends[number + 1]]
-        moved[track.name] = _move_model(track.model, columns, mean[kept], spread, drift)
+        moved[track.name] = _learn_ends(model, columns, mean[own], spread, drift)
     return moved
 
 
-def _columns_of_changes(
-    problem: ChangeProblem, model: KinematicGP, posed: Sequence[ChangePart]
-) -> Array:
-    """What each standard deviation of changes of cameras and markers is in the model's θ (P,·)."""
-    columns = [np.zeros((len(model.theta), 0))]
-    for part in posed:
-        std = problem.std[part.place]
-        own = np.zeros((len(model.theta), len(std)))
-        if (place := _find_changed_unknowns(model, part)) is not None:
-            own[place] = np.diag(std)
-        columns.append(own)
-    return np.concatenate(columns, axis=1)
-
-
-def _find_changed_unknowns(model: KinematicGP, part: ChangePart) -> slice | None:
-    """The place in the model's θ of what a part changes; None where it is not of this model."""
-    thing = model.rig.cameras[0] if part.kind == "camera" else model.rig.carriers[0]
-    if not part.is_pose or thing.name != part.name:
-        return None
-    whole = model.rig.of_camera(0) if part.kind == "camera" else model.rig.of_carrier(0)
-    return slice(whole.start, whole.start + part.place.stop - part.place.start)
-
-
-def _move_model(
-    model: KinematicGP, columns: Array, mean: Array, spread: Array, drift: Array
-) -> KinematicGP:
-    """The model with the mean (Q,) and spread (Q,Q) of its directions and of changes, columns (P,·)
-    of θ, and its drift (D,) in this log.
+def _move_ends(
+    problem: ChangeProblem, track: ChangeTrack, unknowns: Array
+) -> tuple[PosedGP, Array]:
+    """A track's model with its camera and marker moved as in u (P,), and the derivatives (·,P) of
+    its own unknowns by u.
     """
-    known = mean[: model.root.shape[1]]
-    shift = columns @ mean[len(known) :]
+    camera = np.zeros(6)
+    marker = np.zeros(track.model.marker_freedom)
+    for part in problem.parts:
+        if (place := track.find_place(part)) is not None:
+            (camera if part.kind == "camera" else marker)[:] = unknowns[place]
+    moved, by_camera, by_marker = track.model.move_ends(camera, marker)
+    columns = np.zeros((len(by_camera), len(unknowns)))
+    for part in problem.parts:
+        if (place := track.find_place(part)) is not None:
+            columns[:, place] = by_camera if part.kind == "camera" else by_marker
+    return moved, columns
+
+
+def _learn_ends(
+    model: PosedGP, columns: Array, known: Array, spread: Array, drift: Array
+) -> PosedGP:
+    """The model with what a log tells of its directions, whose mean is known (Q,), and of changes
+    with columns (·,K): spread (Q+K,Q+K) of both, and drift (D,) in this log.
+    """
     return replace(
         model,
-        theta=model.theta + model.root @ known + shift,
-        printed=model.printed + shift,
         mean=model.mean + np.sqrt(model.drift) * drift,
         weights=model.weights - np.einsum("dpn,p->dn", model.lean, known),
         root=np.concatenate([model.root, columns], axis=1) @ spread,
@@ -273,7 +296,7 @@ def solve_system(about: System, rows: Array) -> tuple[Array, Array, float]:
 
 def linearise_sightings(problem: ChangeProblem, unknowns: Array) -> System:
     """Linearise all sightings about some unknowns u (P,)."""
-    directions = problem.tracks[0].model.root.shape[1]
+    directions = max(track.directions.stop for track in problem.tracks)
     ends = _output_ends(problem)
     drifts = ends[-1]
     before = directions + drifts
@@ -287,17 +310,14 @@ def linearise_sightings(problem: ChangeProblem, unknowns: Array) -> System:
         like = GP.covariance(track.model, x)[0]
         for d in range(ends[number + 1] - ends[number]):
             columns = np.zeros((len(kept), size))
-            columns[:, :directions] = unknown[:, d]
+            columns[:, track.directions] = unknown[:, d]
             columns[:, directions + ends[number] + d] = np.sqrt(track.model.drift[d])
             columns[:, before:] = by_unknowns[:, d] * problem.std
             cov = problem.scale * _output_covariance(track, kept, slope[:, d], d, like)
             try:
                 chol = np.linalg.cholesky(cov)
             except np.linalg.LinAlgError:
-                text = (
-                    f"field {track.model.rig.sights[0].name}: its noise is no covariance; fit "
-                    "the body again"
-                )
+                text = f"field {track.name}: its noise is no covariance; fit the body again"
                 raise ModelError(text) from None
             total = left[:, d] + by_unknowns[:, d] @ unknowns
             white = np.linalg.solve(chol, np.column_stack([total, columns]))
@@ -344,35 +364,26 @@ def _linearise_track(
     """About u (P,): residuals (n,D), derivatives by u
     (n,D,P) and z (n,D,p), slopes (n,D,M), and angles x (n,M).
     """
-    model = track.model
     part = track.part
     t = part.t[kept]
     shift = np.zeros((len(kept), part.x.shape[1]))
-    sinks = track.sinking[0][kept]
-    shown = track.sinking[1][kept]
+    bends, shown = (sinking[kept] for sinking in track.sinking)
     sunk = np.zeros(shown.shape[:2])
-    theta = model.theta.copy()
     for one in problem.parts:
         value = unknowns[one.place]
         if one.kind == "joint":
-            shift[:, model.rig.joints.index(one.name)] += (t >= one.onset) * value[0]
+            shift[:, problem.joints.index(one.name)] += (t >= one.onset) * value[0]
         elif one.kind == "load":
-            shift += sinks * value[: sinks.shape[1]]
-            sunk += shown @ value[sinks.shape[1] :]
-        elif (place := _find_changed_unknowns(model, one)) is not None:
-            theta[place] += value
+            shift += bends @ value
+            sunk += shown @ value
     x = part.x[kept] + shift
-    moved = replace(model, theta=theta)
+    moved, columns = _move_ends(problem, track, unknowns)
     value, slope = moved.means(x)
-    design = moved.design(x)
-    unknown = moved.unknowns(x)
-    by = np.zeros((*value.shape, len(unknowns)))
+    by = moved.design(x) @ columns
     for one in problem.parts:
         if one.kind == "joint":
             active = (t >= one.onset)[:, None]
-            by[..., one.place] = (slope[..., model.rig.joints.index(one.name)] * active)[..., None]
+            by[..., one.place] = (slope[..., problem.joints.index(one.name)] * active)[..., None]
         elif one.kind == "load":
-            by[..., one.place] = np.concatenate([slope * sinks[:, None], shown], axis=2)
-        elif (place := _find_changed_unknowns(model, one)) is not None:
-            by[..., one.place] = design[..., place]
-    return part.y[kept] - value - sunk, by, unknown, slope, x
+            by[..., one.place] = slope @ bends + shown
+    return part.y[kept] - value - sunk, by, moved.unknowns(x), slope, x

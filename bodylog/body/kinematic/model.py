@@ -4,6 +4,7 @@ its mean, and a Gaussian process on the residuals.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 
@@ -12,15 +13,17 @@ from ...errors import ModelError
 from ...kinematics.instant import Instant, compile_predictor
 from ...kinematics.pose import Base, bend_still_joints, rise_in_base
 from ...kinematics.rig import Rig, Sight
+from ...kinematics.rotations import invert_transform
 from ...types import Array
-from ..gp.mean_gp import MeanAt, MeanGP
+from ..gp.mean_gp import MeanAt
+from ..gp.posed_gp import PosedGP
 
 LEAST_LEVER = 1e-3
 """m, or m per m: below it no joint carries the hand, as of an arm whose axes are all upright."""
 
 
 @dataclass(frozen=True, eq=False)
-class KinematicGP(MeanGP):
+class KinematicGP(PosedGP):
     """One point of one marker before one camera; the fields
     of GP are those of the residual, whose mean is zero.
 
@@ -38,6 +41,45 @@ class KinematicGP(MeanGP):
     printed: Array
     base: Base | None = None
     resting: Array | None = None
+
+    @property
+    def length_unit(self) -> str:
+        """Metres, as in the URDF."""
+        return "m"
+
+    @property
+    def marker_freedom(self) -> int:
+        """K: a board has a rotation, too."""
+        return len(self.rig.carriers[0].doubt)
+
+    def move_unknowns(self, step: Array) -> Self:
+        """The model with its unknowns changed by step (P,)."""
+        return replace(self, theta=self.theta + step)
+
+    def move_ends(self, camera: Array, marker: Array) -> tuple[Self, Array, Array]:
+        """The model after its camera (6,) and its marker (K,) moved, both as `Rig` has their
+        unknowns, and the derivatives (P,6) and (P,K) of its own by both.
+        """
+        first = self.rig.of_camera(0).start
+        carrier = self.rig.of_carrier(0)
+        every = np.eye(len(self.theta))
+        by_camera = every[:, first : first + 6]
+        by_marker = every[:, carrier]
+        step = by_camera @ camera + by_marker @ marker
+        moved = replace(self, theta=self.theta + step, printed=self.printed + step)
+        return moved, by_camera, by_marker
+
+    def locate_end(self, kind: str, change: Array) -> Array:
+        """Pose (4,4), m, of the camera or the marker, as `kind` says, in its link."""
+        rig = self.rig
+        theta = self.theta.copy()
+        place = rig.of_camera(0) if kind == "camera" else rig.of_carrier(0)
+        theta[place.start : place.start + len(change)] += change
+        return (
+            invert_transform(rig.camera_pose(0, theta))
+            if kind == "camera"
+            else rig.carrier_pose(0, theta)
+        )
 
     def kinematics(self, x: Array) -> Array:
         """Predict at x (N,M) rad by the calibration alone: (N,D) px."""
@@ -74,19 +116,25 @@ class KinematicGP(MeanGP):
         return self.design(x)[:, :, first : first + 3] @ moved, rise
 
     def sink_under_weight(self, x: Array) -> tuple[Array, Array]:
-        """What the largest sag of each joint under a weight at the hand, by its lever over the
-        longest of all, is (N,M), and what images show of that of joints that stood still (N,D,R),
-        at x (N,M) rad; zero where nothing tells the levers, or all are shorter than LEAST_LEVER.
+        """How joints bend (N,M,M+R) under a weight at the hand, and what images show of those that
+        stood still (N,D,M+R); zero where no URDF tells the levers, or all are shorter than
+        LEAST_LEVER.
         """
-        nothing = np.zeros(x.shape), np.zeros((len(x), len(self.drift), 0))
+        count = x.shape[1]
+        still = len(self.still_joints)
+        bends = np.zeros((len(x), count, count + still))
+        shows = np.zeros((len(x), len(self.drift), count + still))
         levers = self.hand_levers(x) if len(x) else None
         if levers is None:
-            return nothing
+            return bends, shows
         shown, rise = self.show_still_joints(x)
         longest = max(float(np.abs(levers).max()), float(np.abs(rise).max(initial=0.0)))
         if longest < LEAST_LEVER:
-            return nothing
-        return -levers / longest, -shown * rise[:, None] / longest
+            return bends, shows
+        joints = np.arange(count)
+        bends[:, joints, joints] = -levers / longest
+        shows[:, :, count:] = -shown * rise[:, None] / longest
+        return bends, shows
 
     @property
     def offsets(self) -> tuple[Array, Array]:
@@ -115,9 +163,11 @@ class KinematicGP(MeanGP):
 
 
 def can_show_changes(body: BodyModel) -> bool:
-    """Whether a body can show changes: it was learned with a URDF, and its encoders read angles."""
+    """Whether a body can show changes: it has the joints' axes, of a URDF or found without one, and
+    its encoders read angles.
+    """
     return "encoders" not in body.senses and any(
-        isinstance(s, KinematicGP) for s in body.senses.values()
+        isinstance(s, PosedGP) for s in body.senses.values()
     )
 
 

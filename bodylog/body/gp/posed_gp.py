@@ -1,0 +1,57 @@
+"""A forward model whose camera and marker may move after the exploration."""
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Self
+
+from ...types import Array
+from .mean_gp import MeanGP
+
+
+@dataclass(frozen=True, eq=False)
+class PosedGP(MeanGP):
+    """One marker before one camera or tracker.
+
+    A camera moves by (6,), v and then w: all that it sees goes from p to exp(w) p + v. A marker
+    moves by (3,), or by (6,) where it turns. Lengths are in `length_unit`, turns in rad.
+    """
+
+    @property
+    @abstractmethod
+    def length_unit(self) -> str:
+        """Unit of lengths: "m", or "1" for shares of the marker's distance."""
+
+    @property
+    def marker_freedom(self) -> int:
+        """K: the numbers by which the marker moves; a point does not turn."""
+        return 3
+
+    @property
+    def still_joints(self) -> tuple[str, ...]:
+        """Names (R,) of joints that stood still in the exploration and may carry the marker."""
+        return ()
+
+    @abstractmethod
+    def move_unknowns(self, step: Array) -> Self:
+        """The model with the mean's unknowns changed by step (P,)."""
+
+    @abstractmethod
+    def move_ends(self, camera: Array, marker: Array) -> tuple[Self, Array, Array]:
+        """The model after its camera (6,) and its marker (K,) moved, and the derivatives (P,6) and
+        (P,K) of its unknowns by both there.
+        """
+
+    @abstractmethod
+    def locate_end(self, kind: str, change: Array) -> Array:
+        """Pose (4,4) of the camera or the marker, as `kind` says, in its link, moved by a change.
+
+        Without a URDF the link of a camera is where it was, and a marker's has the camera's axes.
+        """
+
+    @abstractmethod
+    def sink_under_weight(self, x: Array) -> tuple[Array, Array]:
+        """How joints bend (N,M,L), by their lever over the longest of all, and what images show
+        beside that (N,D,L), at x (N,M) rad, for the largest sag of each joint under a weight at
+        the hand: of the M joints, in each of three directions where none is known to be down, and
+        of the R that stood still. Zero where nothing tells the levers.
+        """
