@@ -7,6 +7,7 @@ from itertools import combinations
 from pathlib import Path
 
 from .body import storage
+from .body.kinematic.model import can_show_changes
 from .body_model import BodyModel
 from .checks import log_context, loss_note, require_same_camera, require_same_size
 from .errors import EvidenceError, InputError, UsageError
@@ -15,11 +16,13 @@ from .estimation.measurements.gather import choose_senses, gather_measurements
 from .evaluation.heldout import score_withheld_frames, withhold_frames
 from .features.defaults import features_of_body
 from .findings.faults import fault_warnings
+from .findings.log_estimate import infer, infer_with_changes
 from .findings.scoring import score_estimate
 from .logs.protocol import Progress
-from .pipeline import infer, observe
+from .pipeline import observe
 from .settings import EstimationSettings, Settings
-from .types import Features, Finding, Recording, Score
+from .types import FaultKind, Features, Finding, Recording, Score
+from .wording import list_in_words
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,7 @@ def compare_methods(
     if not combined:
         why = f"no sense of {body} has readings in it; type: bodylog info {log}"
         raise EvidenceError(f"{log}: {why}{loss_note(log, read.facts.findings)}")
+    learned, moved = find_body_of_log(features, learned, settings)
     rows: list[ComparisonRow] = []
     refused: dict[str, InputError | UsageError] = {}
     kept = combined if full else select_usual_subsets(combined)
@@ -82,9 +86,30 @@ def compare_methods(
         *read.facts.findings,
         *features.findings,
         *cameras,
+        *moved,
         *_label_findings(rows, refused),
         *_skipped_findings(combined, kept),
     )
+
+
+def find_body_of_log(
+    features: Features, learned: BodyModel, settings: Settings
+) -> tuple[BodyModel, tuple[Finding, ...]]:
+    """The body with cameras and markers where they are in this log, by images that are not
+    withheld, and a remark on those that moved; as learned where no estimate tells.
+    """
+    if not can_show_changes(learned):
+        return learned, ()
+    usual = replace(settings, estimate=replace(settings.estimate, method=EstimationSettings.method))
+    try:
+        found, moved = infer_with_changes(withhold_frames(features)[0], learned, usual)
+    except (InputError, UsageError):
+        return learned, ()  # each row says why
+    if moved is learned:
+        return learned, ()
+    names = list_in_words([f.name for f in found.faults if f.kind == FaultKind.MOVED])
+    text = f"{names}: moved since the body was learned; each row is by where it is in this log"
+    return moved, (Finding("warning", text),)
 
 
 def select_usual_subsets(combined: list[tuple[str, ...]]) -> list[tuple[str, ...]]:

@@ -12,6 +12,7 @@ from bodylog import compare
 from bodylog.body import storage
 from bodylog.estimation import METHODS
 from bodylog.settings import EstimationSettings, Settings
+from tests.body.changed_arms import explored_without_urdf, run
 
 from .spoilt import spoil
 
@@ -127,6 +128,17 @@ def test_compare_times_only_warmed_up_runs(monkeypatch, robot):
     assert shown == rows and len(asked) == 2 * len(rows)
     for first, then in zip(asked[::2], asked[1::2], strict=True):
         assert first[0] == then[0] and first[1] < then[1]
+
+
+@pytest.mark.parametrize("asked", ["filter", "kalman"])
+def test_a_camera_that_was_pushed_is_where_it_is_now_for_every_method(asked):
+    """Found once, by the usual method, so that rows differ by their own; without effect where nothing moved."""
+    learned, settings = explored_without_urdf(), Settings(estimate=EstimationSettings(method=asked))
+    assert compare.find_body_of_log(run(60), learned, settings) == (learned, ())
+    moved, (finding,) = compare.find_body_of_log(run(60, camera=np.array([0.01, 0, 0, 0, 0.03, 0.01])), learned, settings)
+    assert finding.text == "camera: moved since the body was learned; each row is by where it is in this log"
+    turned = moved.senses["effector"].chain.frames @ learned.senses["effector"].chain.frames.transpose(0, 2, 1)
+    assert np.allclose(np.arccos((np.trace(turned, axis1=1, axis2=2) - 1) / 2), np.hypot(0.03, 0.01), atol=0.02)
 
 
 def test_encoders_that_never_spoke_are_no_sense(robot):

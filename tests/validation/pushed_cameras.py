@@ -50,5 +50,6 @@ def row(chain, degrees, metres):
 def table():
     """One row for each body and size of a push."""
     pushed = f"push ({BODIES} runs of 10 s)"
-    titles = ("body", pushed, "camera named, alone or with others", "others named", "as learned: mrad", "NEES", "where it is now: mrad", "NEES")
+    camera = "camera named, alone or with others"
+    titles = ("body", pushed, camera, "others named", "as learned: mrad", "NEES", "where it is now: mrad", "NEES")
     return figures.table(titles, [row(chain, *one) for chain in LEARNED for one in PUSHES])
