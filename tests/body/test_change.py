@@ -241,7 +241,7 @@ def test_a_load_is_allowed_for_beside_a_pose_where_it_wins_by_a_margin(known, mo
     plain = known.senses["effector"]
     model = Weighed(**{field.name: getattr(plain, field.name) for field in fields(plain)})
     problem = change.pose_problem(run(), replace(known, senses={"effector": model}))
-    (camera,) = (part for part in problem.parts if part.kind == "camera")
+    camera = next(part for part in problem.parts if part.kind == "camera")
     unknowns = np.zeros(len(problem.std)), np.eye(len(problem.std))
     monkeypatch.setattr(change, "fit_parts", lambda *_: ChangeFit(*unknowns, 100.0 + gain))
     found = change._Search(problem, (camera,), ChangeFit(*unknowns, 100.0), {})
@@ -265,7 +265,7 @@ def test_markers_that_other_still_joints_carry_share_one_load(known):
     both = replace(features, tracks={"effector": features.tracks["effector"], "hand": features.tracks["effector"]})
     problem = change.pose_problem(both, replace(known, senses={"effector": plain, "hand": model}))
     assert [track.sinking[1].any() for track in problem.tracks] == [False, True]
-    (load,) = (part for part in problem.parts if part.kind == "load")
+    load = next(part for part in problem.parts if part.kind == "load")
     assert load.place.stop - load.place.start == len(known.joints) + 1
     assert np.isfinite(fit_parts(problem, (load,)).evidence)
 
@@ -279,7 +279,7 @@ def test_changes_that_explain_about_as_much_are_doubt(known, seed):
     assert not long.changes[0].alternatives and np.sqrt(np.diag(long.doubt)).max() < 1e-3
 
 
-@pytest.mark.parametrize(("nats", "doubted"), [(0.0, True), (-20.0, False)])
+@pytest.mark.parametrize(("nats", "doubted"), [(4.0, True), (-15.0, False)])
 def test_a_load_beside_a_moved_camera_is_doubt_where_it_explains_as_much(on_axes, monkeypatch, nats, doubted):
     problem = change.pose_problem(run(), on_axes)
     of = {part.kind: part for part in problem.parts if np.isinf(part.onset)}

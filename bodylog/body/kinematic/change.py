@@ -56,6 +56,11 @@ MARKER = np.array([0.01] * 3 + [np.radians(5.0)] * 3)
 """m, rad: prior std of a marker's motion: its own size, and as far as a joint."""
 LOAD = 0.02
 """rad: prior std of the largest sag of each joint under a load, 1.1°; as in `estimation`."""
+SCALES = (1.0, 0.2, 0.05)
+"""Shares of these prior stds of poses and loads that are tried: a push may have 2° or 0.1°, and six
+numbers of a prior 20 times too wide cost 18 nats. Of 15 drawn pushes and payloads of 0.1 to 0.3°
+the cause had most nats in 4 with the widest alone, and in all with these.
+"""
 PAYLOAD = "payload"
 """The name of a load among the things that explain a log."""
 MOST = 200
@@ -193,34 +198,54 @@ def _prefer_joint_pair(found: _Search, problem: ChangeProblem) -> _Search:
 
 
 def _weigh_explanations(found: _Search, names: tuple[str, ...]) -> Array:
-    """Covariance (M,M) rad² of joints' zeros by single changes, pairs of joints, and a pose or a
-    load beside what was found, each as probable as its evidence says.
+    """Covariance (M,M) rad² of joints' zeros by single changes, pairs of joints, and a load beside
+    a pose that was found, each as probable as its evidence says.
     """
     problem = found.problem
-    constant = [part for part in problem.parts if np.isinf(part.onset)]
-    joints = [part for part in constant if part.kind == "joint"]
-    others = [*((part,) for part in constant), *combinations(joints, 2)]
-    beside = [part for part in constant if part.kind != "joint" and part not in found.parts]
-    others += [(*found.parts, part) for part in beside]
-    fits = [(found.parts, found.fit)]
-    for parts in others:
-        with suppress(ModelError):  # no joint is where these would have it
-            fits.append((parts, fit_parts(problem, parts)))
+    fits = _fit_explanations(found)
+    taken = {part.thing for part in found.parts}
     evidence = np.array([fit.evidence for _, fit in fits])
     share = np.exp(evidence - evidence.max())
     share = share / share.sum()
-    zeros, within = zip(*(_find_moved_zeros(problem, *one, names) for one in fits), strict=True)
-    apart = np.array(zeros) - zeros[0]
-    between = np.einsum("k,ki,kj->ij", share, apart, apart)
-    # what was found has its own covariance in the body, or in the estimate
-    return np.asarray(between + np.einsum("k,kij->ij", share[1:], np.array(within[1:])))
+    moved = [
+        _move_zeros_by_unknowns(problem, parts, fit.unknowns, names) @ fit.unknowns
+        for parts, fit in fits
+    ]
+    apart = np.array(moved) - moved[0]
+    doubt = np.einsum("k,ki,kj->ij", share, apart, apart)
+    for (parts, fit), weight in zip(fits, share, strict=True):
+        # what was found has its own covariance in the body, or in the estimate
+        others = [part for part in parts if part.thing not in taken]
+        own = _move_zeros_by_unknowns(problem, others, fit.unknowns, names)
+        doubt += weight * (own @ fit.cov @ own.T)
+    return np.asarray(doubt)
 
 
-def _find_moved_zeros(
-    problem: ChangeProblem, parts: Sequence[ChangePart], fit: ChangeFit, names: tuple[str, ...]
-) -> tuple[Array, Array]:
-    """How far (M,) rad joints are from what they read, at most, by these parts, and the covariance
-    (M,M) of that.
+def _fit_explanations(found: _Search) -> list[tuple[tuple[ChangePart, ...], ChangeFit]]:
+    """What was found, then single changes, pairs of joints, and loads beside poses that were found,
+    with their fits; a load beside others costs as much as it must win to be allowed for.
+    """
+    constant = [part for part in found.problem.parts if np.isinf(part.onset)]
+    joints = [part for part in constant if part.kind == "joint"]
+    loads = [part for part in constant if part.kind == "load"]
+    things = {part.thing for part in found.parts}
+    beside = [load for load in loads if load.thing not in things]
+    tried = [(one, 0.0) for one in (*((part,) for part in constant), *combinations(joints, 2))]
+    if any(part.is_pose for part in found.parts):
+        tried += [((*found.parts, load), CHANGE_MARGIN_NATS) for load in beside]
+    fits = [(found.parts, found.fit)]
+    for parts, cost in tried:
+        with suppress(ModelError):  # no joint is where these would have it
+            fit = fit_parts(found.problem, parts)
+            fits.append((parts, replace(fit, evidence=fit.evidence - cost)))
+    return fits
+
+
+def _move_zeros_by_unknowns(
+    problem: ChangeProblem, parts: Sequence[ChangePart], unknowns: Array, names: tuple[str, ...]
+) -> Array:
+    """How far (M,P) rad joints are from what they read, at most, by unit unknowns of these parts;
+    under a load, at the posture where these unknowns bend a joint most.
     """
     by_unknowns = np.zeros((len(names), len(problem.std)))
     joints = np.arange(len(names))
@@ -229,23 +254,25 @@ def _find_moved_zeros(
             by_unknowns[names.index(part.name), part.place] = 1.0
         elif part.kind == "load":
             bends = np.concatenate([track.sinking[0] for track in problem.tracks])
-            most = np.abs(bends @ fit.unknowns[part.place]).argmax(axis=0)
+            most = np.abs(bends @ unknowns[part.place]).argmax(axis=0)
             by_unknowns[:, part.place] += bends[most, joints]
-    return by_unknowns @ fit.unknowns, by_unknowns @ fit.cov @ by_unknowns.T
+    return by_unknowns
 
 
 def _allow_for_load(found: _Search) -> tuple[tuple[ChangePart, ...], ChangeFit]:
     """The parts and their fit, with a load where it wins CHANGE_MARGIN_NATS beside a pose: a
     camera would take up a part of it.
     """
-    loads = tuple(part for part in found.problem.parts if part.kind == "load")
-    if not loads or loads[0] in found.parts:
-        return found.parts, found.fit
-    with_load = (*found.parts, *loads)
-    fit = fit_parts(found.problem, with_load, found.fit.unknowns)
-    if fit.evidence < found.fit.evidence + CHANGE_MARGIN_NATS:
-        return found.parts, found.fit
-    return with_load, fit
+    least = found.fit.evidence + CHANGE_MARGIN_NATS
+    chosen = found.parts, found.fit
+    if any(part.kind == "load" for part in found.parts):
+        return chosen
+    for load in (part for part in found.problem.parts if part.kind == "load"):
+        with_load = (*found.parts, load)
+        fit = fit_parts(found.problem, with_load, found.fit.unknowns)
+        if fit.evidence >= max(least, chosen[1].evidence):
+            chosen = with_load, fit
+    return chosen
 
 
 def _weighted_changes(found: _Search, centres: Mapping[str, Array]) -> Iterator[Change]:
@@ -407,6 +434,10 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
     parts = list[ChangePart]()
     std = list[Array]()
 
+    def add_scaled(kind: str, name: str, spread: Array) -> None:
+        for scale in SCALES:
+            add(kind, name, scale * spread)
+
     def add(kind: str, name: str, spread: Array, onset: float = -np.inf, unit: str = "rad") -> None:
         begin = sum(len(one) for one in std)
         parts.append(ChangePart(kind, name, slice(begin, begin + len(spread)), onset, unit))
@@ -419,11 +450,11 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
             add("joint", name, np.array([SLIP * factor]), onset, unit)
     for camera in dict.fromkeys(track.camera for track in tracks):
         scales = max(track.scale for track in tracks if track.camera == camera)
-        add("camera", camera, np.concatenate([CAMERA, np.tile(CAMERA[:3], scales)]))
+        add_scaled("camera", camera, np.concatenate([CAMERA, np.tile(CAMERA[:3], scales)]))
     for name, model in {track.marker: track.model for track in tracks}.items():
-        add("marker", name, MARKER[: model.marker_freedom])
+        add_scaled("marker", name, MARKER[: model.marker_freedom])
     if any(sinking.any() for track in tracks for sinking in track.sinking):
-        add("load", PAYLOAD, np.full(tracks[0].sinking[0].shape[2], LOAD))
+        add_scaled("load", PAYLOAD, np.full(tracks[0].sinking[0].shape[2], LOAD))
     kept = tuple(np.arange(len(track.part.x)) for track in tracks)
     return ChangeProblem(names, tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)
 

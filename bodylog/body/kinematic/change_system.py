@@ -222,7 +222,7 @@ def _move_ends(
     marker = np.zeros(track.model.marker_freedom)
     for part in problem.parts:
         if (place := track.find_place(part)) is not None:
-            (camera if part.kind == "camera" else marker)[:] = unknowns[place]
+            (camera if part.kind == "camera" else marker)[:] += unknowns[place]
     moved, by_camera, by_marker = track.model.move_ends(camera, marker)
     columns = np.zeros((len(by_camera), len(unknowns)))
     for part in problem.parts:
