@@ -7,6 +7,7 @@ import pytest
 
 from bodylog import body
 from bodylog.body.kinematic import change
+from bodylog.body.kinematic.change_problem import PAYLOAD, pose_problem
 from bodylog.body.kinematic.change_system import ChangeFit, fit_parts
 from bodylog.body.kinematic.model import KinematicGP, can_show_changes
 from bodylog.findings import log_estimate as change_findings
@@ -189,7 +190,7 @@ def test_a_weight_at_the_hand_is_no_moved_camera_on_found_axes(on_axes, seed, si
     pulls = model.sink_under_weight(features.joints.values)[0].reshape(-1, count, count, 3).sum(axis=2) @ down
     laden = replace(features, joints=replace(features.joints, values=features.joints.values - size * pulls))
     changes = find_changes(laden, on_axes)
-    assert all(change.PAYLOAD in one.alternatives for one in changes)
+    assert all(PAYLOAD in one.alternatives for one in changes)
 
 
 class Weighed(KinematicGP):
@@ -208,7 +209,7 @@ def test_an_arm_with_upright_axes_carries_no_load(known, lever):
 
     plain = known.senses["effector"]
     model = Upright(**{field.name: getattr(plain, field.name) for field in fields(plain)})
-    problem = change.pose_problem(run(), replace(known, senses={"effector": model}))
+    problem = pose_problem(run(), replace(known, senses={"effector": model}))
     assert not any(part.kind == "load" for part in problem.parts)
 
 
@@ -240,7 +241,7 @@ def test_a_weight_at_the_hand_is_no_change_and_hides_none(known, seed, size):
 def test_a_load_is_allowed_for_beside_a_pose_where_it_wins_by_a_margin(known, monkeypatch, gain, allowed):
     plain = known.senses["effector"]
     model = Weighed(**{field.name: getattr(plain, field.name) for field in fields(plain)})
-    problem = change.pose_problem(run(), replace(known, senses={"effector": model}))
+    problem = pose_problem(run(), replace(known, senses={"effector": model}))
     camera = next(part for part in problem.parts if part.kind == "camera")
     unknowns = np.zeros(len(problem.std)), np.eye(len(problem.std))
     monkeypatch.setattr(change, "fit_parts", lambda *_: ChangeFit(*unknowns, 100.0 + gain))
@@ -263,7 +264,7 @@ def test_markers_that_other_still_joints_carry_share_one_load(known):
     model = Carried(**{field.name: getattr(plain, field.name) for field in fields(plain)})
     features = run(52)
     both = replace(features, tracks={"effector": features.tracks["effector"], "hand": features.tracks["effector"]})
-    problem = change.pose_problem(both, replace(known, senses={"effector": plain, "hand": model}))
+    problem = pose_problem(both, replace(known, senses={"effector": plain, "hand": model}))
     assert [track.sinking[1].any() for track in problem.tracks] == [False, True]
     load = next(part for part in problem.parts if part.kind == "load")
     assert load.place.stop - load.place.start == len(known.joints) + 1
@@ -281,7 +282,7 @@ def test_changes_that_explain_about_as_much_are_doubt(known, seed):
 
 @pytest.mark.parametrize(("nats", "doubted"), [(4.0, True), (-15.0, False)])
 def test_a_load_beside_a_moved_camera_is_doubt_where_it_explains_as_much(on_axes, monkeypatch, nats, doubted):
-    problem = change.pose_problem(run(), on_axes)
+    problem = pose_problem(run(), on_axes)
     of = {part.kind: part for part in problem.parts if np.isinf(part.onset)}
     size = len(problem.std)
 
@@ -308,7 +309,7 @@ def test_a_load_beside_a_moved_camera_is_doubt_where_it_explains_as_much(on_axes
 )
 def test_a_pair_of_joints_needs_both_and_wins_or_is_named_beside_one(known, monkeypatch, both, alone, parts, alternatives):
     """The nats of the elbow are 100, those of lift and wrist together and of each alone as given."""
-    problem = change.pose_problem(run(), known)
+    problem = pose_problem(run(), known)
     of = {part.name: part for part in problem.parts if part.kind == "joint" and np.isinf(part.onset)}
     nats = {("elbow",): 100.0, ("lift", "wrist"): both, ("lift",): alone, ("wrist",): alone}
 

@@ -5,7 +5,7 @@ camera or marker leaves: whether one explains the log.
 from ...body_model import BodyModel
 from ...runtime.blas_threads import one_thread
 from ...types import Features
-from .change import FEWEST, pose_problem
+from .change_problem import FEWEST, pose_problem
 from .change_system import outlier_share
 
 

@@ -1,0 +1,173 @@
+"""Lay out what may have changed since a body was learned: its tracks in one log, and the unknowns
+of joints, cameras, markers and a load.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...body_model import BodyModel
+from ...errors import InputError
+from ...sources import group_of
+from ...types import Array, Features
+from ..data.pairs import NO_ERRORS, correlate_angle_errors, pair_sightings, smooth_all_joints
+from ..data.subsampling import choose_spaced_rows
+from ..gp.posed_gp import PosedGP
+from .change_system import ChangePart, ChangeProblem, ChangeTrack
+from .model import KinematicGP, can_show_changes
+
+SLIP = np.radians(5.0)
+SLIDE = 0.1
+"""rad: prior std of a zero's change, and m per rad for
+a prismatic joint; the default of `fit --offset-prior`.
+"""
+CAMERA = np.array([0.02] * 3 + [np.radians(2.0)] * 3)
+"""m, rad: prior std of a camera's motion; that of
+a camera placed by a transform (links.TF_POSE).
+"""
+MARKER = np.array([0.01] * 3 + [np.radians(5.0)] * 3)
+"""m, rad: prior std of a marker's motion: its own size, and as far as a joint."""
+LOAD = 0.02
+"""rad: prior std of the largest sag of each joint under a load, 1.1°; as in `estimation`."""
+SCALES = (1.0, 0.2, 0.05)
+"""Shares of these prior stds of poses and loads that are tried: a push may have 2° or 0.1°, and six
+numbers of a prior 20 times too wide cost 18 nats. Of 15 drawn pushes and payloads of 0.1 to 0.3°
+the cause had most nats in 4 with the widest alone, and in all with these.
+"""
+PAYLOAD = "payload"
+"""The name of a load among the things that explain a log."""
+MOST = 200
+FEWEST = 10
+"""Most and fewest sightings of a track: few show a change, and the cost is O(n³)."""
+_ONSETS = 8
+
+
+def pose_problem(
+    features: Features, body: BodyModel, lasting: Mapping[str, tuple[float, float]] = NO_ERRORS
+) -> ChangeProblem | None:
+    """Pose the linear problem of all changes; None where
+    no track has kinematics, or a joint lacks readings.
+    """
+    senses = _list_posed_senses(features, body)
+    names = () if features.joints is None else features.joints.names
+    if not senses or not can_show_changes(body) or not set(body.joints) <= set(names):
+        return None
+    try:
+        chosen = smooth_all_joints([features], body.joints, lasting)
+    except InputError:
+        return None  # an encoder with hardly any readings
+    tracks = []
+    for name, model in senses.items():
+        part = pair_sightings([features], name, chosen, 1)
+        part = part.rows(choose_spaced_rows(len(part.x), MOST)) if len(part.x) else part
+        known = correlate_angle_errors(part, chosen)
+        coupling = (known.i, known.j, known.joint, known.value)
+        bearer = model if isinstance(model, KinematicGP) else next(iter(senses.values()))
+        sinking = bearer.sink_under_weight(part.x)
+        tracks.append(ChangeTrack(name, model, part, coupling, sinking, *_name_ends(name, model)))
+    tracks = [track for track in tracks if len(track.part.x)]
+    if not tracks:
+        return None
+    has_urdf = isinstance(tracks[0].model, KinematicGP)
+    chosen_tracks = _align_still_joints(tracks) if has_urdf else _number_unknowns(tracks)
+    return _lay_out_problem(chosen_tracks, body.joints)
+
+
+def _list_posed_senses(features: Features, body: BodyModel) -> dict[str, PosedGP]:
+    """Models of the tracks whose camera can move: those of a camera that every one of the body's
+    tracks before it can follow.
+    """
+    fixed = {
+        name.rpartition("/")[0]
+        for name, model in body.senses.items()
+        if name != "encoders" and not isinstance(model, PosedGP)
+    }
+    return {
+        name: model
+        for name, model in body.senses.items()
+        if isinstance(model, PosedGP)
+        and name in features.tracks
+        and name.rpartition("/")[0] not in fixed
+    }
+
+
+def _name_ends(track: str, model: PosedGP) -> tuple[str, str]:
+    """The names of a track's camera and marker."""
+    if isinstance(model, KinematicGP):
+        return model.rig.cameras[0].name, model.rig.carriers[0].name
+    camera, _, marker = group_of(track).rpartition("/")
+    return f"camera {camera}".strip(), marker
+
+
+def _number_unknowns(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
+    """Tracks on found axes, with the places of their directions among those of all, and with
+    their scales: tracks learned with one URDF share all directions, and lengths in m.
+    """
+    first = 0
+    markers = dict[str, list[str]]()
+    numbered = []
+    for track in tracks:
+        own = markers.setdefault(track.camera, [])
+        if track.marker not in own:
+            own.append(track.marker)
+        scale = own.index(track.marker) if track.model.length_unit == "1" else 0
+        numbered.append(replace(track, first=first, scale=scale))
+        first = numbered[-1].directions.stop
+    return numbered
+
+
+def _align_still_joints(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
+    """Tracks with a URDF, with the sag of joints that stood still in the same order: zero for those
+    that do not carry a track's marker.
+    """
+    moving = tracks[0].part.x.shape[1]
+    own = [track.model.still_joints for track in tracks]
+    names = list(dict.fromkeys(name for each in own for name in each))
+    aligned = []
+    for track, each in zip(tracks, own, strict=True):
+        place = [*range(moving), *(moving + names.index(name) for name in each)]
+        every = [np.zeros((*one.shape[:2], moving + len(names))) for one in track.sinking]
+        for wide, one in zip(every, track.sinking, strict=True):
+            wide[..., place] = one
+        aligned.append(replace(track, sinking=(every[0], every[1])))
+    return aligned
+
+
+def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> ChangeProblem | None:
+    first = tracks[0].model
+    if isinstance(first, KinematicGP) and (first.rig.doubt < 1e-6).all():
+        return None  # offsets are turned off
+    t = np.concatenate([track.part.t for track in tracks])
+    inner = (
+        np.quantile(t, np.arange(1, _ONSETS) / _ONSETS).tolist()
+        if len(t) >= 2 * _ONSETS * len(names)
+        else []
+    )
+    onsets = (-np.inf, *inner)
+    parts = list[ChangePart]()
+    std = list[Array]()
+
+    def add_scaled(kind: str, name: str, spread: Array) -> None:
+        for scale in SCALES:
+            add(kind, name, scale * spread)
+
+    def add(kind: str, name: str, spread: Array, onset: float = -np.inf, unit: str = "rad") -> None:
+        begin = sum(len(one) for one in std)
+        parts.append(ChangePart(kind, name, slice(begin, begin + len(spread)), onset, unit))
+        std.append(spread)
+
+    for m, name in enumerate(names):
+        slides = isinstance(first, KinematicGP) and first.rig.slides(m)
+        factor, unit = (SLIDE, "m") if slides else (1.0, "rad")
+        for onset in onsets:
+            add("joint", name, np.array([SLIP * factor]), onset, unit)
+    for camera in dict.fromkeys(track.camera for track in tracks):
+        scales = max(track.scale for track in tracks if track.camera == camera)
+        add_scaled("camera", camera, np.concatenate([CAMERA, np.tile(CAMERA[:3], scales)]))
+    for name, model in {track.marker: track.model for track in tracks}.items():
+        add_scaled("marker", name, MARKER[: model.marker_freedom])
+    if any(sinking.any() for track in tracks for sinking in track.sinking):
+        add_scaled("load", PAYLOAD, np.full(tracks[0].sinking[0].shape[2], LOAD))
+    kept = tuple(np.arange(len(track.part.x)) for track in tracks)
+    return ChangeProblem(names, tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)
