@@ -96,15 +96,16 @@ def find_body_of_log(
     features: Features, learned: BodyModel, settings: Settings
 ) -> tuple[BodyModel, tuple[Finding, ...]]:
     """The body with cameras and markers where they are in this log, by images that are not
-    withheld, and a remark on those that moved; as learned where no estimate tells.
+    withheld, and a remark on those that moved; as learned, with a remark, where no estimate tells.
     """
     if not can_show_changes(learned):
         return learned, ()
     usual = replace(settings, estimate=replace(settings.estimate, method=EstimationSettings.method))
     try:
         found, moved = infer_with_changes(withhold_frames(features)[0], learned, usual)
-    except (InputError, UsageError):
-        return learned, ()  # each row says why
+    except (InputError, UsageError) as problem:
+        text = f"no camera or marker that moved since the body was learned is looked for: {problem}"
+        return learned, (Finding("warning", text),)
     if moved is learned:
         return learned, ()
     names = list_in_words([f.name for f in found.faults if f.kind == FaultKind.MOVED])

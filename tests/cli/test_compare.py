@@ -10,8 +10,10 @@ import pytest
 
 from bodylog import compare
 from bodylog.body import storage
+from bodylog.errors import EvidenceError
 from bodylog.estimation import METHODS
 from bodylog.settings import EstimationSettings, Settings
+from bodylog.types import Finding
 from tests.body.changed_arms import explored_without_urdf, run
 
 from .spoilt import spoil
@@ -139,6 +141,26 @@ def test_a_camera_that_was_pushed_is_where_it_is_now_for_every_method(asked):
     assert finding.text == "camera: moved since the body was learned; each row is by where it is in this log"
     turned = moved.senses["effector"].chain.frames @ learned.senses["effector"].chain.frames.transpose(0, 2, 1)
     assert np.allclose(np.arccos((np.trace(turned, axis1=1, axis2=2) - 1) / 2), np.hypot(0.03, 0.01), atol=0.02)
+
+
+def test_rows_are_by_the_body_of_the_log(monkeypatch, robot):
+    """And where no estimate tells it, they are by the body as learned, with the reason."""
+    settings = Settings(estimate=EstimationSettings(without=("touch",)))
+    inner, used = compare.infer, []
+    learned = storage.load_body(robot / "body.npz")
+    monkeypatch.setattr(compare, "infer", lambda f, body, s: used.append(body) or inner(f, body, s))
+    moved = Finding("warning", "camera: moved")
+    monkeypatch.setattr(compare, "find_body_of_log", lambda *_: (learned, (moved,)))
+    _, findings = compare.compare_methods(robot / "reach.mcap", robot / "body.npz", settings)
+    assert moved in findings and all(body is learned for body in used)
+    monkeypatch.undo()
+
+    def refuse(*_):
+        raise EvidenceError("too few readings")
+
+    monkeypatch.setattr(compare, "infer_with_changes", refuse)
+    _, (finding,) = compare.find_body_of_log(run(60), explored_without_urdf(), settings)
+    assert finding.severity == "warning" and finding.text.endswith("is looked for: too few readings")
 
 
 def test_encoders_that_never_spoke_are_no_sense(robot):
