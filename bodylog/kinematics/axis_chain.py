@@ -110,12 +110,13 @@ class AxisChain:
             self, place=place, lens=self.lens + step[self.of_lens], frames=frames, pivots=pivots
         )
 
-    def move_ends(self, camera: Array, marker: Array) -> tuple["AxisChain", Array, Array]:
+    def move_poses(self, camera: Array, marker: Array) -> tuple["AxisChain", Array, Array]:
         """The chain after its marker moved by `marker` (3,), and then its camera by `camera` (6,):
         p ↦ exp(w) p + v of all that it sees, v before w; and the derivatives by both, as steps
         (P,6) and (P,3) of the unknowns.
         """
-        shift, turn = camera[:3], camera[3:]
+        shift = camera[:3]
+        turn = camera[3:]
         rotation = rotation_from_vector(turn)
         moved = replace(
             self,

@@ -18,6 +18,7 @@ from bodylog.types import Fault, FaultKind
 from tests.body.changed_arms import DEGREE, explored, explored_without_urdf, run
 from tests.kinematics.robots import JOINTS
 from tests.seeds import seeds
+from tests.validation.pushed_cameras import push
 
 
 def find_changes(*given):
@@ -296,6 +297,34 @@ def test_a_load_beside_a_moved_camera_is_doubt_where_it_explains_as_much(on_axes
     found = change._Search(problem, (of["camera"],), fit(problem, (of["camera"],)), {})
     doubt = change._weigh_explanations(found, on_axes.joints)
     assert (np.sqrt(np.diag(doubt)).max() > 1e-3) == doubted
+    (bends,) = (track.sinking[0] @ np.full(track.sinking[0].shape[2], 0.01) for track in problem.tracks)
+    odds = np.exp(nats - change.CHANGE_MARGIN_NATS)
+    # what was found, three widths of the camera alone, and three of a load beside it, one of which bends here
+    assert np.allclose(np.diag(doubt), np.square(bends).max(axis=0) * odds / (4 + 3 * odds), rtol=1e-3)
+
+
+@pytest.mark.parametrize("degrees", [0.2, 0.3])
+def test_small_pushes_are_not_taken_for_something_else(on_axes, degrees):
+    """Priors as wide as 2° and 20 mm cost more nats than what tells such a push from a load or an offset."""
+    draw = np.random.default_rng(11)
+    pushed = [run(70 + k, encoder=1e-3, camera=push(draw, degrees, 0.01 * degrees)) for k in range(8)]
+    named = [(one[0].name, *one[0].alternatives) for one in (find_changes(log, on_axes) for log in pushed) if one]
+    assert all("camera" in names for names in named) and sum(names[0] == "camera" for names in named) >= 4
+
+
+def test_a_marker_before_two_cameras_moves_in_the_axes_of_each(on_axes):
+    """Without a URDF nothing tells how one camera's axes lie in the other's."""
+    features = run(60)
+    both = replace(features, tracks={**features.tracks, "side/effector": features.tracks["effector"]})
+    model = on_axes.senses["effector"]
+    problem = pose_problem(both, replace(on_axes, senses={"effector": model, "side/effector": model}))
+    poses = {part.thing for part in problem.parts if part.is_pose}
+    assert poses == {("camera", "camera"), ("camera", "camera side"), ("marker", "effector"), ("marker", "side/effector")}
+
+
+def test_a_track_that_a_log_lacks_holds_no_camera(on_axes):
+    plain = body.learn_body([run(3, 16.0, 0.003)], Settings(), {}).model.senses["effector"]
+    assert find_changes(run(60, camera=PUSHES[0]), replace(on_axes, senses={**on_axes.senses, "tip": plain}))
 
 
 @pytest.mark.parametrize(

@@ -53,12 +53,12 @@ def test_steps_that_show_as_motions_of_camera_and_marker_are_those_of_difference
     draw = np.random.default_rng(seed)
     q = draw.normal(0.0, 0.4, (6, 4))
     camera, marker = draw.normal(0.0, 0.2, 6), draw.normal(0.0, 0.1, 3)
-    moved, *steps = chain.move_ends(camera, marker)
+    moved, *steps = chain.move_poses(camera, marker)
     design = moved.see(q)[2]
     step = 1e-6
     for size, by, add in ((6, steps[0], lambda w: (camera + w, marker)), (3, steps[1], lambda w: (camera, marker + w))):
         for k, way in enumerate(step * np.eye(size)):
-            above, below = (chain.move_ends(*add(one))[0].see(q)[0] for one in (way, -way))
+            above, below = (chain.move_poses(*add(one))[0].see(q)[0] for one in (way, -way))
             assert np.allclose(design @ by[:, k], (above - below) / (2.0 * step), rtol=1e-6, atol=1e-5)
 
 
@@ -67,7 +67,7 @@ def test_a_moved_tracker_sees_the_same_points_from_elsewhere():
     q = np.random.default_rng(4).normal(0.0, 0.4, (10, 3))
     camera = np.array([0.1, -0.2, 0.05, 0.3, -0.2, 0.1])
     there = chain.see(q)[0] * 1e-3 @ rotation_from_vector(camera[3:]).T + camera[:3]
-    assert np.allclose(1e3 * there, chain.move_ends(camera, np.zeros(3))[0].see(q)[0])
+    assert np.allclose(1e3 * there, chain.move_poses(camera, np.zeros(3))[0].see(q)[0])
 
 
 @LENSES

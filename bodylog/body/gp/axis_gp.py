@@ -10,12 +10,10 @@ from ...kinematics.axis_chain import AxisChain
 from ...kinematics.axis_instant import compile_axes
 from ...kinematics.instant import Instant
 from ...kinematics.rotations import invert_transform, make_transform, rotation_from_vector
+from ...sources import group_of
 from ...types import Array
 from .mean_gp import MeanAt
-from .posed_gp import PosedGP
-
-LEAST_LEVER = 1e-3
-"""m, or shares of the marker's distance: below it no joint carries the hand."""
+from .posed_gp import LEAST_LEVER, PosedGP
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,22 +27,32 @@ class AxisGP(PosedGP):
 
     @property
     def length_unit(self) -> str:
-        """ "1", shares of the marker's distance, before a camera; "m" before a tracker."""
+        """Shares of the marker's distance, "1", before a camera; "m" before a tracker."""
         return "1" if len(self.chain.lens) else "m"
+
+    @property
+    def shares_unknowns(self) -> bool:
+        """Each track has a chain of its own."""
+        return False
+
+    def name_poses(self, track: str) -> tuple[str, str]:
+        """The camera's name, and the marker's with its camera: each has axes of its own."""
+        camera = track.rpartition("/")[0]
+        return f"camera {camera}".strip(), group_of(track)
 
     def move_unknowns(self, step: Array) -> Self:
         """The model with its unknowns changed by step (P,)."""
         return replace(self, chain=self.chain.move_axes(step))
 
-    def move_ends(self, camera: Array, marker: Array) -> tuple[Self, Array, Array]:
+    def move_poses(self, camera: Array, marker: Array) -> tuple[Self, Array, Array]:
         """The model after its camera (6,) and its marker (3,) moved, and the derivatives (P,6) and
         (P,3) of its unknowns by both there.
         """
-        chain, by_camera, by_marker = self.chain.move_ends(camera, marker)
+        chain, by_camera, by_marker = self.chain.move_poses(camera, marker)
         return replace(self, chain=chain), by_camera, by_marker
 
-    def locate_end(self, kind: str, change: Array) -> Array:
-        """Pose (4,4) of the camera in that before it moved, or of the marker in the camera's axes."""
+    def locate_pose(self, kind: str, change: Array) -> Array:
+        """Pose (4,4) of the camera in that before it moved, or of the marker in its axes."""
         if kind == "marker":
             return make_transform(np.eye(3), change)
         return invert_transform(make_transform(rotation_from_vector(change[3:]), change[:3]))

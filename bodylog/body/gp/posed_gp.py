@@ -4,8 +4,15 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Self
 
+import numpy as np
+
 from ...types import Array
 from .mean_gp import MeanGP
+
+LEAST_LEVER = 1e-3
+"""m (or m per m), or shares of the marker's distance: below it no joint carries the hand, as of an
+arm whose axes are all upright.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,9 +29,24 @@ class PosedGP(MeanGP):
         """Unit of lengths: "m", or "1" for shares of the marker's distance."""
 
     @property
+    @abstractmethod
+    def shares_unknowns(self) -> bool:
+        """Whether all tracks of a body have the same unknowns, of one robot in one unit."""
+
+    @property
+    def knows_zeros(self) -> bool:
+        """Whether joints read their angles for certain, so that no zero can have changed."""
+        return False
+
+    @property
     def marker_freedom(self) -> int:
         """K: the numbers by which the marker moves; a point does not turn."""
         return 3
+
+    @property
+    def marker_point(self) -> Array:
+        """The point (3,) of the marker that is seen, in the marker."""
+        return np.zeros(3)
 
     @property
     def still_joints(self) -> tuple[str, ...]:
@@ -32,17 +54,25 @@ class PosedGP(MeanGP):
         return ()
 
     @abstractmethod
+    def name_poses(self, track: str) -> tuple[str, str]:
+        """The names of the camera and the marker of this model's track."""
+
+    def slides(self, joint: int) -> bool:
+        """Whether a joint is prismatic."""
+        return False
+
+    @abstractmethod
     def move_unknowns(self, step: Array) -> Self:
         """The model with the mean's unknowns changed by step (P,)."""
 
     @abstractmethod
-    def move_ends(self, camera: Array, marker: Array) -> tuple[Self, Array, Array]:
+    def move_poses(self, camera: Array, marker: Array) -> tuple[Self, Array, Array]:
         """The model after its camera (6,) and its marker (K,) moved, and the derivatives (P,6) and
         (P,K) of its unknowns by both there.
         """
 
     @abstractmethod
-    def locate_end(self, kind: str, change: Array) -> Array:
+    def locate_pose(self, kind: str, change: Array) -> Array:
         """Pose (4,4) of the camera or the marker, as `kind` says, in its link, moved by a change.
 
         Without a URDF the link of a camera is where it was, and a marker's has the camera's axes.

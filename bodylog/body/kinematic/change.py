@@ -30,7 +30,6 @@ from .change_system import (
     linearise_sightings,
     move_models,
 )
-from .model import KinematicGP
 
 CHANGE_NATS = 20.0
 """Nats that a change since learning must win, more than the 12 of `estimation/faults/threshold.py`:
@@ -368,9 +367,7 @@ def _marker_centres(problem: ChangeProblem, boards: Mapping[str, Board]) -> dict
     """
     points = dict[str, list[Array]]()
     for track in problem.tracks:
-        model = track.model
-        seen = model.rig.sights[0].points[0] if isinstance(model, KinematicGP) else np.zeros(3)
-        points.setdefault(track.marker, []).append(seen)
+        points.setdefault(track.marker, []).append(track.model.marker_point)
     centres = {name: np.mean(seen, axis=0) for name, seen in points.items()}
     whole = {name.rpartition("/")[2]: corners.mean(axis=0) for name, (_, corners) in boards.items()}
     return {name: whole.get(name, centre) for name, centre in centres.items()}
@@ -394,8 +391,8 @@ def _add_displacement(
     value = found.fit.unknowns[place]
     size = len(value)
     centre = np.zeros(3) if change.kind == "camera" else centres[change.name]
-    before = model.locate_end(change.kind, np.zeros(size))
-    after = model.locate_end(change.kind, value)
+    before = model.locate_pose(change.kind, np.zeros(size))
+    after = model.locate_pose(change.kind, value)
 
     def displacement(there: Array) -> Array:
         """How far its centre is from where it was (3,) m, and its turn (3,) rad from `after`."""
@@ -404,8 +401,8 @@ def _add_displacement(
 
     slope = np.stack(
         [
-            displacement(model.locate_end(change.kind, value + h))
-            - displacement(model.locate_end(change.kind, value - h))
+            displacement(model.locate_pose(change.kind, value + h))
+            - displacement(model.locate_pose(change.kind, value - h))
             for h in _STEP * np.eye(size)
         ],
         axis=1,

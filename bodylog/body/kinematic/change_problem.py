@@ -9,13 +9,12 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import InputError
-from ...sources import group_of
 from ...types import Array, Features
 from ..data.pairs import NO_ERRORS, correlate_angle_errors, pair_sightings, smooth_all_joints
 from ..data.subsampling import choose_spaced_rows
 from ..gp.posed_gp import PosedGP
 from .change_system import ChangePart, ChangeProblem, ChangeTrack
-from .model import KinematicGP, can_show_changes
+from .model import can_show_changes
 
 SLIP = np.radians(5.0)
 SLIDE = 0.1
@@ -31,7 +30,7 @@ MARKER = np.array([0.01] * 3 + [np.radians(5.0)] * 3)
 LOAD = 0.02
 """rad: prior std of the largest sag of each joint under a load, 1.1°; as in `estimation`."""
 SCALES = (1.0, 0.2, 0.05)
-"""Shares of these prior stds of poses and loads that are tried: a push may have 2° or 0.1°, and six
+"""Shares of these prior stds of poses and loads that are tried: a push has 2° or 0.1°, and six
 numbers of a prior 20 times too wide cost 18 nats. Of 15 drawn pushes and payloads of 0.1 to 0.3°
 the cause had most nats in 4 with the widest alone, and in all with these.
 """
@@ -63,41 +62,27 @@ def pose_problem(
         part = part.rows(choose_spaced_rows(len(part.x), MOST)) if len(part.x) else part
         known = correlate_angle_errors(part, chosen)
         coupling = (known.i, known.j, known.joint, known.value)
-        bearer = model if isinstance(model, KinematicGP) else next(iter(senses.values()))
-        sinking = bearer.sink_under_weight(part.x)
-        tracks.append(ChangeTrack(name, model, part, coupling, sinking, *_name_ends(name, model)))
+        # directions of a pull are those of one camera
+        levers = model if model.shares_unknowns else next(iter(senses.values()))
+        sinking = levers.sink_under_weight(part.x)
+        tracks.append(ChangeTrack(name, model, part, coupling, sinking, *model.name_poses(name)))
     tracks = [track for track in tracks if len(track.part.x)]
     if not tracks:
         return None
-    has_urdf = isinstance(tracks[0].model, KinematicGP)
-    chosen_tracks = _align_still_joints(tracks) if has_urdf else _number_unknowns(tracks)
-    return _lay_out_problem(chosen_tracks, body.joints)
+    shares = tracks[0].model.shares_unknowns
+    laid = _align_still_joints(tracks) if shares else _number_unknowns(tracks)
+    return _lay_out_problem(laid, body.joints)
 
 
 def _list_posed_senses(features: Features, body: BodyModel) -> dict[str, PosedGP]:
-    """Models of the tracks whose camera can move: those of a camera that every one of the body's
-    tracks before it can follow.
-    """
-    fixed = {
-        name.rpartition("/")[0]
-        for name, model in body.senses.items()
-        if name != "encoders" and not isinstance(model, PosedGP)
-    }
+    """Models of this log's tracks whose camera can move: every track before it can follow."""
+    seen = {name: model for name, model in body.senses.items() if name in features.tracks}
+    fixed = {name.rpartition("/")[0] for name, one in seen.items() if not isinstance(one, PosedGP)}
     return {
         name: model
-        for name, model in body.senses.items()
-        if isinstance(model, PosedGP)
-        and name in features.tracks
-        and name.rpartition("/")[0] not in fixed
+        for name, model in seen.items()
+        if isinstance(model, PosedGP) and name.rpartition("/")[0] not in fixed
     }
-
-
-def _name_ends(track: str, model: PosedGP) -> tuple[str, str]:
-    """The names of a track's camera and marker."""
-    if isinstance(model, KinematicGP):
-        return model.rig.cameras[0].name, model.rig.carriers[0].name
-    camera, _, marker = group_of(track).rpartition("/")
-    return f"camera {camera}".strip(), marker
 
 
 def _number_unknowns(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
@@ -113,7 +98,7 @@ def _number_unknowns(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
             own.append(track.marker)
         scale = own.index(track.marker) if track.model.length_unit == "1" else 0
         numbered.append(replace(track, first=first, scale=scale))
-        first = numbered[-1].directions.stop
+        first = numbered[-1].unknown_directions.stop
     return numbered
 
 
@@ -136,8 +121,8 @@ def _align_still_joints(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
 
 def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> ChangeProblem | None:
     first = tracks[0].model
-    if isinstance(first, KinematicGP) and (first.rig.doubt < 1e-6).all():
-        return None  # offsets are turned off
+    if first.knows_zeros:
+        return None
     t = np.concatenate([track.part.t for track in tracks])
     inner = (
         np.quantile(t, np.arange(1, _ONSETS) / _ONSETS).tolist()
@@ -148,26 +133,27 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
     parts = list[ChangePart]()
     std = list[Array]()
 
-    def add_scaled(kind: str, name: str, spread: Array) -> None:
+    def add_scaled_parts(kind: str, name: str, spread: Array) -> None:
         for scale in SCALES:
-            add(kind, name, scale * spread)
+            add_part(kind, name, scale * spread)
 
-    def add(kind: str, name: str, spread: Array, onset: float = -np.inf, unit: str = "rad") -> None:
+    def add_part(
+        kind: str, name: str, spread: Array, onset: float = -np.inf, unit: str = "rad"
+    ) -> None:
         begin = sum(len(one) for one in std)
         parts.append(ChangePart(kind, name, slice(begin, begin + len(spread)), onset, unit))
         std.append(spread)
 
     for m, name in enumerate(names):
-        slides = isinstance(first, KinematicGP) and first.rig.slides(m)
-        factor, unit = (SLIDE, "m") if slides else (1.0, "rad")
+        factor, unit = (SLIDE, "m") if first.slides(m) else (1.0, "rad")
         for onset in onsets:
-            add("joint", name, np.array([SLIP * factor]), onset, unit)
+            add_part("joint", name, np.array([SLIP * factor]), onset, unit)
     for camera in dict.fromkeys(track.camera for track in tracks):
         scales = max(track.scale for track in tracks if track.camera == camera)
-        add_scaled("camera", camera, np.concatenate([CAMERA, np.tile(CAMERA[:3], scales)]))
+        add_scaled_parts("camera", camera, np.concatenate([CAMERA, np.tile(CAMERA[:3], scales)]))
     for name, model in {track.marker: track.model for track in tracks}.items():
-        add_scaled("marker", name, MARKER[: model.marker_freedom])
+        add_scaled_parts("marker", name, MARKER[: model.marker_freedom])
     if any(sinking.any() for track in tracks for sinking in track.sinking):
-        add_scaled("load", PAYLOAD, np.full(tracks[0].sinking[0].shape[2], LOAD))
+        add_scaled_parts("load", PAYLOAD, np.full(tracks[0].sinking[0].shape[2], LOAD))
     kept = tuple(np.arange(len(track.part.x)) for track in tracks)
     return ChangeProblem(names, tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)

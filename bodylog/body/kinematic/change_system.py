@@ -60,7 +60,7 @@ class ChangeTrack:
     first: int = 0
 
     @property
-    def directions(self) -> slice:
+    def unknown_directions(self) -> slice:
         """Its directions of unknowns among those of all tracks."""
         return slice(self.first, self.first + self.model.root.shape[1])
 
@@ -198,21 +198,21 @@ def move_models(
     posed = [place for part, place in zip(parts, places, strict=True) if part.is_pose]
     moved = {}
     for number, track in enumerate(problem.tracks):
-        own = np.arange(about.before)[track.directions]
+        own = np.arange(about.before)[track.unknown_directions]
         kept = np.isin(rows, np.concatenate([own, *posed]))
         spread = np.linalg.cholesky(cov[np.ix_(kept, kept)])
         poses = rows[kept][len(own) :] - about.before
         unknowns = np.zeros(len(problem.std))
         unknowns[poses] = problem.std[poses] * mean[kept][len(own) :]
         model = track.model.move_unknowns(track.model.root @ mean[own])
-        model, columns = _move_ends(problem, replace(track, model=model), unknowns)
+        model, columns = _move_poses(problem, replace(track, model=model), unknowns)
         columns = columns[:, poses] * problem.std[poses]
         drift = mean[directions + ends[number] : directions + ends[number + 1]]
-        moved[track.name] = _learn_ends(model, columns, mean[own], spread, drift)
+        moved[track.name] = _condition_on_log(model, columns, mean[own], spread, drift)
     return moved
 
 
-def _move_ends(
+def _move_poses(
     problem: ChangeProblem, track: ChangeTrack, unknowns: Array
 ) -> tuple[PosedGP, Array]:
     """A track's model with its camera and marker moved as in u (P,), and the derivatives (·,P) of
@@ -220,22 +220,21 @@ def _move_ends(
     """
     camera = np.zeros(6)
     marker = np.zeros(track.model.marker_freedom)
-    for part in problem.parts:
-        if (place := track.find_place(part)) is not None:
-            (camera if part.kind == "camera" else marker)[:] += unknowns[place]
-    moved, by_camera, by_marker = track.model.move_ends(camera, marker)
+    own = [(part, place) for part in problem.parts if (place := track.find_place(part)) is not None]
+    for part, place in own:
+        (camera if part.kind == "camera" else marker)[:] += unknowns[place]
+    moved, by_camera, by_marker = track.model.move_poses(camera, marker)
     columns = np.zeros((len(by_camera), len(unknowns)))
-    for part in problem.parts:
-        if (place := track.find_place(part)) is not None:
-            columns[:, place] = by_camera if part.kind == "camera" else by_marker
+    for part, place in own:
+        columns[:, place] = by_camera if part.kind == "camera" else by_marker
     return moved, columns
 
 
-def _learn_ends(
+def _condition_on_log(
     model: PosedGP, columns: Array, known: Array, spread: Array, drift: Array
 ) -> PosedGP:
-    """The model with what a log tells of its directions, whose mean is known (Q,), and of changes
-    with columns (·,K): spread (Q+K,Q+K) of both, and drift (D,) in this log.
+    """The model given a log: the mean of its directions is known (Q,), changes have columns (·,K),
+    both have this spread (Q+K,Q+K), and the log has its own drift (D,).
     """
     return replace(
         model,
@@ -296,7 +295,7 @@ def solve_system(about: System, rows: Array) -> tuple[Array, Array, float]:
 
 def linearise_sightings(problem: ChangeProblem, unknowns: Array) -> System:
     """Linearise all sightings about some unknowns u (P,)."""
-    directions = max(track.directions.stop for track in problem.tracks)
+    directions = max(track.unknown_directions.stop for track in problem.tracks)
     ends = _output_ends(problem)
     drifts = ends[-1]
     before = directions + drifts
@@ -310,7 +309,7 @@ def linearise_sightings(problem: ChangeProblem, unknowns: Array) -> System:
         like = GP.covariance(track.model, x)[0]
         for d in range(ends[number + 1] - ends[number]):
             columns = np.zeros((len(kept), size))
-            columns[:, track.directions] = unknown[:, d]
+            columns[:, track.unknown_directions] = unknown[:, d]
             columns[:, directions + ends[number] + d] = np.sqrt(track.model.drift[d])
             columns[:, before:] = by_unknowns[:, d] * problem.std
             cov = problem.scale * _output_covariance(track, kept, slope[:, d], d, like)
@@ -377,7 +376,7 @@ def _linearise_track(
             shift += bends @ value
             sunk += shown @ value
     x = part.x[kept] + shift
-    moved, columns = _move_ends(problem, track, unknowns)
+    moved, columns = _move_poses(problem, track, unknowns)
     value, slope = moved.means(x)
     by = moved.design(x) @ columns
     for one in problem.parts:

@@ -16,10 +16,10 @@ from ...kinematics.rig import Rig, Sight
 from ...kinematics.rotations import invert_transform
 from ...types import Array
 from ..gp.mean_gp import MeanAt
-from ..gp.posed_gp import PosedGP
+from ..gp.posed_gp import LEAST_LEVER, PosedGP
 
-LEAST_LEVER = 1e-3
-"""m, or m per m: below it no joint carries the hand, as of an arm whose axes are all upright."""
+LEAST_ZERO_STD = 1e-6
+"""rad or m: prior std of zeros below which `fit --offset-prior 0` has turned them off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +48,29 @@ class KinematicGP(PosedGP):
         return "m"
 
     @property
+    def shares_unknowns(self) -> bool:
+        """All tracks are learned with one URDF."""
+        return True
+
+    @property
+    def knows_zeros(self) -> bool:
+        """Whether offsets are turned off."""
+        return bool((self.rig.doubt < LEAST_ZERO_STD).all())
+
+    @property
+    def marker_point(self) -> Array:
+        """The point (3,) m of the marker that is seen, in the marker."""
+        return np.asarray(self.rig.sights[0].points[0])
+
+    def name_poses(self, track: str) -> tuple[str, str]:
+        """The names in the rig."""
+        return self.rig.cameras[0].name, self.rig.carriers[0].name
+
+    def slides(self, joint: int) -> bool:
+        """Whether a joint is prismatic, by the URDF."""
+        return self.rig.slides(joint)
+
+    @property
     def marker_freedom(self) -> int:
         """K: a board has a rotation, too."""
         return len(self.rig.carriers[0].doubt)
@@ -56,7 +79,7 @@ class KinematicGP(PosedGP):
         """The model with its unknowns changed by step (P,)."""
         return replace(self, theta=self.theta + step)
 
-    def move_ends(self, camera: Array, marker: Array) -> tuple[Self, Array, Array]:
+    def move_poses(self, camera: Array, marker: Array) -> tuple[Self, Array, Array]:
         """The model after its camera (6,) and its marker (K,) moved, both as `Rig` has their
         unknowns, and the derivatives (P,6) and (P,K) of its own by both.
         """
@@ -69,7 +92,7 @@ class KinematicGP(PosedGP):
         moved = replace(self, theta=self.theta + step, printed=self.printed + step)
         return moved, by_camera, by_marker
 
-    def locate_end(self, kind: str, change: Array) -> Array:
+    def locate_pose(self, kind: str, change: Array) -> Array:
         """Pose (4,4), m, of the camera or the marker, as `kind` says, in its link."""
         rig = self.rig
         theta = self.theta.copy()
