@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..types import MM_PER_M, Array
+from ..types import Array
 from .camera import project_points, scale_points
 from .chain import cross_products
 from .rotations import cross_product_matrix, left_jacobian, rotation_from_vector
@@ -18,6 +18,8 @@ distance from the camera: arms are about as long as they are far. In m for point
 """
 TURN_STD = 1.0
 """rad: prior std of the direction of an axis, which may have any."""
+PARALLEL = 0.1
+"""rad: axes at a smaller angle cross far from the arm, if at all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,9 +69,7 @@ class AxisChain:
         for k in range(len(turns) - 1, -1, -1):
             arms[k] = (turns[k] @ (point - self.pivots[k])[..., None])[..., 0]
             point = arms[k] + self.pivots[k]
-        image, by_point, by_lens = (
-            project_points(point, self.lens) if len(self.lens) else scale_points(point)
-        )
+        image, by_point, by_lens = self.project(point)
         outputs = image.shape[1]
         slope = np.zeros((*image.shape, q.shape[1]))
         design = np.zeros((*image.shape, self.unknown_count))
@@ -90,12 +90,32 @@ class AxisChain:
         design[..., : self.of_lens.start] = by_point[..., : self.of_lens.start]
         return image, slope, design
 
-    def lever_hand(self, q: Array) -> Array:
-        """How far the marker moves along each axis of the camera with each joint (N,M,3), in
-        lengths per rad, at q (N,M) rad.
+    def project(self, points: Array) -> tuple[Array, Array, Array]:
+        """Points (N,3) before the camera or tracker: image (N,D) px or mm · derivative by the point
+        (N,D,3) · by the lens (N,D,6), or (N,D,0) of a tracker.
         """
-        slope = replace(self, lens=np.zeros(0)).see(q)[1]
-        return np.asarray(slope.transpose(0, 2, 1) / MM_PER_M)
+        return project_points(points, self.lens) if len(self.lens) else scale_points(points)
+
+    def place_axes(self, q: Array) -> "AxisPlaces":
+        """Where axes and marker are at q (N,M) rad."""
+        rotation = np.broadcast_to(np.eye(3), (len(q), 3, 3))
+        shift = np.zeros((len(q), 3))
+        axes = np.empty((len(q), len(self.order), 3))
+        points = np.empty_like(axes)
+        for k, turn in enumerate(self._turns(q)):
+            axes[:, k] = rotation @ self.frames[k, 2]
+            points[:, k] = rotation @ self.pivots[k] + shift
+            rotation = rotation @ turn
+            shift = points[:, k] - rotation @ self.pivots[k]
+        return AxisPlaces(axes, points, rotation, rotation @ self.place + shift)
+
+    def order_joints(self, by_axis: Array, q: Array) -> Array:
+        """What is given for each axis from the camera on (N,K,L), for the joints of q (N,M): (N,M,L),
+        zero for those that turn about none.
+        """
+        by_joint = np.zeros((*q.shape, by_axis.shape[2]))
+        by_joint[:, self.order] = by_axis
+        return by_joint
 
     def move_axes(self, step: Array) -> "AxisChain":
         """The chain with its unknowns changed by step (P,)."""
@@ -175,3 +195,29 @@ class AxisChain:
         angles = (q - self.middle)[:, self.order].T[..., None, None]
         along, across, sideways = self._rodrigues
         return np.asarray(along + np.cos(angles) * across + np.sin(angles) * sideways)
+
+
+@dataclass(frozen=True, eq=False)
+class AxisPlaces:
+    """Axes from the camera on, and the marker, in the camera's axes at N postures: directions
+    (N,K,3), a point of each (N,K,3), the rotation (N,3,3) of all, and the marker's place (N,3).
+    """
+
+    axes: Array
+    points: Array
+    rotation: Array
+    marker: Array
+
+    def meet_next(self) -> tuple[Array, Array]:
+        """Where each axis but the last and the next one are nearest to each other: the point
+        (N,K-1,3) of the next one, and that of its own. Of axes that are parallel, within PARALLEL,
+        all points are as near.
+        """
+        first = self.axes[:, :-1]
+        second = self.axes[:, 1:]
+        apart = self.points[:, 1:] - self.points[:, :-1]
+        normal = cross_products(first, second)
+        square = np.maximum(np.square(normal).sum(axis=-1, keepdims=True), PARALLEL**2)
+        own = (cross_products(apart, second) * normal).sum(axis=-1, keepdims=True) / square
+        ahead = (cross_products(apart, first) * normal).sum(axis=-1, keepdims=True) / square
+        return self.points[:, 1:] + ahead * second, self.points[:, :-1] + own * first

@@ -197,16 +197,20 @@ def test_a_weight_at_the_hand_is_no_moved_camera_on_found_axes(on_axes, seed, si
 class Weighed(KinematicGP):
     """A model that tells how far the hand rises with each joint."""
 
-    def hand_levers(self, x):
+    @property
+    def hands(self):
+        return (self,)
+
+    def lever_joints(self, x):
         zero = np.zeros(len(x))
-        return np.column_stack([zero, np.cos(x[:, 1]), 0.5 * np.cos(x[:, 1] + x[:, 2]), zero])
+        return np.column_stack([zero, np.cos(x[:, 1]), 0.5 * np.cos(x[:, 1] + x[:, 2]), zero])[..., None]
 
 
 @pytest.mark.parametrize("lever", [0.0, 1e-17])
 def test_an_arm_with_upright_axes_carries_no_load(known, lever):
-    class Upright(KinematicGP):
-        def hand_levers(self, x):
-            return np.full(x.shape, lever)
+    class Upright(Weighed):
+        def lever_joints(self, x):
+            return np.full((*x.shape, 1), lever)
 
     plain = known.senses["effector"]
     model = Upright(**{field.name: getattr(plain, field.name) for field in fields(plain)})
@@ -259,7 +263,7 @@ def test_markers_that_other_still_joints_carry_share_one_load(known):
         still_joints = ("roll",)
 
         def show_still_joints(self, x):
-            return np.ones((len(x), 2, 1)), np.ones((len(x), 1))
+            return np.ones((len(x), 2, 1)), np.ones((len(x), 1, 1))
 
     plain = known.senses["effector"]
     model = Carried(**{field.name: getattr(plain, field.name) for field in fields(plain)})

@@ -16,8 +16,6 @@ from tests.estimation.conftest import JOINTS, Arm
 
 ENCODER_HZ = 100.0
 PIXEL_STD = 0.3
-_GRAVITY = np.array([0.0, 1.0, 0.4])
-"""How far each joint sags under a load, as a share of the lift's sag."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +86,7 @@ def replayed(
     motors = (_reaching if reaches else _wandering)(t, rng)
     hardware = mechanism.hardware
     motors = add_stick(motors, hardware.stick)
-    sagging = (hardware.sag + hardware.payload + fault.sag(t)) * np.cos(motors[:, 1:2]) * _GRAVITY
+    sagging = (hardware.sag + hardware.payload + fault.sag(t)) * sink(motors)
     links = add_play(motors, hardware.play) + sagging
     at_frames = np.column_stack([np.interp(frames, t, column) for column in links.T])
     seen = Arm().place(at_frames) + rng.normal(0.0, mechanism.pixel_std, (len(frames), 2))
@@ -116,7 +114,7 @@ def links_of(seed: int, mechanism: Mechanism, fault: Fault, reaches: bool = Fals
     quiet = Mechanism(0.0, replace(bare, counts=0.0, jitter=0.0))
     motors = replayed(seed, quiet, Fault(), reaches=reaches).joints
     links = add_play(motors.values, mechanism.hardware.play)
-    links = links + fault.sag(motors.t) * np.cos(motors.values[:, 1:2]) * _GRAVITY
+    links = links + fault.sag(motors.t) * sink(motors.values)
     return replace(motors, values=links)
 
 
@@ -124,6 +122,13 @@ def errors_and_nees(found: Estimate, true: Series) -> tuple[Array, float]:
     """Errors (N,M) rad, and the mean square of those in standard deviations."""
     error = found.joints.values - truth_at_times(true, list(found.joints.names), found.joints.t)
     return error, float((error**2 / np.einsum("nii->ni", found.cov)).mean())
+
+
+def sink(angles: Array) -> Array:
+    """How far joints (N,3) sink under a weight at the hand, in shares of the lift's with the arm stretched out."""
+    lift, both = angles[:, 1], angles[:, 1] + angles[:, 2]
+    elbow = 0.39 * np.cos(both)
+    return np.stack([np.zeros(len(angles)), 0.425 * np.cos(lift) + elbow, elbow], axis=1) / 0.815
 
 
 def _wandering(t: Array, rng: np.random.Generator) -> Array:

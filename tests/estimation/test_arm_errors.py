@@ -9,14 +9,15 @@ import pytest
 from bodylog.delays import camera_delay
 from bodylog.errors import ModelError
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.factors.columns import Path
+from bodylog.estimation.factors.columns import Path, Play
 from bodylog.estimation.factors.images import place_images
 from bodylog.estimation.factors.load import (
     build_load_columns,
     count_groups,
-    curve_loads,
     describe_load,
+    refine_loads,
 )
+from bodylog.estimation.factors.whole_log import solve_log
 from bodylog.estimation.measurements.arm_errors import (
     ARM_ERRORS,
     ArmErrors,
@@ -26,6 +27,7 @@ from bodylog.estimation.measurements.arm_errors import (
     shift_by_rows,
 )
 from bodylog.estimation.measurements.records import Sighting
+from bodylog.estimation.methods import explained
 from bodylog.evaluation.scores import truth_at_times
 from bodylog.kinematics import chain, urdf
 from bodylog.settings import EstimationSettings, Settings
@@ -216,9 +218,12 @@ def test_links_are_followed_through_noise_of_readings():
     assert np.sqrt(np.mean(error**2)) < 0.15 * PLAY
 
 
-def test_a_load_without_a_urdf_is_any_linear_function_of_the_posture(sound_body):
+NO_AXES = SimpleNamespace(senses={"effector": SimpleNamespace()})
+
+
+def test_a_load_without_axes_is_any_linear_function_of_the_posture():
     q = mechanisms.replayed(4, mechanisms.SOUND, Fault(), duration=6.0).joints.values
-    columns = build_load_columns(sound_body, q)
+    (columns,) = build_load_columns(NO_AXES, q)
     assert {one.name for one in columns} == {"posture"}
     path = Path(np.arange(len(q)), q, q, q, q)
     moved = np.stack([one.moves_links(path) for one in columns], axis=-1).reshape(q.size, -1)
@@ -229,11 +234,11 @@ def test_a_load_without_a_urdf_is_any_linear_function_of_the_posture(sound_body)
     assert text.startswith("payload, or") and "lift 0.57°" in text and "20 nats" in text
 
 
-def test_a_posture_load_follows_gravity_to_the_second_order_in_joints_that_turn(sound_body):
+def test_a_posture_load_follows_gravity_to_the_second_order_in_joints_that_turn():
     q = mechanisms.replayed(4, mechanisms.SOUND, Fault(), duration=6.0).joints.values
     q = np.column_stack([np.full(len(q), 0.3), q[:, 1:]])
-    linear = build_load_columns(sound_body, q)
-    columns = curve_loads(linear, np.array([False, True, True]))
+    (linear,) = build_load_columns(NO_AXES, q)
+    columns = refine_loads(linear, np.zeros(len(linear)), np.array([False, True, True]))
     assert len(columns) == len(linear) + 9
     path = Path(np.arange(len(q)), q, q, q, q)
     bends = np.cos(q[:, 1] + q[:, 2])
@@ -243,8 +248,8 @@ def test_a_posture_load_follows_gravity_to_the_second_order_in_joints_that_turn(
         return np.abs(bends - own @ np.linalg.lstsq(own, bends, rcond=None)[0]).max()
 
     assert measure_misfit(columns) < 0.2 * measure_misfit(linear)
-    six = build_load_columns(sound_body, np.column_stack([q, q]))
-    assert curve_loads(six, np.ones(6, bool)) == six  # too many
+    (six,) = build_load_columns(NO_AXES, np.column_stack([q, q]))
+    assert refine_loads(six, np.zeros(len(six)), np.ones(6, bool)) == six  # too many
 
 
 def test_a_load_with_a_urdf_bends_joints_by_the_levers_of_the_hand():
@@ -256,9 +261,15 @@ def test_a_load_with_a_urdf_bends_joints_by_the_levers_of_the_hand():
         poses = hand.at(q)
         return hand.slopes(poses, poses.place[:, None])[:, 0, 2]
 
-    sense = SimpleNamespace(hand_levers=levers)
+    held = SimpleNamespace(
+        is_upright=True,
+        still_joints=(),
+        lever_joints=lambda q: levers(q)[..., None],
+        show_still_joints=lambda q: (np.zeros((len(q), 2, 0)), np.zeros((len(q), 0, 1))),
+    )
+    sense = SimpleNamespace(hands=(held,))
     q = np.random.default_rng(5).uniform(-1.0, 1.0, (50, len(arm.joints)))
-    common, *each = build_load_columns(SimpleNamespace(senses={"effector": sense}), q)
+    ((common, *each),) = build_load_columns(SimpleNamespace(senses={"effector": sense}), q)
     assert {one.name for one in (common, *each)} == {"payload"}
     carrying = [one.joints[0] for one in each]
     assert 0 not in carrying  # the first axis stands upright
@@ -276,12 +287,16 @@ def test_a_load_bends_joints_that_stood_still_and_may_carry_the_marker():
 
     def show(x):
         lever = np.column_stack([np.zeros(len(x)), 0.2 * np.sin(x[:, 0])])
-        return np.repeat(slopes, len(x), axis=0), lever
+        return np.repeat(slopes, len(x), axis=0), lever[..., None]
 
-    seen = SimpleNamespace(
-        hand_levers=lambda x: 0.5 * np.cos(x), still_joints=("roll", "wrist"), show_still_joints=show
+    hand = SimpleNamespace(
+        is_upright=True,
+        lever_joints=lambda x: 0.5 * np.cos(x)[..., None],
+        still_joints=("roll", "wrist"),
+        show_still_joints=show,
     )
-    common, *each = build_load_columns(SimpleNamespace(senses={"effector": seen}), q)
+    seen = SimpleNamespace(hands=(hand,))
+    ((common, *each),) = build_load_columns(SimpleNamespace(senses={"effector": seen}), q)
     # an axis that stands upright carries nothing
     assert [(one.joints, one.still) for one in (common, *each)] == [
         ((0, 1), ("wrist",)),
@@ -303,6 +318,77 @@ def test_a_load_bends_joints_that_stood_still_and_may_carry_the_marker():
             np.testing.assert_allclose(shown, size * np.outer(sinks, [0.0, 1.0]), atol=1e-9)
         assert not each[-1].moves_images(images, path).any()
         assert not each[0].displaces_images(images, path).any()
+
+
+def hang_weight(body, features, hold, size, give=0.0):
+    """The log of an arm whose joints sink by up to `size` rad under a weight at what it holds, where what that gives
+    way by in its second direction is `give` times as soft, and its links' angles (N,M).
+    """
+    (model,) = body.senses.values()
+    hand = model.hands[hold]
+    down = np.array([0.2, 0.9, 0.4])
+    longest = np.abs(hand.lever_joints(features.joints.values)[..., :3] @ down).max()
+
+    def sink(q):
+        return -size * hand.lever_joints(q)[..., :3] @ down / longest
+
+    track = features.tracks["effector"]
+    at = np.stack([np.interp(track.t, features.joints.t, one) for one in features.joints.values.T], axis=1)
+    shown, moves = hand.show_still_joints(at + sink(at))
+    gives = -size * give * (shown * (moves @ down)[:, None])[..., 1] / longest
+    noise = np.random.default_rng(12).normal(0.0, mechanisms.PIXEL_STD, gives.shape)
+    seen = model.predict(at + sink(at))[0] + gives + noise
+    laden = replace(features, tracks={"effector": replace(track, values=seen)})
+    return laden, features.joints.values + sink(features.joints.values)
+
+
+@pytest.mark.parametrize("give", [0.0, 1.0])
+@pytest.mark.parametrize("hold", [0, 1], ids=["marker", "camera"])
+def test_a_weight_sinks_an_arm_of_found_axes_that_holds_the_marker_or_the_camera(monkeypatch, hold, give):
+    explanations = []
+
+    def spy(problem, found, causal):
+        explanations.append(found.explanation)
+        return solve_log(problem, found, causal)
+
+    monkeypatch.setattr(explained, "solve_log", spy)
+    body = mechanisms.fitted(mechanisms.SOUND)
+    quiet = Mechanism(0.0, camera_hz=20.0)
+    true = mechanisms.replayed(17, quiet, Fault())
+    laden, links = hang_weight(body, true, hold, 1.75e-2, give)
+    read = true.joints.values + np.random.default_rng(13).normal(0.0, 1e-3, links.shape)
+    laden = replace(laden, joints=replace(true.joints, values=read))
+    found = estimate_from_features(laden, body, EstimationSettings(method="smoother"))
+    assert not found.faults and found.settings[HARDWARE_ERRORS]["load"]["nats"] > 12.0
+    error, nees = mechanisms.errors_and_nees(found, replace(true.joints, values=links))
+    sunk = np.sqrt(np.mean((links - true.joints.values) ** 2))
+    assert np.sqrt(np.mean(error**2)) < 0.2 * sunk and nees < 2.5
+    assert explanations[-1].columns[-1].hand is body.senses["effector"].hands[hold]
+
+
+def test_a_pull_is_of_one_direction_for_all_joints_and_begins_when_it_did():
+    body = mechanisms.fitted(mechanisms.SOUND)
+    q = mechanisms.replayed(4, mechanisms.SOUND, Fault(), duration=6.0).joints.values
+    loads = build_load_columns(body, q)
+    assert len(loads) == 2
+    for load in loads:
+        timed = tuple(replace(one, moments=(3.0,)) for one in load)
+        common = [k for k, one in enumerate(load) if len(one.joints) == q.shape[1]]
+        assert [load[k].group for k in common] == [0, 1, 2] == sorted({one.group for one in load})
+        sizes = np.zeros(len(load))
+        sizes[common] = [0.3, -0.4, 1.2]
+        other = Play("play", 1e-3, joint=1)
+        refined = refine_loads((other, *timed), np.r_[0.0, sizes], np.ones(q.shape[1], bool))
+        hand = load[0].hand
+        assert refined[0] is other
+        assert len(refined) == 1 + 3 + 2 * q.shape[1] + len(hand.still_joints)
+        assert count_groups(refined) == 3
+        assert {one.moments for one in refined[1:]} == {(3.0,)}
+        own, link = refined[4:6]
+        force = np.array([0.3, -0.4, 1.2])
+        levers = hand.lever_joints(q)[:, 0]
+        for one, lever in ((own, levers[:, :3]), (link, levers[:, 3:])):
+            np.testing.assert_allclose(one.bends_links(q)[:, 0], -lever @ force / one.longest, atol=1e-12)
 
 
 def judge_log(kind, seed):

@@ -158,7 +158,7 @@ def test_a_payload_is_named_as_no_encoder_that_drifts():
     load = found.settings[HARDWARE_ERRORS]["load"]
     assert load["rad"]["lift"] == pytest.approx(1.75e-2, rel=0.3)
     true = true_angles(seed, mechanisms.SOUND, 8.0)
-    sag = fault.payload * np.cos(true.values[:, 1:2]) * mechanisms._GRAVITY
+    sag = fault.payload * mechanisms.sink(true.values)
     error, nees = errors_and_nees(found, replace(true, values=true.values + sag))
     assert np.sqrt(np.mean(error**2)) < 0.4 * np.sqrt(np.mean(sag**2))
     assert nees < 4.0
@@ -244,17 +244,24 @@ def test_noise_beside_play_is_searched_from_what_a_load_would_leave_too():
     assert np.sqrt(np.mean(error**2)) < 2e-3 and nees < 2.0
 
 
-def test_a_load_that_is_found_follows_the_posture_to_the_second_order():
-    body = mechanisms.learned(1000, mechanisms.SOUND)
+@pytest.mark.parametrize("axes", [True, False])
+def test_a_load_that_is_found_is_refined(monkeypatch, axes):
+    """It gets one direction for all joints on found axes, and the second order in the posture without them."""
+    body = mechanisms.fitted(mechanisms.SOUND)
     features = mechanisms.replayed(8, mechanisms.SOUND, Fault(payload=1.75e-2))
     problem = filtering.build_filter_problem(features, body, EstimationSettings())
     problem = filtering.tune_noise(problem, EstimationSettings())[0]
-    loads = build_load_columns(body, features.joints.values)
+    loads = build_load_columns(body if axes else SimpleNamespace(senses={}), features.joints.values)
     found = explain_log(problem, np.zeros(3), ANY_ERRORS, loads)
     assert "load" in found.explanation.gains
-    orders = [len(one.factors) for one in found.explanation.columns]
-    assert [orders.count(order) for order in range(3)] == [3, 9, 18]
-    assert len(found.explanation.learned.sizes) == 30
+    columns = found.explanation.columns
+    assert len(found.explanation.learned.sizes) == len(columns)
+    if axes:
+        assert len({one.hand for one in columns}) == 1
+        assert len(columns) == 3 + 3 + 3 + len(columns[0].hand.still_joints)
+    else:
+        orders = [len(one.factors) for one in columns]
+        assert [orders.count(order) for order in range(3)] == [3, 9, 18]
 
 
 PRECISE = 0.04

@@ -7,33 +7,20 @@ import numpy as np
 import pytest
 
 from bodylog.kinematics import axis_search
-from bodylog.kinematics.axis_chain import AxisChain
 from bodylog.kinematics.axis_instant import compile_axes
 from bodylog.kinematics.axis_search import AxisSightings, find_axes
-from bodylog.kinematics.camera import lens_without_distortion
 from bodylog.kinematics.rotations import rotation_from_vector
 from tests.body.conftest import project
+from tests.kinematics.axis_chains import LENS, LENSES, draw_chain
 
-LENS = lens_without_distortion(280.0, 320.0, 240.0)
 HOME = np.array([0.0, 0.3, 0.6])
 LENS_STD = np.array([0.4, 0.02, 30.0, 30.0, 0.2, 0.2])
-
-
-def _chain(seed: int, joints: int, lens: np.ndarray) -> AxisChain:
-    draw = np.random.default_rng(seed)
-    frames = np.array([rotation_from_vector(v) for v in draw.normal(size=(joints, 3))])
-    pivots = np.array([0.0, 0.0, 1.0]) + draw.normal(0.0, 0.3, (joints, 3))
-    order = draw.permutation(joints)
-    return AxisChain(np.array([0.1, 0.2, 1.0]), lens, frames, pivots, order, np.full(joints, 0.1))
-
-
-LENSES = pytest.mark.parametrize("lens", [LENS + np.array([0, 0, 0, 0, 0.1, 0.05]), np.zeros(0)], ids=["camera", "tracker"])
 
 
 @LENSES
 @pytest.mark.parametrize("seed", range(3))
 def test_derivatives_are_those_of_differences(lens, seed):
-    chain = _chain(seed, 4, lens)
+    chain = draw_chain(seed, 4, lens)
     q = np.random.default_rng(seed).normal(0.0, 0.4, (6, 4))
     _, slope, design = chain.see(q)
     step = 1e-6
@@ -49,7 +36,7 @@ def test_derivatives_are_those_of_differences(lens, seed):
 @pytest.mark.parametrize("seed", range(3))
 def test_steps_that_show_as_motions_of_camera_and_marker_are_those_of_differences(lens, seed):
     """Far from where they were learned: derivatives are by motions that add up."""
-    chain = _chain(seed, 4, lens)
+    chain = draw_chain(seed, 4, lens)
     draw = np.random.default_rng(seed)
     q = draw.normal(0.0, 0.4, (6, 4))
     camera, marker = draw.normal(0.0, 0.2, 6), draw.normal(0.0, 0.1, 3)
@@ -63,7 +50,7 @@ def test_steps_that_show_as_motions_of_camera_and_marker_are_those_of_difference
 
 
 def test_a_moved_tracker_sees_the_same_points_from_elsewhere():
-    chain = _chain(4, 3, np.zeros(0))
+    chain = draw_chain(4, 3, np.zeros(0))
     q = np.random.default_rng(4).normal(0.0, 0.4, (10, 3))
     camera = np.array([0.1, -0.2, 0.05, 0.3, -0.2, 0.1])
     there = chain.see(q)[0] * 1e-3 @ rotation_from_vector(camera[3:]).T + camera[:3]
@@ -72,7 +59,7 @@ def test_a_moved_tracker_sees_the_same_points_from_elsewhere():
 
 @LENSES
 def test_one_posture_is_predicted_as_many(lens):
-    chain = _chain(5, 3, lens)
+    chain = draw_chain(5, 3, lens)
     q = np.random.default_rng(5).normal(0.0, 0.4, (10, 3))
     at = compile_axes(chain)
     for one, many in zip(zip(*(at(x) for x in q), strict=True), chain.see(q), strict=True):
@@ -80,7 +67,7 @@ def test_one_posture_is_predicted_as_many(lens):
 
 
 def test_moved_frames_stay_rotations():
-    chain = _chain(1, 3, LENS)
+    chain = draw_chain(1, 3, LENS)
     for seed in range(20):
         chain = chain.move_axes(np.random.default_rng(seed).normal(0.0, 1.0, chain.unknown_count))
     assert np.allclose(chain.frames @ chain.frames.transpose(0, 2, 1), np.eye(3), atol=1e-12)
@@ -113,7 +100,7 @@ def test_a_known_chain_is_found_again_before_others_are_tried(monkeypatch):
 
 def test_points_in_space_tell_axes_too():
     draw = np.random.default_rng(3)
-    true = replace(_chain(3, 3, np.zeros(0)), order=np.arange(3))
+    true = replace(draw_chain(3, 3, np.zeros(0)), order=np.arange(3))
     q = draw.uniform(-0.6, 0.8, (150, 3))
     y = true.see(q)[0] + draw.normal(0.0, 0.3, (150, 3))
     found = find_axes(AxisSightings(q, y, np.full(y.shape, 0.3), np.zeros(0), np.zeros(0)), 0)
@@ -141,7 +128,7 @@ def test_orders_of_limbs_are_tried_once(way):
 @pytest.mark.parametrize("way", [LIMBS["head, then arm"], (1, 3, 0, 2)], ids=["of limbs", "of no limbs"])
 def test_axes_of_more_joints_are_found(way):
     joints = len(way)
-    true = replace(_chain(2, joints, LENS), order=np.array(way), middle=np.zeros(joints))
+    true = replace(draw_chain(2, joints, LENS), order=np.array(way), middle=np.zeros(joints))
     draw = np.random.default_rng(2)
     q = draw.uniform(-0.5, 0.5, (300, joints))
     y = true.see(q)[0] + draw.normal(0.0, 0.3, (300, 2))

@@ -7,6 +7,7 @@ from typing import Self
 import numpy as np
 
 from ...kinematics.axis_chain import AxisChain
+from ...kinematics.axis_hand import CameraHand, MarkerHand
 from ...kinematics.axis_instant import compile_axes
 from ...kinematics.instant import Instant
 from ...kinematics.rotations import invert_transform, make_transform, rotation_from_vector
@@ -57,12 +58,17 @@ class AxisGP(PosedGP):
             return make_transform(np.eye(3), change)
         return invert_transform(make_transform(rotation_from_vector(change[3:]), change[:3]))
 
+    @cached_property
+    def hands(self) -> tuple[MarkerHand, CameraHand]:
+        """What the arm may hold, which nothing tells: the marker, or the camera."""
+        return MarkerHand(self.chain), CameraHand(self.chain)
+
     def sink_under_weight(self, x: Array) -> tuple[Array, Array]:
         """How joints bend (N,M,3 M) under a weight that pulls the hand along each axis of the
         camera, and nothing beside (N,D,3 M).
         """
         count = x.shape[1]
-        levers = self.chain.lever_hand(x)
+        levers = self.hands[0].lever_joints(x)[..., :3]
         bends = np.zeros((len(x), count, count, 3))
         joints = np.arange(count)
         bends[:, joints, joints] = levers / np.abs(levers).max(initial=LEAST_LEVER)

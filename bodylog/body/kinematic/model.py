@@ -113,15 +113,22 @@ class KinematicGP(PosedGP):
         sight = replace(self._printed_sight, points=points)
         return np.asarray(self.rig.see(sight, self.printed, np.atleast_2d(x)).image)
 
-    def hand_levers(self, x: Array) -> Array | None:
-        """How far the marker rises with each joint (N,M), m per rad, at x (N,M) rad: minus the
-        torque of a unit weight there. None where the robot's root does not carry it.
+    @property
+    def hands(self) -> tuple[Self, ...]:
+        """What the arm holds: the marker, if the robot's root carries it, which stands upright."""
+        return () if self.base is None or self.base.camera else (self,)
 
-        A URDF's root stands upright.
+    @property
+    def is_upright(self) -> bool:
+        """Whether it is known which way a weight pulls."""
+        return True
+
+    def lever_joints(self, x: Array) -> Array:
+        """How far the marker rises with each joint (N,M,1), m per rad, at x (N,M) rad: minus the
+        torque of a unit weight there. There must be a hand.
         """
-        if self.base is None or self.base.camera:
-            return None
-        return rise_in_base(self.base, self.rig, self.theta, x)
+        assert self.base is not None
+        return rise_in_base(self.base, self.rig, self.theta, x)[..., None]
 
     @property
     def still_joints(self) -> tuple[str, ...]:
@@ -130,13 +137,13 @@ class KinematicGP(PosedGP):
 
     def show_still_joints(self, x: Array) -> tuple[Array, Array]:
         """What each joint that stood still moves the marker's image by (N,D,R), px per rad or m,
-        and how far the marker rises with it (N,R), m, at x (N,M) rad.
+        and how far the marker rises with it (N,R,1), m, at x (N,M) rad.
         """
         if self.base is None or self.base.hand is None:
-            return np.zeros((len(x), len(self.drift), 0)), np.zeros((len(x), 0))
+            return np.zeros((len(x), len(self.drift), 0)), np.zeros((len(x), 0, 1))
         moved, rise = bend_still_joints(self.base, self.rig, self.theta, x)
         first = self.rig.of_carrier(0).start
-        return self.design(x)[:, :, first : first + 3] @ moved, rise
+        return self.design(x)[:, :, first : first + 3] @ moved, rise[..., None]
 
     def sink_under_weight(self, x: Array) -> tuple[Array, Array]:
         """How joints bend (N,M,M+R) under a weight at the hand, and what images show of those that
@@ -147,10 +154,11 @@ class KinematicGP(PosedGP):
         still = len(self.still_joints)
         bends = np.zeros((len(x), count, count + still))
         shows = np.zeros((len(x), len(self.drift), count + still))
-        levers = self.hand_levers(x) if len(x) else None
-        if levers is None:
+        if not self.hands or not len(x):
             return bends, shows
-        shown, rise = self.show_still_joints(x)
+        levers = self.lever_joints(x)[..., 0]
+        shown, rises = self.show_still_joints(x)
+        rise = rises[..., 0]
         longest = max(float(np.abs(levers).max()), float(np.abs(rise).max(initial=0.0)))
         if longest < LEAST_LEVER:
             return bends, shows

@@ -20,7 +20,7 @@ from .elimination import compute_column_nats
 from .encoder_error import LEAST_STD
 from .factor_problem import CHANGE, FactorProblem, Noise
 from .gauss_newton import path_from_beliefs, solve_problem
-from .load import FIRST_BEND, Load, bend_under_load, count_groups, curve_loads
+from .load import FIRST_BEND, Load, bend_under_load, count_groups, refine_loads
 from .noise_search import FEWEST_READINGS, Learned, learn_noise
 from .timed_columns import list_displaced_images, list_timed_loads, weigh_displacements
 
@@ -105,13 +105,13 @@ def find_explanation(
     step_s: float,
     count_variance: Array,
     halves: Array,
-    loads: tuple[Load, ...],
+    loads: tuple[tuple[Load, ...], ...],
 ) -> Explanation:
     """The most probable explanation of a log: white noise alone, or errors of its hardware.
 
     noise: white noise alone, with the offsets that are known · step_s: the encoders' usual step ·
     count_variance (M,) rad²: of readings in whole counts · halves (M,) rad: half of each joint's
-    play in the exploration · loads: columns of a load.
+    play in the exploration · loads: of which one may be carried, as of `build_load_columns`.
     """
     white = fit_white_noise(problem, noise, step_s)
     sides = [_fit_noise(problem, one, step_s, white) for one in _list_lasting_noises(white.noise)]
@@ -144,9 +144,18 @@ def find_explanation(
     without = _fit_noise(problem, plain, step_s, lasting).nats if gains else white.nats
     delays = tuple(_measure_remaining_delays(problem, found, step_s))
     if "load" in gains:
-        problem = replace(problem, columns=curve_loads(problem.columns, _find_turning(noise)))
-        found = mix_silent_groups(_fit_noise(problem, found.noise, step_s, found), problem.columns)
+        problem, found = _refine_load(problem, found, step_s)
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
+
+
+def _refine_load(
+    problem: FactorProblem, found: Learned, step_s: float
+) -> tuple[FactorProblem, Learned]:
+    """The problem with columns of a load that hold for angles, and its noise and sizes."""
+    columns = refine_loads(problem.columns, found.sizes, _find_turning(found.noise))
+    refined = replace(problem, columns=columns)
+    found = _fit_noise(refined, found.noise, step_s, found)
+    return refined, mix_silent_groups(found, columns)
 
 
 def conclude_white_noise(problem: FactorProblem, white: Learned) -> Explanation:
@@ -212,7 +221,7 @@ def _displace_images(
 def _allow_load(
     problem: FactorProblem,
     basis: _Basis,
-    loads: tuple[Load, ...],
+    loads: tuple[tuple[Load, ...], ...],
     before: Learned,
     others: bool,
     halves: Array,
@@ -224,22 +233,33 @@ def _allow_load(
     """
     if not loads:
         return problem, before, None
-    listed = list_timed_loads(problem, basis.noise, basis.white.path, loads)
-    timed = islice(listed, 1 + MOST_TIMES)
+    timed = chain(*(_list_times(problem, basis, one) for one in loads))
     tried = ((_learn_load(problem, basis, one, before), one, cost) for one, cost in timed)
-    bent, loads, cost = min(tried, key=lambda one: one[0].nats + one[2])
+    bent, load, cost = min(tried, key=lambda one: one[0].nats + one[2])
+    # each of the loads is as likely before the log
+    cost += float(np.log(len(loads)))
     # noise that is found beside a load may explain the log without it, too
     alone = replace(bent.noise, groups=before.noise.groups)
     before = _choose_most_probable([before, _fit_noise(problem, alone, basis.step_s, before)])
     gain = before.nats - bent.nats - cost
     # what lasts long and is gone beside a load stood for it: neither is simpler; play leaves none
     rival = not others and _is_long(before.noise) and not _is_long(bent.noise)
-    bends = bend_under_load(loads, bent.sizes[-len(loads) :], bent.path.knots, bent.path.angles)
+    bends = bend_under_load(load, bent.sizes[-len(load) :], bent.path.knots, bent.path.angles)
     least = 0.0 if rival else EVIDENCE_THRESHOLD_NATS
     replaces = _replaces_play(problem, before, bent, halves)
     if gain <= least or replaces or np.abs(bends).max() > MOST_BEND:
         return problem, before, None
-    return problem.with_columns(loads), bent, gain
+    return problem.with_columns(load), bent, gain
+
+
+def _list_times(
+    problem: FactorProblem, basis: _Basis, load: tuple[Load, ...]
+) -> Iterator[tuple[tuple[Load, ...], float]]:
+    """Yield a load as carried all the time, and in the windows of time that are looked for, with
+    −ln p of these before the log.
+    """
+    yield load, 0.0
+    yield from islice(list_timed_loads(problem, basis.noise, basis.white.path, load), MOST_TIMES)
 
 
 def _find_offset(

@@ -1,9 +1,9 @@
 """What links bend by as the posture alone decides: under a weight at the hand, or otherwise."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
-from typing import Any, ClassVar, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, TypeGuard, runtime_checkable
 
 import numpy as np
 
@@ -32,6 +32,11 @@ COMPLIANCE_SPREAD = 1.0
 """Standard deviation of a joint's compliance, in shares of what all joints have alike: those of
 one arm differ by factors of up to five, and of the simulated one by none.
 """
+UPRIGHT = (1.0,)
+"""A pull along the one direction of levers that are known to be upright."""
+_NONE = (0.0, 0.0, 0.0)
+PULLS = [(1.0, 0.0, 0.0, *_NONE), (0.0, 1.0, 0.0, *_NONE), (0.0, 0.0, 1.0, *_NONE)]
+"""Pulls along each of three directions, by the levers of joints, and not by those of links."""
 
 
 @dataclass(frozen=True)
@@ -79,14 +84,40 @@ class PostureLoad(Load):
         return own
 
 
-@runtime_checkable
-class _Carried(Protocol):
-    """A model of a marker that joints may carry which stood still in the exploration."""
+class Hand(Protocol):
+    """What an arm holds, at which a weight pulls.
+
+    is_upright: whether it is known which way; then there is one direction, for all hands of a
+    robot, else there are three, of this hand's own · still_joints: names of R joints that may carry
+    what it holds, and stood still in the exploration.
+    """
 
     @property
-    def still_joints(self) -> tuple[str, ...]: ...
+    def is_upright(self) -> bool:
+        """Whether the levers are upwards."""
 
-    def show_still_joints(self, x: Array) -> tuple[Array, Array]: ...
+    @property
+    def still_joints(self) -> tuple[str, ...]:
+        """Names of R joints."""
+
+    def lever_joints(self, q: Array) -> Array:
+        """How far each joint moves the hand along each direction, m (or shares of a distance) per
+        rad, at q (N,M) rad: (N,M,1), or (N,M,6), with those of links behind.
+        """
+
+    def show_still_joints(self, q: Array) -> tuple[Array, Array]:
+        """What joints that stood still change in images (N,D,R), per rad, and how far they move the
+        hand along each direction (N,R,1) or (N,R,3).
+        """
+
+
+@runtime_checkable
+class _HoldingModel(Protocol):
+    """A model of a track that knows what the arm may hold."""
+
+    @property
+    def hands(self) -> tuple[Hand, ...]:
+        """What the arm may hold."""
 
 
 @dataclass(frozen=True)
@@ -94,12 +125,13 @@ class Payload(Load):
     """What these joints sink by under a weight at the hand, rad (or m), each by its lever over the
     longest of all, m.
 
-    levers: of the hand (K,M), m per rad, at angles (K,M) · joints: of the log · still: names of
-    others, which stood still in the exploration and may carry the marker: images show what these
-    sink by, but no angle of the log tells it.
+    pull: of the weight along each direction of the hand's levers · joints: of the log · still:
+    names of others, which stood still in the exploration and may carry the hand: images show what
+    these sink by, but no angle of the log tells it.
     """
 
-    levers: Callable[[Array], Array] = np.zeros_like
+    hand: Hand = field(kw_only=True)
+    pull: tuple[float, ...] = UPRIGHT
     longest: float = 1.0
     joints: tuple[int, ...] = ()
     still: tuple[str, ...] = ()
@@ -107,20 +139,31 @@ class Payload(Load):
     def bends_links(self, angles: Array) -> Array:
         """Minus the levers at the angles, for these joints."""
         own = np.zeros(angles.shape)
-        carrying = list(self.joints)
-        own[:, carrying] = -self.levers(angles)[:, carrying] / self.longest
+        if self.joints:
+            carrying = list(self.joints)
+            levers = self.hand.lever_joints(angles)[:, carrying]
+            own[:, carrying] = -levers @ np.array(self.pull) / self.longest
         return own
 
     def displaces_images(self, images: Images, path: Path) -> Array:
-        """What images of a marker show of the others."""
-        model = images.sighting.model
-        if not (self.still and isinstance(model, _Carried)):
+        """What images of the hand show of the others."""
+        hand = self._find_hand(images.sighting.model) if self.still else None
+        if hand is None:
             return super().displaces_images(images, path)
         seen = path.at_images(images)
-        shown, levers = model.show_still_joints(seen.links)
-        sinks = np.array([name in self.still for name in model.still_joints])
+        shown, moves = hand.show_still_joints(seen.links)
+        sinks = np.array([name in self.still for name in hand.still_joints])
+        levers = moves @ np.array(self.pull[: moves.shape[2]])
         sunk = -(shown * levers[:, None] * sinks).sum(axis=-1) / self.longest
         return np.asarray(sunk * self._share_carried(seen.knots)[:, None])
+
+    def _find_hand(self, model: object) -> Hand | None:
+        """The hand as a track's model shows it; None if it does not."""
+        hands = model.hands if isinstance(model, _HoldingModel) else ()
+        for hand in hands:
+            if hand is self.hand or (hand.is_upright and self.hand.is_upright):
+                return hand
+        return None
 
 
 def bend_under_load(columns: Sequence[Column], sizes: Array, t: Array, angles: Array) -> Array:
@@ -133,17 +176,17 @@ def bend_under_load(columns: Sequence[Column], sizes: Array, t: Array, angles: A
     return sum((size * column.moves_links(path) for column, size in loads), rest)
 
 
-def build_load_columns(body: BodyModel, readings: Array) -> tuple[Load, ...]:
-    """A load's columns for readings (N,M) rad: by the levers of the
-    hand where a URDF tells them, else any linear function of the posture, as they are searched.
+def build_load_columns(body: BodyModel, readings: Array) -> tuple[tuple[Load, ...], ...]:
+    """Loads of which one may be carried, each by its columns, for readings (N,M) rad: by the levers
+    of what the arm holds where joints' axes are known, else any linear function of the posture.
     """
     known = readings[find_finite_rows(readings)]
     if not len(known):
         return ()
-    levers = _find_hand_levers(body, known)
-    if levers is None:
-        return tuple(_bend_linearly(known))
-    return tuple(_bend_by_levers(levers, _measure_still_levers(body, known), known))
+    hands = _find_hands(body, known)
+    if not hands:
+        return (tuple(_bend_linearly(known)),)
+    return tuple(tuple(_bend_by_levers(hand, body, known)) for hand in hands)
 
 
 def count_groups(loads: Sequence[Column]) -> int:
@@ -151,43 +194,53 @@ def count_groups(loads: Sequence[Column]) -> int:
     return 1 + max((one.group for one in loads if one.group is not None), default=-1)
 
 
-def _find_hand_levers(body: BodyModel, known: Array) -> Callable[[Array], Array] | None:
-    """How far the hand rises with each joint (N,M), m per rad, at
-    angles (N,M); None where no sense has a URDF that tells it at known (N,M).
-    """
+def _find_hands(body: BodyModel, known: Array) -> tuple[Hand, ...]:
+    """The hands of the track before which most joints turn at known (N,M) rad."""
+    best: tuple[Hand, ...] = ()
+    most = 0
     for sense in body.senses.values():
-        levers: Callable[[Array], Array] | None = getattr(sense, "hand_levers", None)
-        if levers is not None and levers(known[:1]) is not None:
-            return levers
-    return None
+        hands = sense.hands if isinstance(sense, _HoldingModel) else ()
+        count = max((len(_list_carrying_joints(one, known)) for one in hands), default=0)
+        if count > most:
+            best = hands
+            most = count
+    return best
 
 
-def _bend_by_levers(
-    levers: Callable[[Array], Array], still: Mapping[str, float], known: Array
-) -> Iterator[Payload]:
-    """Yield how all joints that carry the hand sink alike, and how each does more than that.
+def _list_carrying_joints(hand: Hand, known: Array, longest: float = 0.0) -> list[int]:
+    """Joints whose levers are not next to nothing of the longest, or of one of others, m."""
+    own = np.abs(hand.lever_joints(known)).max(axis=(0, 2))
+    return np.flatnonzero(own > LEAST_LEVER * max(float(own.max()), longest)).tolist()
 
-    still: longest lever, m, of each joint that stood still.
+
+def _bend_by_levers(hand: Hand, body: BodyModel, known: Array) -> Iterator[Payload]:
+    """Yield, for each direction in which a weight may pull, how all joints that carry the hand sink
+    alike, and how each does more than that; where it is known which way that is, those that stood
+    still as well.
     """
-    own = np.abs(levers(known)).max(axis=0)
-    longest = max(float(own.max()), *still.values(), 0.0)
-    joints = tuple(np.flatnonzero(own > LEAST_LEVER * longest).tolist())
+    still = _measure_still_levers(body, known) if hand.is_upright else {}
+    pulls = [UPRIGHT] if hand.is_upright else PULLS
+    longest = max(float(np.abs(hand.lever_joints(known)).max()), *still.values(), 0.0)
+    joints = tuple(_list_carrying_joints(hand, known, longest))
     others = tuple(name for name, lever in still.items() if lever > LEAST_LEVER * longest)
-    alike = Payload("payload", 1.0, group=0, levers=levers, longest=longest)
-    yield replace(alike, joints=joints, still=others)
-    for j in joints:
-        yield replace(alike, std=COMPLIANCE_SPREAD, joints=(j,))
-    for name in others:
-        yield replace(alike, std=COMPLIANCE_SPREAD, still=(name,))
+    name = "payload" if hand.is_upright else "pull"
+    for group, pull in enumerate(pulls):
+        alike = Payload(name, 1.0, group=group, hand=hand, pull=pull, longest=longest)
+        yield replace(alike, joints=joints, still=others)
+        for j in joints:
+            yield replace(alike, std=COMPLIANCE_SPREAD, joints=(j,))
+        for one in others:
+            yield replace(alike, std=COMPLIANCE_SPREAD, still=(one,))
 
 
 def _measure_still_levers(body: BodyModel, known: Array) -> dict[str, float]:
-    """The longest lever, m, of each joint that stood still and may carry the hand."""
+    """The longest lever, m, of each joint that stood still and may carry an upright hand."""
     longest = dict[str, float]()
     for sense in body.senses.values():
-        if isinstance(sense, _Carried):
-            most = np.abs(sense.show_still_joints(known)[1]).max(axis=0).tolist()
-            for name, lever in zip(sense.still_joints, most, strict=True):
+        hands = sense.hands if isinstance(sense, _HoldingModel) else ()
+        for hand in hands:
+            most = np.abs(hand.show_still_joints(known)[1]).max(axis=(0, 2)).tolist()
+            for name, lever in zip(hand.still_joints, most, strict=True):
                 longest[name] = max(longest.get(name, 0.0), lever)
     return longest
 
@@ -204,7 +257,39 @@ def _bend_linearly(known: Array) -> Iterator[PostureLoad]:
             yield replace(constant, factors=(other,))
 
 
-def curve_loads(columns: Sequence[Column], turning: Array) -> tuple[Column, ...]:
+def refine_loads(columns: Sequence[Column], sizes: Array, turning: Array) -> tuple[Column, ...]:
+    """The columns, of these sizes (C,), with what a load needs for angles, but not to be found.
+
+    A posture's load goes to the second order in joints that turn (M,) bool. One that pulls the hand
+    any way has one direction for all joints, and more of it for each joint and each link; and the
+    hand gives way, as soft as a joint.
+    """
+    leads = dict[int | None, tuple[Payload, float]]()
+    for one, size in zip(columns, sizes.tolist(), strict=True):
+        if _is_unaimed(one):
+            leads.setdefault(one.group, (one, size))
+    if not leads:
+        return _curve_loads(columns, turning)
+    common = [one for one, _ in leads.values()]
+    first = common[0]
+    force = np.sum([size * np.array(one.pull[:3]) for one, size in leads.values()], axis=0)
+    by_joint = (*force.tolist(), *_NONE)
+    by_link = (*_NONE, *force.tolist())
+    own = replace(first, std=COMPLIANCE_SPREAD, group=None, pull=by_joint)
+    aimed: list[Column] = [*common]
+    for j in first.joints:
+        aimed.append(replace(own, joints=(j,)))
+        aimed.append(replace(own, joints=(j,), pull=by_link))
+    aimed += [replace(own, joints=(), still=(name,)) for name in first.hand.still_joints]
+    return (*(one for one in columns if not _is_unaimed(one)), *aimed)
+
+
+def _is_unaimed(column: Column) -> TypeGuard[Payload]:
+    """Whether it is a load that pulls the hand any way."""
+    return isinstance(column, Payload) and not column.hand.is_upright
+
+
+def _curve_loads(columns: Sequence[Column], turning: Array) -> tuple[Column, ...]:
     """The columns, a posture's load to the second order in angles of joints that turn (M,) bool,
     unless these are more than MOST_COLUMNS.
 

@@ -70,13 +70,12 @@ Begin = Callable[[float], tuple[Column, ...]]
 def list_timed_loads(
     problem: FactorProblem, noise: Noise, path: Path, loads: tuple[Load, ...]
 ) -> Iterator[tuple[tuple[Load, ...], float]]:
-    """Yield the loads as carried from the first to the last image, then with one window of time
-    after another in which that changes, each the most probable one.
+    """Yield the loads with one window of time after another in which they begin or end to be
+    carried, each the most probable one.
 
     With each come −ln p of its windows before the log: each window is one of all that were tried.
     The list ends where one encoder that is off is as probable. noise, path: without the loads.
     """
-    yield loads, 0.0
     linear = linearise_problem(problem, path, noise)
     eliminated = eliminate_states(build_system(linear))
     rival = _weigh_shifts(linear, eliminated)

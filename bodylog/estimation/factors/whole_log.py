@@ -4,6 +4,7 @@ as factors, explained, and solved at every instant.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -118,13 +119,17 @@ class SolvedLog:
 
 
 def explain_log(
-    problem: FilterProblem, halves: Array, lasting: LastingPrior, loads: tuple[Load, ...]
+    problem: FilterProblem,
+    halves: Array,
+    lasting: LastingPrior,
+    loads: tuple[tuple[Load, ...], ...],
 ) -> ExplainedLog | None:
     """Explain a log by white noise alone, or by errors of
     its hardware; None where it has no readings or no images.
 
     problem: with the encoder offsets that were found · halves (M,) rad: half of each joint's play
-    in the exploration · lasting: errors of encoders before the log · loads: columns of a load.
+    in the exploration · lasting: errors of encoders before the log · loads: of which one may be
+    carried, as of `build_load_columns`.
     """
     posed = _pose_log(problem)
     if posed is None:
@@ -159,8 +164,10 @@ def _require_encoders(problem: FilterProblem) -> Encoders:
     return problem.evidence.encoders
 
 
-def resembles_load(problem: FilterProblem, without: FilterProblem, loads: tuple[Load, ...]) -> bool:
-    """Whether white noise and a load explain a log about as well as white noise and encoder
+def resembles_load(
+    problem: FilterProblem, without: FilterProblem, loads: tuple[tuple[Load, ...], ...]
+) -> bool:
+    """Whether white noise and one of the loads explain a log about as well as white noise and encoder
     offsets, compared without learning, which takes ten times as long. In simulation, drifts won by
     130 nats and more, joints homed differently by 17 and 22, and payloads lost by 40 and 66.
 
@@ -176,12 +183,14 @@ def resembles_load(problem: FilterProblem, without: FilterProblem, loads: tuple[
     _, coarse, noise = alone
     beliefs = solve_problem(coarse, noise, rounds=WEIGHING_ROUNDS).beliefs
     path = path_from_beliefs(coarse, noise, beliefs)
-    wide = replace(noise, groups=(WIDE_BEND,) * count_groups(loads))
     outliers = _weigh_outliers(coarse)
-    for timed, cost in list_timed_loads(coarse, noise, path, loads):
-        bent = solve_problem(coarse.with_columns(timed), wide, path, rounds=WEIGHING_ROUNDS)
-        if bent.nats + outliers + cost - offset < EVIDENCE_THRESHOLD_NATS:
-            return True
+    for load in loads:
+        wide = replace(noise, groups=(WIDE_BEND,) * count_groups(load))
+        timed = list_timed_loads(coarse, noise, path, load)
+        for one, cost in chain([(load, 0.0)], timed):
+            bent = solve_problem(coarse.with_columns(one), wide, path, rounds=WEIGHING_ROUNDS)
+            if bent.nats + outliers + cost - offset < EVIDENCE_THRESHOLD_NATS:
+                return True
     return False
 
 

@@ -190,7 +190,7 @@ def _explain_without_faults(
     found: ExplainedLog,
     faults: tuple[Fault, ...],
     known: tuple[Array, LastingPrior],
-    loads: tuple[Load, ...],
+    loads: tuple[tuple[Load, ...], ...],
 ) -> tuple[FilterProblem, ExplainedLog] | None:
     """The most probable explanation without encoder offsets, or with no
     moved camera either, where that is as good as with faults; else None.
