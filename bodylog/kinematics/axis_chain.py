@@ -69,7 +69,7 @@ class AxisChain:
         for k in range(len(turns) - 1, -1, -1):
             arms[k] = (turns[k] @ (point - self.pivots[k])[..., None])[..., 0]
             point = arms[k] + self.pivots[k]
-        image, by_point, by_lens = self.project(point)
+        image, by_point, by_lens = self.project_into_image(point)
         outputs = image.shape[1]
         slope = np.zeros((*image.shape, q.shape[1]))
         design = np.zeros((*image.shape, self.unknown_count))
@@ -90,7 +90,7 @@ class AxisChain:
         design[..., : self.of_lens.start] = by_point[..., : self.of_lens.start]
         return image, slope, design
 
-    def project(self, points: Array) -> tuple[Array, Array, Array]:
+    def project_into_image(self, points: Array) -> tuple[Array, Array, Array]:
         """Points (N,3) before the camera or tracker: image (N,D) px or mm · derivative by the point
         (N,D,3) · by the lens (N,D,6), or (N,D,0) of a tracker.
         """
@@ -109,9 +109,9 @@ class AxisChain:
             shift = points[:, k] - rotation @ self.pivots[k]
         return AxisPlaces(axes, points, rotation, rotation @ self.place + shift)
 
-    def order_joints(self, by_axis: Array, q: Array) -> Array:
-        """What is given for each axis from the camera on (N,K,L), for the joints of q (N,M): (N,M,L),
-        zero for those that turn about none.
+    def arrange_by_joint(self, by_axis: Array, q: Array) -> Array:
+        """What is given for each axis from the camera on (N,K,L), for each joint of q (N,M):
+        (N,M,L), zero for those that turn about no axis.
         """
         by_joint = np.zeros((*q.shape, by_axis.shape[2]))
         by_joint[:, self.order] = by_axis
@@ -210,8 +210,8 @@ class AxisPlaces:
 
     def meet_next(self) -> tuple[Array, Array]:
         """Where each axis but the last and the next one are nearest to each other: the point
-        (N,K-1,3) of the next one, and that of its own. Of axes that are parallel, within PARALLEL,
-        all points are as near.
+        (N,K-1,3) of the next one, and that of its own. Parallel axes, within PARALLEL, are as near
+        everywhere.
         """
         first = self.axes[:, :-1]
         second = self.axes[:, 1:]

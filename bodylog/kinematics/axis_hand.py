@@ -3,6 +3,7 @@ marker before a camera that stands, or the camera before a marker that stands.
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -21,9 +22,13 @@ _GIVING = _ACROSS / np.linalg.norm(_ACROSS, axis=1)[:, None]
 
 
 @dataclass(frozen=True, eq=False)
-class MarkerHand:
-    """A hand that holds the marker. A weight pulls in one direction of the camera's axes."""
+class _AxisHand:
+    """A hand of found axes, of which nothing tells which way a weight pulls.
 
+    give_count: R, the number of ways in which it may give way, each as by a joint that stood still.
+    """
+
+    give_count: ClassVar[int]
     chain: AxisChain
 
     @property
@@ -33,10 +38,19 @@ class MarkerHand:
 
     @property
     def still_joints(self) -> tuple[str, ...]:
-        """Names of R joints of the hand: one for each direction in which it may give way."""
-        return tuple(f"hand {number}" for number in range(len(_GIVING)))
+        """Names (R,) of the ways in which the hand may give way."""
+        return tuple(f"hand {number}" for number in range(self.give_count))
 
-    def lever_joints(self, q: Array) -> Array:
+
+@dataclass(frozen=True, eq=False)
+class MarkerHand(_AxisHand):
+    """A hand that holds the marker. A weight pulls in one direction of the camera's axes, and the
+    hand gives way in six.
+    """
+
+    give_count = len(_GIVING)
+
+    def measure_levers(self, q: Array) -> Array:
         """How far each joint moves the marker along each of the camera's axes (N,M,3), and how far
         it moves the axis of the next joint (N,M,3), lengths per rad, at q (N,M) rad.
 
@@ -45,7 +59,8 @@ class MarkerHand:
         seen = self.chain.place_axes(q)
         levers = cross_products(seen.axes, seen.marker[:, None] - seen.points)
         ahead = cross_products(seen.axes[:, :-1], seen.meet_next()[0] - seen.points[:, :-1])
-        return self.chain.order_joints(np.concatenate([levers, _pad_links(ahead, 1)], axis=2), q)
+        links = _pad_links(ahead, 1)
+        return self.chain.arrange_by_joint(np.concatenate([levers, links], axis=2), q)
 
     def show_still_joints(self, q: Array) -> tuple[Array, Array]:
         """What each direction in which the hand gives way changes in images (N,D,R), px per rad,
@@ -53,30 +68,19 @@ class MarkerHand:
         """
         seen = self.chain.place_axes(q)
         moves = HAND_LENGTH * (seen.rotation @ _GIVING.T)
-        return self.chain.project(seen.marker)[1] @ moves, moves.swapaxes(1, 2)
+        return self.chain.project_into_image(seen.marker)[1] @ moves, moves.swapaxes(1, 2)
 
 
 @dataclass(frozen=True, eq=False)
-class CameraHand:
+class CameraHand(_AxisHand):
     """A hand that holds the camera. A weight pulls in one direction of what stands, which is that
-    of the camera's axes with all joints at `middle`.
+    of the camera's axes with all joints at `middle`; along each of three axes of the camera it may
+    turn the camera about each of them.
     """
 
-    chain: AxisChain
+    give_count = 9
 
-    @property
-    def is_upright(self) -> bool:
-        """Whether it is known which way a weight pulls."""
-        return False
-
-    @property
-    def still_joints(self) -> tuple[str, ...]:
-        """Names of R joints of the hand: each turns the camera about one of its axes, and is bent
-        by a weight along one of them.
-        """
-        return tuple(f"hand {number}" for number in range(9))
-
-    def lever_joints(self, q: Array) -> Array:
+    def measure_levers(self, q: Array) -> Array:
         """As of `MarkerHand`: how far each joint moves the camera, in the axes of what stands, and
         the axis of the next joint towards it.
         """
@@ -84,17 +88,17 @@ class CameraHand:
         levers = cross_products(seen.axes, -seen.points) @ seen.rotation
         ahead = cross_products(seen.axes[:, 1:], seen.meet_next()[1] - seen.points[:, 1:])
         links = _pad_links(ahead @ seen.rotation, 0)
-        return self.chain.order_joints(np.concatenate([levers, links], axis=2), q)
+        return self.chain.arrange_by_joint(np.concatenate([levers, links], axis=2), q)
 
     def show_still_joints(self, q: Array) -> tuple[Array, Array]:
         """As of `MarkerHand`: what turns of the camera change in images (N,D,R)."""
         seen = self.chain.place_axes(q)
-        by_point = self.chain.project(seen.marker)[1]
+        by_point = self.chain.project_into_image(seen.marker)[1]
         turned = cross_products(seen.marker[:, None], np.eye(3)[None]).swapaxes(1, 2)
         shown = np.repeat(by_point @ turned, 3, axis=2)
         return shown, HAND_LENGTH * np.tile(seen.rotation, (1, 3, 1))
 
 
 def _pad_links(links: Array, end: int) -> Array:
-    """Levers of links (N,K-1,3) with nothing for the joint at the end: the first (0) or last (1)."""
+    """Levers of links (N,K-1,3) with nothing for the joint at an end: the first (0) or last (1)."""
     return np.pad(links, ((0, 0), (1 - end, end), (0, 0)))

@@ -14,6 +14,10 @@ from .rig import Rig
 from .robot import Robot
 from .rotations import invert_transform, vector_from_rotation
 
+LEAST_LEVER = 1e-3
+"""m (or m per m), or shares of the marker's distance: below it no joint carries the hand, as of an
+arm whose axes are all upright.
+"""
 _STEP = 1e-6
 
 

@@ -201,7 +201,7 @@ class Weighed(KinematicGP):
     def hands(self):
         return (self,)
 
-    def lever_joints(self, x):
+    def measure_levers(self, x):
         zero = np.zeros(len(x))
         return np.column_stack([zero, np.cos(x[:, 1]), 0.5 * np.cos(x[:, 1] + x[:, 2]), zero])[..., None]
 
@@ -209,7 +209,7 @@ class Weighed(KinematicGP):
 @pytest.mark.parametrize("lever", [0.0, 1e-17])
 def test_an_arm_with_upright_axes_carries_no_load(known, lever):
     class Upright(Weighed):
-        def lever_joints(self, x):
+        def measure_levers(self, x):
             return np.full((*x.shape, 1), lever)
 
     plain = known.senses["effector"]

@@ -264,7 +264,7 @@ def test_a_load_with_a_urdf_bends_joints_by_the_levers_of_the_hand():
     held = SimpleNamespace(
         is_upright=True,
         still_joints=(),
-        lever_joints=lambda q: levers(q)[..., None],
+        measure_levers=lambda q: levers(q)[..., None],
         show_still_joints=lambda q: (np.zeros((len(q), 2, 0)), np.zeros((len(q), 0, 1))),
     )
     sense = SimpleNamespace(hands=(held,))
@@ -281,6 +281,17 @@ def test_a_load_with_a_urdf_bends_joints_by_the_levers_of_the_hand():
     np.testing.assert_allclose(sum(one.moves_links(path) for one in each), bends, atol=1e-9)
 
 
+@pytest.mark.parametrize("lever", [0.0, 1e-17])
+def test_no_weight_bends_an_arm_whose_axes_are_all_upright(lever):
+    """Its levers are rounding, and as long as one another."""
+    hand = SimpleNamespace(
+        is_upright=True, still_joints=(), measure_levers=lambda q: np.full((*q.shape, 1), lever)
+    )
+    q = np.random.default_rng(5).uniform(-1.0, 1.0, (50, 2))
+    (load,) = build_load_columns(SimpleNamespace(senses={"effector": SimpleNamespace(hands=(hand,))}), q)
+    assert {one.name for one in load} == {"posture"}
+
+
 def test_a_load_bends_joints_that_stood_still_and_may_carry_the_marker():
     q = np.random.default_rng(5).uniform(-1.0, 1.0, (50, 2))
     slopes = np.array([[[0.3, 0.0], [0.0, 40.0]]])
@@ -291,7 +302,7 @@ def test_a_load_bends_joints_that_stood_still_and_may_carry_the_marker():
 
     hand = SimpleNamespace(
         is_upright=True,
-        lever_joints=lambda x: 0.5 * np.cos(x)[..., None],
+        measure_levers=lambda x: 0.5 * np.cos(x)[..., None],
         still_joints=("roll", "wrist"),
         show_still_joints=show,
     )
@@ -327,10 +338,10 @@ def hang_weight(body, features, hold, size, give=0.0):
     (model,) = body.senses.values()
     hand = model.hands[hold]
     down = np.array([0.2, 0.9, 0.4])
-    longest = np.abs(hand.lever_joints(features.joints.values)[..., :3] @ down).max()
+    longest = np.abs(hand.measure_levers(features.joints.values)[..., :3] @ down).max()
 
     def sink(q):
-        return -size * hand.lever_joints(q)[..., :3] @ down / longest
+        return -size * hand.measure_levers(q)[..., :3] @ down / longest
 
     track = features.tracks["effector"]
     at = np.stack([np.interp(track.t, features.joints.t, one) for one in features.joints.values.T], axis=1)
@@ -386,7 +397,7 @@ def test_a_pull_is_of_one_direction_for_all_joints_and_begins_when_it_did():
         assert {one.moments for one in refined[1:]} == {(3.0,)}
         own, link = refined[4:6]
         force = np.array([0.3, -0.4, 1.2])
-        levers = hand.lever_joints(q)[:, 0]
+        levers = hand.measure_levers(q)[:, 0]
         for one, lever in ((own, levers[:, :3]), (link, levers[:, 3:])):
             np.testing.assert_allclose(one.bends_links(q)[:, 0], -lever @ force / one.longest, atol=1e-12)
 

@@ -28,10 +28,10 @@ def _locate_camera(chain, q):
 def test_levers_are_how_far_joints_move_what_the_arm_holds(lens, seed):
     chain = draw_chain(seed, 4, lens)
     q = _postures(seed)
-    np.testing.assert_allclose(chain.project(chain.place_axes(q).marker)[0], chain.see(q)[0], atol=1e-9)
+    np.testing.assert_allclose(chain.project_into_image(chain.place_axes(q).marker)[0], chain.see(q)[0], atol=1e-9)
     places = {MarkerHand: lambda q: chain.place_axes(q).marker, CameraHand: lambda q: -_locate_camera(chain, q)}
     for kind, place in places.items():
-        levers = kind(chain).lever_joints(q)[..., :3]
+        levers = kind(chain).measure_levers(q)[..., :3]
         for joint, way in enumerate(STEP * np.eye(4)):
             moved = (place(q + way) - place(q - way)) / (2.0 * STEP)
             np.testing.assert_allclose(levers[:, joint], moved, atol=1e-7)
@@ -45,8 +45,8 @@ def test_levers_of_links_are_how_far_joints_move_the_next_axis():
     apart = ahead - own
     for axes in (seen.axes[:, 1:], seen.axes[:, :-1]):
         np.testing.assert_allclose(np.einsum("nki,nki->nk", apart, axes), 0.0, atol=1e-12)
-    marker = MarkerHand(chain).lever_joints(q)[..., 3:]
-    camera = CameraHand(chain).lever_joints(q)[..., 3:]
+    marker = MarkerHand(chain).measure_levers(q)[..., 3:]
+    camera = CameraHand(chain).measure_levers(q)[..., 3:]
     assert not marker[:, chain.order[-1]].any() and not camera[:, chain.order[0]].any()
     moved = np.cross(seen.axes[:, 1], ahead[:, 1] - seen.points[:, 1])
     np.testing.assert_allclose(marker[:, chain.order[1]], moved, atol=1e-12)
@@ -70,13 +70,13 @@ def test_what_a_hand_gives_way_by_shows_in_images(lens):
     assert shown.shape[2] == moves.shape[1] == len(MarkerHand(chain).still_joints)
     seen = chain.place_axes(q)
     for k in range(moves.shape[1]):
-        image = [chain.project(seen.marker + step * moves[:, k])[0] for step in (STEP, -STEP)]
+        image = [chain.project_into_image(seen.marker + step * moves[:, k])[0] for step in (STEP, -STEP)]
         np.testing.assert_allclose(shown[..., k], (image[0] - image[1]) / (2.0 * STEP), rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose(np.linalg.norm(moves[:, k], axis=1), HAND_LENGTH)
     shown, moves = CameraHand(chain).show_still_joints(q)
     assert shown.shape[2] == moves.shape[1] == len(CameraHand(chain).still_joints) == 9
     for k in range(9):
         turn = STEP * np.eye(3)[k // 3]
-        image = [chain.project(seen.marker @ rotation_from_vector(sign * turn))[0] for sign in (1.0, -1.0)]
+        image = [chain.project_into_image(seen.marker @ rotation_from_vector(sign * turn))[0] for sign in (1.0, -1.0)]
         np.testing.assert_allclose(shown[..., k], (image[0] - image[1]) / (2.0 * STEP), rtol=1e-5, atol=1e-5)
         np.testing.assert_allclose(moves[:, k], HAND_LENGTH * seen.rotation[:, k % 3])

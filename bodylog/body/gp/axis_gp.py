@@ -10,11 +10,12 @@ from ...kinematics.axis_chain import AxisChain
 from ...kinematics.axis_hand import CameraHand, MarkerHand
 from ...kinematics.axis_instant import compile_axes
 from ...kinematics.instant import Instant
+from ...kinematics.pose import LEAST_LEVER
 from ...kinematics.rotations import invert_transform, make_transform, rotation_from_vector
 from ...sources import group_of
 from ...types import Array
 from .mean_gp import MeanAt
-from .posed_gp import LEAST_LEVER, PosedGP
+from .posed_gp import PosedGP
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ class AxisGP(PosedGP):
         camera, and nothing beside (N,D,3 M).
         """
         count = x.shape[1]
-        levers = self.hands[0].lever_joints(x)[..., :3]
+        levers = self.hands[0].measure_levers(x)[..., :3]
         bends = np.zeros((len(x), count, count, 3))
         joints = np.arange(count)
         bends[:, joints, joints] = levers / np.abs(levers).max(initial=LEAST_LEVER)

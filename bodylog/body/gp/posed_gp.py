@@ -9,11 +9,6 @@ import numpy as np
 from ...types import Array
 from .mean_gp import MeanGP
 
-LEAST_LEVER = 1e-3
-"""m (or m per m), or shares of the marker's distance: below it no joint carries the hand, as of an
-arm whose axes are all upright.
-"""
-
 
 @dataclass(frozen=True, eq=False)
 class PosedGP(MeanGP):

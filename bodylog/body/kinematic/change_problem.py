@@ -145,7 +145,8 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
         std.append(spread)
 
     for m, name in enumerate(names):
-        factor, unit = (SLIDE, "m") if first.slides(m) else (1.0, "rad")
+        unit = "m" if first.slides(m) else "rad"
+        factor = SLIDE if first.slides(m) else 1.0
         for onset in onsets:
             add_part("joint", name, np.array([SLIP * factor]), onset, unit)
     for camera in dict.fromkeys(track.camera for track in tracks):

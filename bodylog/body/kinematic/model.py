@@ -11,12 +11,12 @@ import numpy as np
 from ...body_model import UNUSED_URDF, BodyModel
 from ...errors import ModelError
 from ...kinematics.instant import Instant, compile_predictor
-from ...kinematics.pose import Base, bend_still_joints, rise_in_base
+from ...kinematics.pose import LEAST_LEVER, Base, bend_still_joints, rise_in_base
 from ...kinematics.rig import Rig, Sight
 from ...kinematics.rotations import invert_transform
 from ...types import Array
 from ..gp.mean_gp import MeanAt
-from ..gp.posed_gp import LEAST_LEVER, PosedGP
+from ..gp.posed_gp import PosedGP
 
 LEAST_ZERO_STD = 1e-6
 """rad or m: prior std of zeros below which `fit --offset-prior 0` has turned them off."""
@@ -123,7 +123,7 @@ class KinematicGP(PosedGP):
         """Whether it is known which way a weight pulls."""
         return True
 
-    def lever_joints(self, x: Array) -> Array:
+    def measure_levers(self, x: Array) -> Array:
         """How far the marker rises with each joint (N,M,1), m per rad, at x (N,M) rad: minus the
         torque of a unit weight there. There must be a hand.
         """
@@ -156,7 +156,7 @@ class KinematicGP(PosedGP):
         shows = np.zeros((len(x), len(self.drift), count + still))
         if not self.hands or not len(x):
             return bends, shows
-        levers = self.lever_joints(x)[..., 0]
+        levers = self.measure_levers(x)[..., 0]
         shown, rises = self.show_still_joints(x)
         rise = rises[..., 0]
         longest = max(float(np.abs(levers).max()), float(np.abs(rise).max(initial=0.0)))

@@ -20,7 +20,7 @@ from .elimination import compute_column_nats
 from .encoder_error import LEAST_STD
 from .factor_problem import CHANGE, FactorProblem, Noise
 from .gauss_newton import path_from_beliefs, solve_problem
-from .load import FIRST_BEND, Load, bend_under_load, count_groups, refine_loads
+from .load import FIRST_BEND, LoadColumns, bend_under_load, count_groups, refine_loads
 from .noise_search import FEWEST_READINGS, Learned, learn_noise
 from .timed_columns import list_displaced_images, list_timed_loads, weigh_displacements
 
@@ -105,7 +105,7 @@ def find_explanation(
     step_s: float,
     count_variance: Array,
     halves: Array,
-    loads: tuple[tuple[Load, ...], ...],
+    loads: tuple[LoadColumns, ...],
 ) -> Explanation:
     """The most probable explanation of a log: white noise alone, or errors of its hardware.
 
@@ -144,11 +144,11 @@ def find_explanation(
     without = _fit_noise(problem, plain, step_s, lasting).nats if gains else white.nats
     delays = tuple(_measure_remaining_delays(problem, found, step_s))
     if "load" in gains:
-        problem, found = _refine_load(problem, found, step_s)
+        problem, found = _solve_refined_load(problem, found, step_s)
     return Explanation(problem.columns, found, white, gained, without - found.nats, gains, delays)
 
 
-def _refine_load(
+def _solve_refined_load(
     problem: FactorProblem, found: Learned, step_s: float
 ) -> tuple[FactorProblem, Learned]:
     """The problem with columns of a load that hold for angles, and its noise and sizes."""
@@ -221,7 +221,7 @@ def _displace_images(
 def _allow_load(
     problem: FactorProblem,
     basis: _Basis,
-    loads: tuple[tuple[Load, ...], ...],
+    loads: tuple[LoadColumns, ...],
     before: Learned,
     others: bool,
     halves: Array,
@@ -233,7 +233,8 @@ def _allow_load(
     """
     if not loads:
         return problem, before, None
-    timed = chain(*(_list_times(problem, basis, one) for one in loads))
+    each = (list_timed_loads(problem, basis.noise, basis.white.path, one) for one in loads)
+    timed = chain(*(islice(one, 1 + MOST_TIMES) for one in each))
     tried = ((_learn_load(problem, basis, one, before), one, cost) for one, cost in timed)
     bent, load, cost = min(tried, key=lambda one: one[0].nats + one[2])
     # each of the loads is as likely before the log
@@ -250,16 +251,6 @@ def _allow_load(
     if gain <= least or replaces or np.abs(bends).max() > MOST_BEND:
         return problem, before, None
     return problem.with_columns(load), bent, gain
-
-
-def _list_times(
-    problem: FactorProblem, basis: _Basis, load: tuple[Load, ...]
-) -> Iterator[tuple[tuple[Load, ...], float]]:
-    """Yield a load as carried all the time, and in the windows of time that are looked for, with
-    −ln p of these before the log.
-    """
-    yield load, 0.0
-    yield from islice(list_timed_loads(problem, basis.noise, basis.white.path, load), MOST_TIMES)
 
 
 def _find_offset(
@@ -304,11 +295,11 @@ def _replaces_play(problem: FactorProblem, before: Learned, bent: Learned, halve
 
 
 def _learn_load(
-    problem: FactorProblem, basis: _Basis, loads: tuple[Load, ...], before: Learned
+    problem: FactorProblem, basis: _Basis, load: LoadColumns, before: Learned
 ) -> Learned:
     """The noise beside a load by evidence, with errors at encoders or at links."""
-    loaded = problem.with_columns(loads)
-    groups = (FIRST_BEND,) * count_groups(loads)
+    loaded = problem.with_columns(load)
+    groups = (FIRST_BEND,) * count_groups(load)
     each = [replace(one, groups=groups) for one in _list_lasting_noises(basis.white.noise)]
     return _choose_most_probable([_fit_noise(loaded, one, basis.step_s, before) for one in each])
 

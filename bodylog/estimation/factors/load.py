@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Protocol, TypeGuard, runtime_checkable
 import numpy as np
 
 from ...body_model import BodyModel
+from ...kinematics.pose import LEAST_LEVER
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..measurements.long_arrays import find_finite_rows
@@ -18,8 +19,6 @@ FIRST_BEND = 5e-3
 """rad of what a joint bends by, with which the search begins."""
 WIDE_BEND = 0.02
 """rad of what a joint bends by before any load is known, 1.1°."""
-LEAST_LEVER = 1e-3
-"""Share of the longest lever below which a joint carries nothing."""
 TAKEN_S = 0.2
 """s in which a hand takes up a load, or puts it down. Against a step, 12 drawn logs lost at most 5
 nats where it was 0.02 s, and won 4 to 10 and 0 to 8 where it was 0.2 and 0.5 s.
@@ -34,8 +33,8 @@ one arm differ by factors of up to five, and of the simulated one by none.
 """
 UPRIGHT = (1.0,)
 """A pull along the one direction of levers that are known to be upright."""
-_NONE = (0.0, 0.0, 0.0)
-PULLS = [(1.0, 0.0, 0.0, *_NONE), (0.0, 1.0, 0.0, *_NONE), (0.0, 0.0, 1.0, *_NONE)]
+_NO_PULL = (0.0, 0.0, 0.0)
+PULLS = [(1.0, 0.0, 0.0, *_NO_PULL), (0.0, 1.0, 0.0, *_NO_PULL), (0.0, 0.0, 1.0, *_NO_PULL)]
 """Pulls along each of three directions, by the levers of joints, and not by those of links."""
 
 
@@ -62,6 +61,10 @@ class Load(Column):
         """The share of the load that is carried at times t (N,) s: a hand takes it up steadily."""
         taken = np.clip((t[:, None] - self.moments) / TAKEN_S + 0.5, 0.0, 1.0)
         return np.asarray(taken[:, ::2].sum(axis=1) - taken[:, 1::2].sum(axis=1))
+
+
+LoadColumns = tuple[Load, ...]
+"""The columns of one load."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +103,7 @@ class Hand(Protocol):
     def still_joints(self) -> tuple[str, ...]:
         """Names of R joints."""
 
-    def lever_joints(self, q: Array) -> Array:
+    def measure_levers(self, q: Array) -> Array:
         """How far each joint moves the hand along each direction, m (or shares of a distance) per
         rad, at q (N,M) rad: (N,M,1), or (N,M,6), with those of links behind.
         """
@@ -141,7 +144,7 @@ class Payload(Load):
         own = np.zeros(angles.shape)
         if self.joints:
             carrying = list(self.joints)
-            levers = self.hand.lever_joints(angles)[:, carrying]
+            levers = self.hand.measure_levers(angles)[:, carrying]
             own[:, carrying] = -levers @ np.array(self.pull) / self.longest
         return own
 
@@ -176,7 +179,7 @@ def bend_under_load(columns: Sequence[Column], sizes: Array, t: Array, angles: A
     return sum((size * column.moves_links(path) for column, size in loads), rest)
 
 
-def build_load_columns(body: BodyModel, readings: Array) -> tuple[tuple[Load, ...], ...]:
+def build_load_columns(body: BodyModel, readings: Array) -> tuple[LoadColumns, ...]:
     """Loads of which one may be carried, each by its columns, for readings (N,M) rad: by the levers
     of what the arm holds where joints' axes are known, else any linear function of the posture.
     """
@@ -200,17 +203,17 @@ def _find_hands(body: BodyModel, known: Array) -> tuple[Hand, ...]:
     most = 0
     for sense in body.senses.values():
         hands = sense.hands if isinstance(sense, _HoldingModel) else ()
-        count = max((len(_list_carrying_joints(one, known)) for one in hands), default=0)
-        if count > most:
-            best = hands
-            most = count
+        counts = [len(_list_carrying_joints(one, known)) for one in hands]
+        if max(counts, default=0) > most:
+            best = tuple(one for one, count in zip(hands, counts, strict=True) if count)
+            most = max(counts)
     return best
 
 
-def _list_carrying_joints(hand: Hand, known: Array, longest: float = 0.0) -> list[int]:
-    """Joints whose levers are not next to nothing of the longest, or of one of others, m."""
-    own = np.abs(hand.lever_joints(known)).max(axis=(0, 2))
-    return np.flatnonzero(own > LEAST_LEVER * max(float(own.max()), longest)).tolist()
+def _list_carrying_joints(hand: Hand, known: Array) -> list[int]:
+    """Joints that carry the hand, at angles known (N,M) rad."""
+    own = np.abs(hand.measure_levers(known)).max(axis=(0, 2))
+    return np.flatnonzero(own > LEAST_LEVER).tolist()
 
 
 def _bend_by_levers(hand: Hand, body: BodyModel, known: Array) -> Iterator[Payload]:
@@ -220,17 +223,17 @@ def _bend_by_levers(hand: Hand, body: BodyModel, known: Array) -> Iterator[Paylo
     """
     still = _measure_still_levers(body, known) if hand.is_upright else {}
     pulls = [UPRIGHT] if hand.is_upright else PULLS
-    longest = max(float(np.abs(hand.lever_joints(known)).max()), *still.values(), 0.0)
-    joints = tuple(_list_carrying_joints(hand, known, longest))
-    others = tuple(name for name, lever in still.items() if lever > LEAST_LEVER * longest)
+    longest = max(float(np.abs(hand.measure_levers(known)).max()), *still.values(), 0.0)
+    joints = tuple(_list_carrying_joints(hand, known))
+    others = tuple(name for name, lever in still.items() if lever > LEAST_LEVER)
     name = "payload" if hand.is_upright else "pull"
     for group, pull in enumerate(pulls):
-        alike = Payload(name, 1.0, group=group, hand=hand, pull=pull, longest=longest)
-        yield replace(alike, joints=joints, still=others)
+        common = Payload(name, 1.0, group=group, hand=hand, pull=pull, longest=longest)
+        yield replace(common, joints=joints, still=others)
         for j in joints:
-            yield replace(alike, std=COMPLIANCE_SPREAD, joints=(j,))
+            yield replace(common, std=COMPLIANCE_SPREAD, joints=(j,))
         for one in others:
-            yield replace(alike, std=COMPLIANCE_SPREAD, still=(one,))
+            yield replace(common, std=COMPLIANCE_SPREAD, still=(one,))
 
 
 def _measure_still_levers(body: BodyModel, known: Array) -> dict[str, float]:
@@ -238,7 +241,7 @@ def _measure_still_levers(body: BodyModel, known: Array) -> dict[str, float]:
     longest = dict[str, float]()
     for sense in body.senses.values():
         hands = sense.hands if isinstance(sense, _HoldingModel) else ()
-        for hand in hands:
+        for hand in (one for one in hands if one.is_upright):
             most = np.abs(hand.show_still_joints(known)[1]).max(axis=(0, 2)).tolist()
             for name, lever in zip(hand.still_joints, most, strict=True):
                 longest[name] = max(longest.get(name, 0.0), lever)
@@ -266,25 +269,25 @@ def refine_loads(columns: Sequence[Column], sizes: Array, turning: Array) -> tup
     """
     leads = dict[int | None, tuple[Payload, float]]()
     for one, size in zip(columns, sizes.tolist(), strict=True):
-        if _is_unaimed(one):
+        if _pulls_any_way(one):
             leads.setdefault(one.group, (one, size))
     if not leads:
         return _curve_loads(columns, turning)
     common = [one for one, _ in leads.values()]
     first = common[0]
     force = np.sum([size * np.array(one.pull[:3]) for one, size in leads.values()], axis=0)
-    by_joint = (*force.tolist(), *_NONE)
-    by_link = (*_NONE, *force.tolist())
+    by_joint = (*force.tolist(), *_NO_PULL)
+    by_link = (*_NO_PULL, *force.tolist())
     own = replace(first, std=COMPLIANCE_SPREAD, group=None, pull=by_joint)
     aimed: list[Column] = [*common]
     for j in first.joints:
         aimed.append(replace(own, joints=(j,)))
         aimed.append(replace(own, joints=(j,), pull=by_link))
     aimed += [replace(own, joints=(), still=(name,)) for name in first.hand.still_joints]
-    return (*(one for one in columns if not _is_unaimed(one)), *aimed)
+    return (*(one for one in columns if not _pulls_any_way(one)), *aimed)
 
 
-def _is_unaimed(column: Column) -> TypeGuard[Payload]:
+def _pulls_any_way(column: Column) -> TypeGuard[Payload]:
     """Whether it is a load that pulls the hand any way."""
     return isinstance(column, Payload) and not column.hand.is_upright
 

@@ -26,7 +26,7 @@ from .factor_problem import (
     build_system,
     linearise_problem,
 )
-from .load import TAKEN_S, WIDE_BEND, Load
+from .load import TAKEN_S, WIDE_BEND, LoadColumns
 
 SEARCHED = 6
 """Windows that are narrowed: a moment that is off by a tenth of a second costs tens of nats, so the
@@ -68,18 +68,19 @@ Begin = Callable[[float], tuple[Column, ...]]
 
 
 def list_timed_loads(
-    problem: FactorProblem, noise: Noise, path: Path, loads: tuple[Load, ...]
-) -> Iterator[tuple[tuple[Load, ...], float]]:
-    """Yield the loads with one window of time after another in which they begin or end to be
-    carried, each the most probable one.
+    problem: FactorProblem, noise: Noise, path: Path, load: LoadColumns
+) -> Iterator[tuple[LoadColumns, float]]:
+    """Yield the load as carried from the first to the last image, then with one window of time
+    after another in which that changes, each the most probable one.
 
     With each come −ln p of its windows before the log: each window is one of all that were tried.
-    The list ends where one encoder that is off is as probable. noise, path: without the loads.
+    The list ends where one encoder that is off is as probable. noise, path: without the load.
     """
+    yield load, 0.0
     linear = linearise_problem(problem, path, noise)
     eliminated = eliminate_states(build_system(linear))
     rival = _weigh_shifts(linear, eliminated)
-    leads = tuple({one.group: one for one in reversed(loads)}.values())
+    leads = tuple({one.group: one for one in reversed(load)}.values())
 
     def take_load(moment: float) -> tuple[Column, ...]:
         return tuple(replace(lead, moments=(moment,)) for lead in leads)
@@ -91,7 +92,7 @@ def list_timed_loads(
     ) is not None:
         moments, cost = found
         total += cost
-        timed = tuple(replace(one, moments=moments) for one in loads)
+        timed = tuple(replace(one, moments=moments) for one in load)
         alone = np.eye(len(timed))[None]
         if rival <= _weigh_columns(linear, eliminated, timed, alone, WIDE_BEND)[0] + total:
             return

@@ -4,7 +4,6 @@ as factors, explained, and solved at every instant.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import chain
 
 import numpy as np
 
@@ -29,7 +28,7 @@ from .hypotheses import (
     fit_white_noise,
 )
 from .images import ImageRows, Images, find_nearest_knots
-from .load import WIDE_BEND, Load, count_groups
+from .load import WIDE_BEND, LoadColumns, count_groups
 from .robust import (
     compute_believed_shares,
     compute_outlier_nats,
@@ -119,10 +118,7 @@ class SolvedLog:
 
 
 def explain_log(
-    problem: FilterProblem,
-    halves: Array,
-    lasting: LastingPrior,
-    loads: tuple[tuple[Load, ...], ...],
+    problem: FilterProblem, halves: Array, lasting: LastingPrior, loads: tuple[LoadColumns, ...]
 ) -> ExplainedLog | None:
     """Explain a log by white noise alone, or by errors of
     its hardware; None where it has no readings or no images.
@@ -165,11 +161,11 @@ def _require_encoders(problem: FilterProblem) -> Encoders:
 
 
 def resembles_load(
-    problem: FilterProblem, without: FilterProblem, loads: tuple[tuple[Load, ...], ...]
+    problem: FilterProblem, without: FilterProblem, loads: tuple[LoadColumns, ...]
 ) -> bool:
-    """Whether white noise and one of the loads explain a log about as well as white noise and encoder
-    offsets, compared without learning, which takes ten times as long. In simulation, drifts won by
-    130 nats and more, joints homed differently by 17 and 22, and payloads lost by 40 and 66.
+    """Whether white noise and one of the loads explain a log about as well as white noise and
+    encoder offsets, compared without learning, which takes ten times as long. In simulation, drifts
+    won by 130 nats and more, joints homed differently by 17 and 22, and payloads lost by 40 and 66.
 
     problem, without: with the encoder offsets that were found, and without.
     """
@@ -186,8 +182,7 @@ def resembles_load(
     outliers = _weigh_outliers(coarse)
     for load in loads:
         wide = replace(noise, groups=(WIDE_BEND,) * count_groups(load))
-        timed = list_timed_loads(coarse, noise, path, load)
-        for one, cost in chain([(load, 0.0)], timed):
+        for one, cost in list_timed_loads(coarse, noise, path, load):
             bent = solve_problem(coarse.with_columns(one), wide, path, rounds=WEIGHING_ROUNDS)
             if bent.nats + outliers + cost - offset < EVIDENCE_THRESHOLD_NATS:
                 return True

@@ -15,7 +15,14 @@ from ...types import Array, Estimate, Fault, FaultKind, Finding
 from ..factors.columns import EncoderShift, ImageShift, Play, describe_displacement
 from ..factors.factor_problem import ANY_ERRORS, CHANGE, LastingPrior, Noise
 from ..factors.hypotheses import DRIFTS_S, OFFSET, Explanation
-from ..factors.load import FIRST_BEND, Load, bend_under_load, build_load_columns, describe_load
+from ..factors.load import (
+    FIRST_BEND,
+    Load,
+    LoadColumns,
+    bend_under_load,
+    build_load_columns,
+    describe_load,
+)
 from ..factors.whole_log import ExplainedLog, SolvedLog, explain_log, resembles_load, solve_log
 from ..faults.moved_camera import restore_displacements
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
@@ -190,7 +197,7 @@ def _explain_without_faults(
     found: ExplainedLog,
     faults: tuple[Fault, ...],
     known: tuple[Array, LastingPrior],
-    loads: tuple[tuple[Load, ...], ...],
+    loads: tuple[LoadColumns, ...],
 ) -> tuple[FilterProblem, ExplainedLog] | None:
     """The most probable explanation without encoder offsets, or with no
     moved camera either, where that is as good as with faults; else None.
