@@ -14,8 +14,9 @@ from ...kinematics.identifiability import GIVEN
 from ...kinematics.links import FoundLinks, Space
 from ...kinematics.rig import Rig
 from ...kinematics.robot import Robot
-from ...types import Array, Features, Series
-from ..data.pairs import Pairs
+from ...types import Array, Features
+from ..data.angles import Angles
+from ..data.pairs import Pairs, smooth_all_joints, sparse_joints
 from ..senses import encoder_function
 from .placements import Calibration, calibration_of, printed_unknowns
 from .residuals import Together, solve_together
@@ -30,14 +31,14 @@ images next to each other have the same errors.
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """What a log says beside its sightings: joints, readings or None · start and duration, s ·
-    poses: rows are still poses that were measured one by one.
+    """What a log says beside its sightings: start and duration, s · poses: rows are still poses
+    that were measured one by one · still: smoothed angles of joints that stood still.
     """
 
-    joints: Series | None
     start: float
     duration: float
     poses: bool
+    still: Mapping[str, Angles]
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,14 +53,25 @@ class Resting:
     doubt: float
 
 
-def recorded_logs(features: Sequence[Features]) -> tuple[Recording, ...]:
-    """Each log's joints and times."""
+def recorded_logs(features: Sequence[Features], still: Sequence[str] = ()) -> tuple[Recording, ...]:
+    """Each log's times, and its angles of joints that stood still."""
     found = []
-    for one in features:
-        joints = encoder_function.with_true_angles(one, None).joints
-        times = joints.t if joints is not None and len(joints.t) else np.zeros(1)
-        found.append(Recording(joints, float(times[0]), float(times[-1] - times[0]), one.poses))
+    for log in features:
+        one = encoder_function.with_true_angles(log, None)
+        times = one.joints.t if one.joints is not None and len(one.joints.t) else np.zeros(1)
+        angles = _smooth_still_joints(one, still)
+        found.append(Recording(float(times[0]), float(times[-1] - times[0]), one.poses, angles))
     return tuple(found)
+
+
+def _smooth_still_joints(log: Features, names: Sequence[str]) -> dict[str, Angles]:
+    """Smoothed angles of those joints that have readings in a log: the noise of single readings
+    would be an error of every image.
+    """
+    read = () if log.joints is None else log.joints.names
+    sparse = sparse_joints([log]) if read else {}
+    known = tuple(name for name in names if name in read and name not in sparse)
+    return {one.name: one.angles[0] for one in smooth_all_joints([log], known)} if known else {}
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +116,7 @@ def include_resting_joints(
     start, theta = (_with_zeros(rig, one, wide) for one in (found.theta, both.theta))
     parts = {}
     for name, part in both.parts.items():
-        further = _further_readings(shown[name].whole, names, beside.logs)
+        further = _further_readings(shown[name].whole, names, beside.logs, resting.still)
         parts[name] = replace(part, view=replace(part.view, further=further))
     return Widened(wide, start, names, solve_together(wide, theta, parts))
 
@@ -134,7 +146,7 @@ def adjust_calibration(
     known = Known(np.arange(len(theta)), theta, covariance)
     groups = _groups([one.whole for one in shown.values()], beside.logs)
     data = [
-        _posed(one, group, wide.names, beside.logs, sag)
+        _posed(one, group, wide.names, beside, sag)
         for one, group in zip(shown.values(), groups, strict=True)
     ]
     start = np.concatenate([wide.start, np.zeros(len(rig.sag_doubt))])
@@ -205,14 +217,11 @@ _FIXED = 1e-9
 
 
 def _posed(
-    one: ThingSightings,
-    group: Array,
-    names: Sequence[str],
-    logs: Sequence[Recording],
-    sag: Sag | None,
+    one: ThingSightings, group: Array, names: Sequence[str], beside: Surroundings, sag: Sag | None
 ) -> Posed:
     """Sightings for the adjustment, with the readings of further joints, and with the torques."""
-    further = _further_readings(one.whole, names, logs)
+    held = {} if beside.resting is None else beside.resting.still
+    further = _further_readings(one.whole, names, beside.logs, held)
     q = np.concatenate([one.whole.x, further], axis=1)
     if sag is not None:
         q = np.concatenate([q, sag.weights.torques(q)], axis=1)
@@ -220,23 +229,19 @@ def _posed(
     return Posed(replace(one.sighted, q=q), variance, one.whole.log, group)
 
 
-def _further_readings(whole: Pairs, names: Sequence[str], logs: Sequence[Recording]) -> Array:
-    """Readings (N,K), rad or m, of joints that stood still, at each image."""
-    found = np.zeros((len(whole.x), len(names)))
+def _further_readings(
+    whole: Pairs, names: Sequence[str], logs: Sequence[Recording], held: Mapping[str, float]
+) -> Array:
+    """Readings (N,K), rad or m, of joints that stood still, at each image; where a log has none,
+    where they were held.
+    """
+    found = np.tile([held[name] for name in names], (len(whole.x), 1))
     for log in np.unique(whole.log) if names else ():
         rows = np.flatnonzero(whole.log == log)
-        found[rows] = _readings(logs[log], names, whole.t[rows])
-    return found
-
-
-def _readings(log: Recording, names: Sequence[str], t: Array) -> Array:
-    """Readings (N,K), rad or m, of joints at times t (N,) s, by the readings before and after."""
-    found = np.zeros((len(t), len(names)))
-    for k, name in enumerate(names):
-        if log.joints is not None and name in log.joints.names:
-            column = log.joints.values[:, log.joints.names.index(name)]
-            known = np.isfinite(column)
-            found[:, k] = np.interp(t, log.joints.t[known], column[known])
+        for k, name in enumerate(names):
+            if name in logs[log].still:
+                angles = logs[log].still[name].at(whole.t[rows])[0]
+                found[rows, k] = np.where(np.isfinite(angles), angles, held[name])
     return found
 
 

@@ -115,7 +115,7 @@ def learn_kinematics(
         parts = {name: part for name, part in parts.items() if name not in foreign}
     if whys:
         return leave_urdf_unused(found, next(iter(whys.values())))
-    beside = Surroundings(recorded_logs(features), Resting(robot, held, given.doubt))
+    beside = Surroundings(recorded_logs(features, tuple(held)), Resting(robot, held, given.doubt))
     return learn_residuals(
         _drop_unexplained_tracks(found, left_out),
         links,
