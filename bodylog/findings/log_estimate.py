@@ -141,7 +141,8 @@ def infer_with_changes(
     if _has_later_faults_of_images(found):
         return found, body  # they begin before they are found, so no stretch is without them
     errors = _list_errors(found)
-    changes = _find_changes(_usable_tracks(features, found), body, errors)
+    offsets = _list_offset_joints(found) if not errors.get("load") else []
+    changes = _find_changes(_usable_tracks(features, found), body, errors, offsets)
     if changes.body is not body:
         return _with_changes(infer(features, changes.body, settings), changes), changes.body
     if errors.get("load") and changes.changes:
@@ -150,14 +151,14 @@ def infer_with_changes(
 
 
 def _find_changes(
-    features: Features, body: BodyModel, errors: Mapping[str, Any]
+    features: Features, body: BodyModel, errors: Mapping[str, Any], offsets: Sequence[str] = ()
 ) -> "change.FoundChanges":
-    """Changes since the body was learned, beside errors of an explained log."""
+    """Changes since the body was learned, beside errors and offsets of an explained log."""
     from ..body.kinematic import change
     from ..estimation.measurements.arm_errors import with_links
 
     arm = _list_arm_errors(errors, body)
-    return change.find_changes(with_links(features, arm.play), body, arm.lasting)
+    return change.find_changes(with_links(features, arm.play), body, arm.lasting, offsets)
 
 
 def _drop_faults_of_images(found: Estimate) -> Estimate:
@@ -278,6 +279,12 @@ def _usable_tracks(features: Features, found: Estimate) -> Features:
             )
             tracks[name] = Series(*some)
     return replace(timely, tracks=tracks)
+
+
+def _list_offset_joints(found: Estimate) -> list[str]:
+    """Joints whose encoders an estimate holds to be off from the start on."""
+    constant = [fault for fault in found.faults if _is_constant_offset(fault)]
+    return [name for fault in constant for name in fault.names]
 
 
 def _is_constant_offset(fault: Fault) -> bool:

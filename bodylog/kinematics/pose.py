@@ -28,9 +28,9 @@ class Base:
 
     chain: from the root to the thing's link · tool (4,4): a frame on that link, named `link`, that
     gives a point marker its orientation · camera: whether the thing is the camera's optical frame.
-    hand: the chain from the root to the tool, with the rig's joints and then those that stood still
-    below the camera's link, at `still` (R,) rad or m; None
-    where there are none, and of a camera.
+    hand: the chain from the root to the tool or camera, with the rig's joints and then those that
+    stood still and do not carry the other of marker and camera, at `still` (R,) rad or m; None
+    where there are none.
     """
 
     chain: Chain
@@ -55,26 +55,31 @@ def find_base(robot: Robot, rig: Rig, theta: Array, still: Mapping[str, float]) 
     for link, camera in ((rig.carriers[0].link, False), (rig.cameras[0].link, True)):
         chain = space.chain(robot.root, link)
         if len(chain.column):
-            if camera:
-                return Base(chain, np.eye(4), link, camera)
             place = rig.carrier_pose(0, theta)[:3, 3]
-            tool, name = _nearest_tool_frame(robot, link, place, rig.joints, still)
-            hand = _chain_to_hand(robot, rig, name, still)
+            tool, name = (
+                (np.eye(4), link)
+                if camera
+                else _nearest_tool_frame(robot, link, place, rig.joints, still)
+            )
+            other = rig.carriers[0].link if camera else rig.cameras[0].link
+            hand = _chain_to_hand(robot, rig, name, other, still)
             rests = np.array([still.get(one, 0.0) for one in hand.joints[len(rig.joints) :]])
-            base = Base(chain, tool, name)
+            base = Base(chain, tool, name, camera)
             return replace(base, hand=hand, still=rests) if len(rests) else base
     return None
 
 
-def _chain_to_hand(robot: Robot, rig: Rig, tool: str, still: Mapping[str, float]) -> Chain:
-    """The chain from the root to a tool by the rig's joints,
-    and by those that stood still below the camera's link.
+def _chain_to_hand(
+    robot: Robot, rig: Rig, hand: str, other: str, still: Mapping[str, float]
+) -> Chain:
+    """The chain from the root to the hand's frame by the rig's joints, and by those that stood
+    still and do not carry the other link.
     """
-    whole = chain_between(robot, robot.root, tool)
-    with_camera = chain_between(robot, robot.root, rig.cameras[0].link).joints
+    whole = chain_between(robot, robot.root, hand)
+    common = chain_between(robot, robot.root, other).joints
     others = [one for one in whole.joints if one not in rig.joints]
-    held = {one: still.get(one, 0.0) for one in others if one in with_camera}
-    further = [one for one in others if one not in with_camera]
+    held = {one: still.get(one, 0.0) for one in others if one in common}
+    further = [one for one in others if one not in common]
     return whole.holding(held).over((*rig.joints, *further))
 
 
@@ -131,22 +136,35 @@ def rise_in_base(base: Base, rig: Rig, theta: Array, q: Array) -> Array:
 
 
 def bend_still_joints(base: Base, rig: Rig, theta: Array, q: Array) -> tuple[Array, Array]:
-    """How the marker's first point moves with each joint that stood still, on the marker's link
-    (N,3,R), and how far it rises with it (N,R): m per rad or per m, at q (N,M), for theta (P,).
+    """How the marker's first point moves with each joint that stood still (N,3,R), on the marker's
+    link, or in the camera if the arm holds that, and how far what it holds rises with it (N,R): m
+    per rad or per m, at q (N,M), for theta (P,).
 
-    Whether such a joint is between the link and the marker,
+    Whether such a joint is between the link and the hand,
     or beyond both, is not known: here all are between.
     """
-    assert base.hand is not None  # of a marker
+    assert base.hand is not None
     angles = rig.angles(theta, q)
     link = base.chain.at(angles)
     on_link = _place_thing_on_link(base, rig, theta)
-    point = on_link[:3, :3] @ rig.sights[0].points[0] + on_link[:3, 3]
-    place = link.place + link.rotation @ point
+    marker = _place_marker_on_link(base, rig, theta, angles)
+    point = link.place + (link.rotation @ marker[..., None])[..., 0]
+    held = link.place + link.rotation @ on_link[:3, 3] if base.camera else point
     every = np.concatenate([angles, np.broadcast_to(base.still, (len(q), len(base.still)))], axis=1)
-    poses = base.hand.at(every)
-    slopes = base.hand.slopes(poses, place[:, None])[:, 0, :, len(rig.joints) :]
-    return link.rotation.swapaxes(1, 2) @ slopes, slopes[:, 2]
+    both = np.stack([point, held], axis=1)
+    slopes = base.hand.slopes(base.hand.at(every), both)[..., len(rig.joints) :]
+    moves = link.rotation.swapaxes(1, 2) @ slopes[:, 0]
+    return (-on_link[:3, :3].T @ moves if base.camera else moves), slopes[:, 1, 2]
+
+
+def _place_marker_on_link(base: Base, rig: Rig, theta: Array, angles: Array) -> Array:
+    """The marker's first point (N,3) m, on the link of what the arm holds."""
+    pose = rig.carrier_pose(0, theta)
+    point = pose[:3, :3] @ rig.sights[0].points[0] + pose[:3, 3]
+    if not base.camera:
+        return np.broadcast_to(point, (len(angles), 3))
+    link = rig.sights[0].chain.at(angles)
+    return np.asarray(link.rotation @ point + link.place)
 
 
 def _on_link(base: Base, rig: Rig, theta: Array) -> tuple[Array, Array]:

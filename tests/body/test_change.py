@@ -8,7 +8,7 @@ import pytest
 from bodylog import body
 from bodylog.body.kinematic import change
 from bodylog.body.kinematic.change_problem import PAYLOAD, pose_problem
-from bodylog.body.kinematic.change_system import ChangeFit, fit_parts
+from bodylog.body.kinematic.change_system import ChangeFit, Sinking, fit_parts
 from bodylog.body.kinematic.model import KinematicGP, can_show_changes
 from bodylog.findings import log_estimate as change_findings
 from bodylog.findings.faults import fault_warnings
@@ -187,15 +187,17 @@ def test_a_weight_at_the_hand_is_no_moved_camera_on_found_axes(on_axes, seed, si
     features = run(seed, encoder=1e-3)
     model = on_axes.senses["effector"]
     down = np.array([0.2, 0.9, 0.4])
-    count = len(on_axes.joints)
-    pulls = model.sink_under_weight(features.joints.values)[0].reshape(-1, count, count, 3).sum(axis=2) @ down
-    laden = replace(features, joints=replace(features.joints, values=features.joints.values - size * pulls))
+    levers = model.hands[0].measure_levers(features.joints.values)[..., :3]
+    sunk = -size * levers @ down / np.abs(levers).max()
+    laden = replace(features, joints=replace(features.joints, values=features.joints.values - sunk))
     changes = find_changes(laden, on_axes)
     assert all(PAYLOAD in one.alternatives for one in changes)
 
 
 class Weighed(KinematicGP):
     """A model that tells how far the hand rises with each joint."""
+
+    still_joints = ()
 
     @property
     def hands(self):
@@ -227,7 +229,7 @@ def test_a_weight_at_the_hand_is_no_change_and_hides_none(known, seed, size):
     weighed = replace(known, senses={"effector": model})
 
     def laden(features):
-        sunk = size * model.sink_under_weight(features.joints.values)[0].sum(axis=2)
+        sunk = -size * model.measure_levers(features.joints.values)[..., 0]
         return replace(features, joints=replace(features.joints, values=features.joints.values - sunk))
 
     push = PUSHES[0]
@@ -240,6 +242,21 @@ def test_a_weight_at_the_hand_is_no_change_and_hides_none(known, seed, size):
     camera = now.rig.of_camera(0).start + np.arange(6)
     off = now.theta[camera] - plain.theta[camera] - push
     assert np.abs(off / np.sqrt(np.square(now.root[camera]).sum(axis=1))).max() < 4.0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_sinking_has_the_derivatives_of_differences(seed):
+    draw = np.random.default_rng(seed)
+    n, joints, ways, still, outputs = 5, 4, 3, 2, 2
+    shapes = ((n, joints, ways), (n, joints, ways), (n, still, ways), (n, outputs, still))
+    sinking = Sinking(*(draw.normal(size=shape) for shape in shapes))
+    unknowns = draw.normal(size=ways + 2 * joints + still)
+    rows = np.array([0, 2, 3])
+    for found in (sinking.bend_joints, sinking.show_still_joints):
+        columns = found(rows, unknowns)[1]
+        for k, step in enumerate(1e-6 * np.eye(len(unknowns))):
+            slope = (found(rows, unknowns + step)[0] - found(rows, unknowns - step)[0]) / 2e-6
+            np.testing.assert_allclose(columns[..., k], slope, atol=1e-8)
 
 
 @pytest.mark.parametrize(("gain", "allowed"), [(10.0, True), (3.0, False), (-5.0, False)])
@@ -270,9 +287,10 @@ def test_markers_that_other_still_joints_carry_share_one_load(known):
     features = run(52)
     both = replace(features, tracks={"effector": features.tracks["effector"], "hand": features.tracks["effector"]})
     problem = pose_problem(both, replace(known, senses={"effector": plain, "hand": model}))
-    assert [track.sinking[1].any() for track in problem.tracks] == [False, True]
+    assert [track.sinkings[0].shown.any() for track in problem.tracks] == [False, True]
     load = next(part for part in problem.parts if part.kind == "load")
-    assert load.place.stop - load.place.start == len(known.joints) + 1
+    # the pull, joints and links, and the one that stood still
+    assert load.place.stop - load.place.start == 1 + 2 * len(known.joints) + 1
     assert np.isfinite(fit_parts(problem, (load,)).evidence)
 
 
@@ -290,6 +308,7 @@ def test_a_load_beside_a_moved_camera_is_doubt_where_it_explains_as_much(on_axes
     problem = pose_problem(run(), on_axes)
     of = {part.kind: part for part in problem.parts if np.isinf(part.onset)}
     size = len(problem.std)
+    std = problem.std[of["load"].place]
 
     def fit(_, parts, begin=None):
         unknowns = np.zeros(size)
@@ -299,12 +318,13 @@ def test_a_load_beside_a_moved_camera_is_doubt_where_it_explains_as_much(on_axes
 
     monkeypatch.setattr(change, "fit_parts", fit)
     found = change._Search(problem, (of["camera"],), fit(problem, (of["camera"],)), {})
-    doubt = change._weigh_explanations(found, on_axes.joints)
+    doubt = change._weigh_explanations(found, on_axes.joints, (found.parts, found.fit))
     assert (np.sqrt(np.diag(doubt)).max() > 1e-3) == doubted
-    (bends,) = (track.sinking[0] @ np.full(track.sinking[0].shape[2], 0.01) for track in problem.tracks)
+    hand = problem.tracks[0].sinkings[of["load"].hand]
+    bends = hand.bend_joints(problem.kept[0], np.full(len(std), 0.01))[0]
     odds = np.exp(nats - change.CHANGE_MARGIN_NATS)
-    # what was found, three widths of the camera alone, and three of a load beside it, one of which bends here
-    assert np.allclose(np.diag(doubt), np.square(bends).max(axis=0) * odds / (4 + 3 * odds), rtol=1e-3)
+    # what was found, three widths of the camera alone, and three of each hand's load beside it, one of which bends here
+    assert np.allclose(np.diag(doubt), np.square(bends).max(axis=0) * odds / (4 + 6 * odds), rtol=1e-3)
 
 
 @pytest.mark.parametrize("degrees", [0.2, 0.3])

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from bodylog.body.kinematic.change import find_changes
 from bodylog.delays import camera_delay
 from bodylog.errors import ModelError
 from bodylog.estimation import estimate_from_features
@@ -375,6 +376,17 @@ def test_a_weight_sinks_an_arm_of_found_axes_that_holds_the_marker_or_the_camera
     sunk = np.sqrt(np.mean((links - true.joints.values) ** 2))
     assert np.sqrt(np.mean(error**2)) < 0.2 * sunk and nees < 2.5
     assert explanations[-1].columns[-1].hand is body.senses["effector"].hands[hold]
+
+
+@pytest.mark.parametrize(("seed", "give"), [(18, 0.3), (18, 1.0), (19, 0.3)])
+@pytest.mark.parametrize("hold", [0, 1], ids=["marker", "camera"])
+def test_a_weight_at_what_the_arm_holds_is_no_marker_that_moved(hold, seed, give):
+    body = mechanisms.fitted(mechanisms.SOUND)
+    true = mechanisms.replayed(seed, Mechanism(0.0, camera_hz=20.0), Fault())
+    laden, links = hang_weight(body, true, hold, 1.75e-2, give)
+    read = true.joints.values + np.random.default_rng(13 + seed).normal(0.0, 1e-3, links.shape)
+    laden = replace(laden, joints=replace(true.joints, values=read))
+    assert find_changes(laden, body).changes == ()
 
 
 def test_a_pull_is_of_one_direction_for_all_joints_and_begins_when_it_did():

@@ -10,7 +10,6 @@ from ...kinematics.axis_chain import AxisChain
 from ...kinematics.axis_hand import CameraHand, MarkerHand
 from ...kinematics.axis_instant import compile_axes
 from ...kinematics.instant import Instant
-from ...kinematics.pose import LEAST_LEVER
 from ...kinematics.rotations import invert_transform, make_transform, rotation_from_vector
 from ...sources import group_of
 from ...types import Array
@@ -63,17 +62,6 @@ class AxisGP(PosedGP):
     def hands(self) -> tuple[MarkerHand, CameraHand]:
         """What the arm may hold, which nothing tells: the marker, or the camera."""
         return MarkerHand(self.chain), CameraHand(self.chain)
-
-    def sink_under_weight(self, x: Array) -> tuple[Array, Array]:
-        """How joints bend (N,M,3 M) under a weight that pulls the hand along each axis of the
-        camera, and nothing beside (N,D,3 M).
-        """
-        count = x.shape[1]
-        levers = self.hands[0].measure_levers(x)[..., :3]
-        bends = np.zeros((len(x), count, count, 3))
-        joints = np.arange(count)
-        bends[:, joints, joints] = levers / np.abs(levers).max(initial=LEAST_LEVER)
-        return bends.reshape(len(x), count, -1), np.zeros((len(x), len(self.drift), 3 * count))
 
     def _evaluate_mean(self, x: Array) -> MeanAt:
         return self.chain.see(x)

@@ -6,6 +6,7 @@ from typing import Self
 
 import numpy as np
 
+from ...kinematics.hand import Hand
 from ...types import Array
 from .mean_gp import MeanGP
 
@@ -44,8 +45,8 @@ class PosedGP(MeanGP):
         return np.zeros(3)
 
     @property
-    def still_joints(self) -> tuple[str, ...]:
-        """Names (R,) of joints that stood still in the exploration and may carry the marker."""
+    def hands(self) -> tuple[Hand, ...]:
+        """What the arm may hold; none where nothing tells the levers."""
         return ()
 
     @abstractmethod
@@ -71,12 +72,4 @@ class PosedGP(MeanGP):
         """Pose (4,4) of the camera or the marker, as `kind` says, in its link, moved by a change.
 
         Without a URDF the link of a camera is where it was, and a marker's has the camera's axes.
-        """
-
-    @abstractmethod
-    def sink_under_weight(self, x: Array) -> tuple[Array, Array]:
-        """How joints bend (N,M,L), by their lever over the longest of all, and what images show
-        beside that (N,D,L), at x (N,M) rad, for the largest sag of each joint under a weight at
-        the hand: of the M joints, in each of three directions where none is known to be down, and
-        of the R that stood still. Zero where nothing tells the levers.
         """

@@ -6,7 +6,7 @@ changes, z ~ N(0, I) the uncertainty of the body's unknowns θ, g the
 residual's process. A change must win nats with z and g marginalised.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -19,7 +19,7 @@ from ...kinematics.rotations import vector_from_rotation
 from ...runtime.blas_threads import one_thread
 from ...types import Array, Board, Features
 from ..data.pairs import NO_ERRORS
-from .change_problem import FEWEST, pose_problem
+from .change_problem import FEWEST, PAYLOAD, pose_problem
 from .change_system import (
     ChangeFit,
     ChangePart,
@@ -85,11 +85,15 @@ class FoundChanges:
 
 @one_thread("scipy.linalg")
 def find_changes(
-    features: Features, body: BodyModel, lasting: Mapping[str, tuple[float, float]] = NO_ERRORS
+    features: Features,
+    body: BodyModel,
+    lasting: Mapping[str, tuple[float, float]] = NO_ERRORS,
+    offsets: Collection[str] = (),
 ) -> FoundChanges:
     """Find changes between the exploration logs and these features.
 
-    lasting: as `smooth_all_joints` takes it. No change where no track has kinematics, a joint lacks
+    lasting: as `smooth_all_joints` takes it · offsets: joints that an estimate of this log holds to
+    be off from its start on, without a load. No change where no track has kinematics, a joint lacks
     readings, or too little is seen.
     """
     none = FoundChanges((), body, np.zeros((len(body.joints),) * 2))
@@ -102,12 +106,13 @@ def find_changes(
     if not found.parts:
         return none
     centres = _marker_centres(problem, features.boards)
+    estimated = _fit_offsets(found, offsets)
     changes = tuple(
         one
-        for one in _weighted_changes(found, centres)
+        for one in (*_weighted_changes(found, centres), *_doubt_offsets(found, estimated))
         if one.kind != "joint" or abs(one.value[0]) > LEAST
     )
-    doubt = _weigh_explanations(found, body.joints)
+    doubt = _weigh_explanations(found, body.joints, estimated)
     if not any(part.is_pose for part in found.parts):
         return FoundChanges(changes, body, doubt)
     moved = move_models(found.problem, *_allow_for_load(found))
@@ -115,6 +120,8 @@ def find_changes(
 
 
 _Alternatives = tuple[tuple[str, str], ...]
+_Explanation = tuple[tuple[ChangePart, ...], ChangeFit]
+"""Parts and their fit."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,31 +176,82 @@ def _prefer_joint_pair(found: _Search, problem: ChangeProblem) -> _Search:
     return replace(found, alternatives=known)
 
 
-def _weigh_explanations(found: _Search, names: tuple[str, ...]) -> Array:
+def _fit_offsets(found: _Search, offsets: Collection[str]) -> _Explanation:
+    """What an estimate explains a log by: joints' offsets, where a load was found and it allows for
+    none; else what was found.
+    """
+    has_load = any(part.kind == "load" for part in found.parts)
+    constant = (part for part in found.problem.parts if np.isinf(part.onset))
+    chosen = [part for part in constant if part.kind == "joint" and part.name in offsets]
+    if not has_load or not chosen:
+        return found.parts, found.fit
+    others = [part for part in found.parts if part.kind not in ("joint", "load")]
+    parts = (*chosen, *others)
+    return parts, fit_parts(found.problem, parts, found.fit.unknowns)
+
+
+def _doubt_offsets(found: _Search, estimated: _Explanation) -> Iterator[Change]:
+    """Yield each offset that an estimate holds where a load was found, with the load beside it."""
+    parts, fit = estimated
+    if parts is found.parts:
+        return
+    without = fit_parts(found.problem, ()).evidence
+    for part in parts:
+        if part.kind == "joint":
+            yield _make_change(part, fit, fit.evidence - without, (("load", PAYLOAD),))
+
+
+def _weigh_explanations(found: _Search, names: tuple[str, ...], estimated: _Explanation) -> Array:
     """Covariance (M,M) rad² of joints' zeros by single changes, pairs of joints, and a load beside
-    a pose that was found, each as probable as its evidence says.
+    a pose that was found, each as probable as its evidence says, about what an estimate explains
+    the log by.
     """
     problem = found.problem
     fits = _fit_explanations(found)
-    taken = {part.thing for part in found.parts}
+    taken = {part.thing for part in estimated[0]}
     evidence = np.array([fit.evidence for _, fit in fits])
     share = np.exp(evidence - evidence.max())
     share = share / share.sum()
-    moved = [
-        _move_zeros_by_unknowns(problem, parts, fit.unknowns, names) @ fit.unknowns
-        for parts, fit in fits
-    ]
-    apart = np.array(moved) - moved[0]
-    doubt = np.einsum("k,ki,kj->ij", share, apart, apart)
+    doubt = np.zeros((len(names), len(names)))
     for (parts, fit), weight in zip(fits, share, strict=True):
+        apart = _compare_explanations(problem, names, (parts, fit), estimated)
         # what was found has its own covariance in the body, or in the estimate
         others = [part for part in parts if part.thing not in taken]
-        own = _move_zeros_by_unknowns(problem, others, fit.unknowns, names)
-        doubt += weight * (own @ fit.cov @ own.T)
-    return np.asarray(doubt)
+        own = _move_zeros(problem, others, fit.unknowns, names)[1]
+        most = _take_greatest(apart, np.abs(apart))
+        by_unknowns = _take_greatest(own, np.einsum("nmp,pq,nmq->nm", own, fit.cov, own))
+        doubt += weight * (np.outer(most, most) + by_unknowns @ fit.cov @ by_unknowns.T)
+    return doubt
 
 
-def _fit_explanations(found: _Search) -> list[tuple[tuple[ChangePart, ...], ChangeFit]]:
+def _compare_explanations(
+    problem: ChangeProblem, names: tuple[str, ...], one: _Explanation, estimated: _Explanation
+) -> Array:
+    """How far apart (n,M) rad joints are by one explanation and by that of an estimate; by what
+    else they say, where both have a load at the same hand: the estimate weighs that itself.
+    """
+    hands = [{part.hand for part in parts if part.kind == "load"} for parts, _ in (one, estimated)]
+    same = set.intersection(*hands)
+    moved = [
+        _move_zeros(
+            problem,
+            [part for part in parts if part.kind != "load" or part.hand not in same],
+            fit.unknowns,
+            names,
+        )[0]
+        for parts, fit in (one, estimated)
+    ]
+    return np.asarray(moved[0] - moved[1])
+
+
+def _take_greatest(values: Array, size: Array) -> Array:
+    """The value (M,...) of each joint where its size (n,M) is greatest, of those (n,M,...) of n
+    sightings.
+    """
+    return np.asarray(values[size.argmax(axis=0), np.arange(size.shape[1])])
+
+
+def _fit_explanations(found: _Search) -> list[_Explanation]:
     """What was found, then single changes, pairs of joints, and loads beside poses that were found,
     with their fits; a load beside others costs as much as it must win to be allowed for.
     """
@@ -213,22 +271,28 @@ def _fit_explanations(found: _Search) -> list[tuple[tuple[ChangePart, ...], Chan
     return fits
 
 
-def _move_zeros_by_unknowns(
+def _move_zeros(
     problem: ChangeProblem, parts: Sequence[ChangePart], unknowns: Array, names: tuple[str, ...]
-) -> Array:
-    """How far (M,P) rad joints are from what they read, at most, by unit unknowns of these parts;
-    under a load, at the posture where these unknowns bend a joint most.
+) -> tuple[Array, Array]:
+    """How far (n,M) rad joints are from what they read in n sightings, by these parts of unknowns
+    (P,), and the derivatives (n,M,P).
     """
-    by_unknowns = np.zeros((len(names), len(problem.std)))
-    joints = np.arange(len(names))
+    count = sum(len(kept) for kept in problem.kept)
+    moved = np.zeros((count, len(names)))
+    by_unknowns = np.zeros((count, len(names), len(problem.std)))
     for part in parts:
+        value = unknowns[part.place]
         if part.kind == "joint":
-            by_unknowns[names.index(part.name), part.place] = 1.0
+            moved[:, names.index(part.name)] += value[0]
+            by_unknowns[:, names.index(part.name), part.place] = 1.0
         elif part.kind == "load":
-            bends = np.concatenate([track.sinking[0] for track in problem.tracks])
-            most = np.abs(bends @ unknowns[part.place]).argmax(axis=0)
-            by_unknowns[:, part.place] += bends[most, joints]
-    return by_unknowns
+            bent = [
+                track.sinkings[part.hand].bend_joints(kept, value)
+                for track, kept in zip(problem.tracks, problem.kept, strict=True)
+            ]
+            moved += np.concatenate([bends for bends, _ in bent])
+            by_unknowns[..., part.place] = np.concatenate([columns for _, columns in bent])
+    return moved, by_unknowns
 
 
 def _allow_for_load(found: _Search) -> tuple[tuple[ChangePart, ...], ChangeFit]:

@@ -9,11 +9,12 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import InputError
+from ...kinematics.hand import Hand, find_hands, find_same_hand
 from ...types import Array, Features
 from ..data.pairs import NO_ERRORS, correlate_angle_errors, pair_sightings, smooth_all_joints
 from ..data.subsampling import choose_spaced_rows
 from ..gp.posed_gp import PosedGP
-from .change_system import ChangePart, ChangeProblem, ChangeTrack
+from .change_system import ChangePart, ChangeProblem, ChangeTrack, Sinking
 from .model import can_show_changes
 
 SLIP = np.radians(5.0)
@@ -28,7 +29,9 @@ a camera placed by a transform (links.TF_POSE).
 MARKER = np.array([0.01] * 3 + [np.radians(5.0)] * 3)
 """m, rad: prior std of a marker's motion: its own size, and as far as a joint."""
 LOAD = 0.02
-"""rad: prior std of the largest sag of each joint under a load, 1.1°; as in `estimation`."""
+"""rad: prior std of the largest sag under a load, along each direction, 1.1°; as in `estimation`."""
+COMPLIANCE_SPREAD = 1.0
+"""Standard deviation of a joint's compliance, in shares of what all have alike; as there."""
 SCALES = (1.0, 0.2, 0.05)
 """Shares of these prior stds of poses and loads that are tried: a push has 2° or 0.1°, and six
 numbers of a prior 20 times too wide cost 18 nats. Of 15 drawn pushes and payloads of 0.1 to 0.3°
@@ -62,16 +65,12 @@ def pose_problem(
         part = part.rows(choose_spaced_rows(len(part.x), MOST)) if len(part.x) else part
         known = correlate_angle_errors(part, chosen)
         coupling = (known.i, known.j, known.joint, known.value)
-        # directions of a pull are those of one camera
-        levers = model if model.shares_unknowns else next(iter(senses.values()))
-        sinking = levers.sink_under_weight(part.x)
-        tracks.append(ChangeTrack(name, model, part, coupling, sinking, *model.name_poses(name)))
+        tracks.append(ChangeTrack(name, model, part, coupling, *model.name_poses(name)))
     tracks = [track for track in tracks if len(track.part.x)]
     if not tracks:
         return None
-    shares = tracks[0].model.shares_unknowns
-    laid = _align_still_joints(tracks) if shares else _number_unknowns(tracks)
-    return _lay_out_problem(laid, body.joints)
+    laid = tracks if tracks[0].model.shares_unknowns else _number_unknowns(tracks)
+    return _lay_out_problem(_hang_weights(laid), body.joints)
 
 
 def _list_posed_senses(features: Features, body: BodyModel) -> dict[str, PosedGP]:
@@ -102,21 +101,40 @@ def _number_unknowns(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
     return numbered
 
 
-def _align_still_joints(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
-    """Tracks with a URDF, with the sag of joints that stood still in the same order: zero for those
-    that do not carry a track's marker.
+def _hang_weights(tracks: Sequence[ChangeTrack]) -> list[ChangeTrack]:
+    """Tracks with how they sink under a pull at each hand that the arm may hold."""
+    every = np.concatenate([track.part.x for track in tracks])
+    hands = find_hands([track.model for track in tracks], every)
+    loads = [_sink_at_hand(hand, tracks) for hand in hands]
+    return [
+        replace(track, sinkings=tuple(load[number] for load in loads))
+        for number, track in enumerate(tracks)
+    ]
+
+
+def _sink_at_hand(hand: Hand, tracks: Sequence[ChangeTrack]) -> list[Sinking]:
+    """The levers of joints of each track's sightings, and of those that stood still.
+
+    Of a hand of found axes nothing gives way here: it would look like a camera that was pushed, 1°
+    of which had 610 nats as that and 613 as this.
     """
-    moving = tracks[0].part.x.shape[1]
-    own = [track.model.still_joints for track in tracks]
-    names = list(dict.fromkeys(name for each in own for name in each))
-    aligned = []
-    for track, each in zip(tracks, own, strict=True):
-        place = [*range(moving), *(moving + names.index(name) for name in each)]
-        every = [np.zeros((*one.shape[:2], moving + len(names))) for one in track.sinking]
-        for wide, one in zip(every, track.sinking, strict=True):
-            wide[..., place] = one
-        aligned.append(replace(track, sinking=(every[0], every[1])))
-    return aligned
+    levers = [hand.measure_levers(track.part.x) for track in tracks]
+    ways = 1 if hand.is_upright else 3
+    longest = max(float(np.abs(lever[..., :ways]).max()) for lever in levers)
+    own = [find_same_hand(track.model, hand) if hand.is_upright else None for track in tracks]
+    names = list(dict.fromkeys(name for one in own if one for name in one.still_joints))
+    sinkings = []
+    for track, lever, one in zip(tracks, levers, own, strict=True):
+        joints = lever[..., :ways] / longest
+        links = np.zeros_like(joints) if hand.is_upright else lever[..., ways:] / longest
+        still = np.zeros((len(lever), len(names), ways))
+        shown = np.zeros((len(lever), len(track.model.outputs), len(names)))
+        if one:
+            place = [names.index(name) for name in one.still_joints]
+            shown[..., place], moves = one.show_still_joints(track.part.x)
+            still[:, place] = moves / longest
+        sinkings.append(Sinking(joints, links, still, shown))
+    return sinkings
 
 
 def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> ChangeProblem | None:
@@ -138,10 +156,15 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
             add_part(kind, name, scale * spread)
 
     def add_part(
-        kind: str, name: str, spread: Array, onset: float = -np.inf, unit: str = "rad"
+        kind: str,
+        name: str,
+        spread: Array,
+        onset: float = -np.inf,
+        unit: str = "rad",
+        hand: int = 0,
     ) -> None:
         begin = sum(len(one) for one in std)
-        parts.append(ChangePart(kind, name, slice(begin, begin + len(spread)), onset, unit))
+        parts.append(ChangePart(kind, name, slice(begin, begin + len(spread)), onset, unit, hand))
         std.append(spread)
 
     for m, name in enumerate(names):
@@ -154,7 +177,10 @@ def _lay_out_problem(tracks: Sequence[ChangeTrack], names: tuple[str, ...]) -> C
         add_scaled_parts("camera", camera, np.concatenate([CAMERA, np.tile(CAMERA[:3], scales)]))
     for name, model in {track.marker: track.model for track in tracks}.items():
         add_scaled_parts("marker", name, MARKER[: model.marker_freedom])
-    if any(sinking.any() for track in tracks for sinking in track.sinking):
-        add_scaled_parts("load", PAYLOAD, np.full(tracks[0].sinking[0].shape[2], LOAD))
+    for hand, sinking in enumerate(tracks[0].sinkings):
+        compliances = np.full(2 * len(names) + sinking.still.shape[1], COMPLIANCE_SPREAD)
+        for scale in SCALES:
+            pull = np.full(sinking.joints.shape[2], scale * LOAD)
+            add_part("load", PAYLOAD, np.concatenate([pull, compliances]), hand=hand)
     kept = tuple(np.arange(len(track.part.x)) for track in tracks)
     return ChangeProblem(names, tuple(tracks), tuple(parts), np.concatenate(std), onsets, kept)

@@ -20,7 +20,7 @@ _OFF_SIGMA = 3.0
 @dataclass(frozen=True)
 class ChangePart:
     """A group of unknowns: a joint's zero from its onset (s) on, a camera's pose, a marker's place,
-    or the sag of all joints under a weight at the hand.
+    or the sag of all joints under a weight at a hand, which is one of those that the arm may hold.
     """
 
     kind: str
@@ -28,6 +28,7 @@ class ChangePart:
     place: slice
     onset: float = -np.inf
     unit: str = "rad"
+    hand: int = 0
 
     @property
     def thing(self) -> tuple[str, str]:
@@ -41,10 +42,56 @@ class ChangePart:
 
 
 @dataclass(frozen=True, eq=False)
+class Sinking:
+    """Levers of what sinks under a pull at a hand, in shares of the longest: of joints and links
+    (n,M,K) along each of K directions, and of R joints that stood still in the exploration
+    (n,R,K), which images show (n,D,R) per rad.
+
+    The unknowns (K+2M+R,) are the pull along each direction, rad at the longest lever, and by how
+    much more each joint is compliant than that, each link, and each joint that stood still.
+    """
+
+    joints: Array
+    links: Array
+    still: Array
+    shown: Array
+
+    def bend_joints(self, rows: Array, unknowns: Array) -> tuple[Array, Array]:
+        """How far joints bend (n,M) rad in some rows, and the derivatives (n,M,K+2M+R)."""
+        pull, by_joint, by_link, by_still = self._split_unknowns(unknowns)
+        joints = self.joints[rows]
+        links = self.links[rows]
+        share = 1.0 + by_joint
+        each = np.eye(len(share))
+        columns = (
+            joints * share[:, None] + links * by_link[:, None],
+            (joints @ pull)[..., None] * each,
+            (links @ pull)[..., None] * each,
+            np.zeros((*joints.shape[:2], len(by_still))),
+        )
+        bends = (joints @ pull) * share + (links @ pull) * by_link
+        return -bends, -np.concatenate(columns, axis=2)
+
+    def show_still_joints(self, rows: Array, unknowns: Array) -> tuple[Array, Array]:
+        """What images show beside that (n,D) in some rows, and the derivatives (n,D,K+2M+R)."""
+        pull, by_joint, by_link, by_still = self._split_unknowns(unknowns)
+        still = self.still[rows]
+        shown = self.shown[rows]
+        sunk = shown * (still @ pull)[:, None]
+        nothing = np.zeros((*shown.shape[:2], len(by_joint) + len(by_link)))
+        columns = ((shown * by_still) @ still, nothing, sunk)
+        return -(sunk @ by_still), -np.concatenate(columns, axis=2)
+
+    def _split_unknowns(self, unknowns: Array) -> list[Array]:
+        _, count, ways = self.joints.shape
+        return np.split(unknowns, [ways, ways + count, ways + 2 * count])
+
+
+@dataclass(frozen=True, eq=False)
 class ChangeTrack:
     """Sightings of one track, the correlation of their angles' errors, and the forward model.
 
-    sinking: how joints bend under a load (n,M,L), and what images show beside that (n,D,L).
+    sinkings: under a pull at each hand that the arm may hold.
     camera, marker: their names · scale: tracks of one camera with the same number have the same
     unit of length · first: the first of its directions of unknowns among those of all tracks.
     """
@@ -53,11 +100,11 @@ class ChangeTrack:
     model: PosedGP
     part: Pairs
     coupling: tuple[Array, Array, Array, Array]
-    sinking: tuple[Array, Array]
     camera: str
     marker: str
     scale: int = 0
     first: int = 0
+    sinkings: tuple[Sinking, ...] = ()
 
     @property
     def unknown_directions(self) -> slice:
@@ -366,15 +413,15 @@ def _linearise_track(
     part = track.part
     t = part.t[kept]
     shift = np.zeros((len(kept), part.x.shape[1]))
-    bends, shown = (sinking[kept] for sinking in track.sinking)
-    sunk = np.zeros(shown.shape[:2])
+    sunk = np.zeros((len(kept), len(track.model.outputs)))
     for one in problem.parts:
         value = unknowns[one.place]
         if one.kind == "joint":
             shift[:, problem.joints.index(one.name)] += (t >= one.onset) * value[0]
         elif one.kind == "load":
-            shift += bends @ value
-            sunk += shown @ value
+            sinking = track.sinkings[one.hand]
+            shift += sinking.bend_joints(kept, value)[0]
+            sunk += sinking.show_still_joints(kept, value)[0]
     x = part.x[kept] + shift
     moved, columns = _move_poses(problem, track, unknowns)
     value, slope = moved.means(x)
@@ -384,5 +431,8 @@ def _linearise_track(
             active = (t >= one.onset)[:, None]
             by[..., one.place] = (slope[..., problem.joints.index(one.name)] * active)[..., None]
         elif one.kind == "load":
-            by[..., one.place] = slope @ bends + shown
+            sinking = track.sinkings[one.hand]
+            bends = sinking.bend_joints(kept, unknowns[one.place])[1]
+            shows = sinking.show_still_joints(kept, unknowns[one.place])[1]
+            by[..., one.place] = slope @ bends + shows
     return part.y[kept] - value - sunk, by, moved.unknowns(x), slope, x

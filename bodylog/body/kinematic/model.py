@@ -11,7 +11,7 @@ import numpy as np
 from ...body_model import UNUSED_URDF, BodyModel
 from ...errors import ModelError
 from ...kinematics.instant import Instant, compile_predictor
-from ...kinematics.pose import LEAST_LEVER, Base, bend_still_joints, rise_in_base
+from ...kinematics.pose import Base, bend_still_joints, rise_in_base
 from ...kinematics.rig import Rig, Sight
 from ...kinematics.rotations import invert_transform
 from ...types import Array
@@ -115,8 +115,10 @@ class KinematicGP(PosedGP):
 
     @property
     def hands(self) -> tuple[Self, ...]:
-        """What the arm holds: the marker, if the robot's root carries it, which stands upright."""
-        return () if self.base is None or self.base.camera else (self,)
+        """What the arm holds: the marker or camera that the robot's root carries; the root stands
+        upright.
+        """
+        return () if self.base is None else (self,)
 
     @property
     def is_upright(self) -> bool:
@@ -124,7 +126,7 @@ class KinematicGP(PosedGP):
         return True
 
     def measure_levers(self, x: Array) -> Array:
-        """How far the marker rises with each joint (N,M,1), m per rad, at x (N,M) rad: minus the
+        """How far the hand rises with each joint (N,M,1), m per rad, at x (N,M) rad: minus the
         torque of a unit weight there. There must be a hand.
         """
         assert self.base is not None
@@ -132,40 +134,19 @@ class KinematicGP(PosedGP):
 
     @property
     def still_joints(self) -> tuple[str, ...]:
-        """Names (R,) of joints that stood still in the exploration and may carry the marker."""
+        """Names (R,) of joints that stood still in the exploration and may carry the hand."""
         return () if self.base is None else self.base.still_joints
 
     def show_still_joints(self, x: Array) -> tuple[Array, Array]:
         """What each joint that stood still moves the marker's image by (N,D,R), px per rad or m,
-        and how far the marker rises with it (N,R,1), m, at x (N,M) rad.
+        and how far the hand rises with it (N,R,1), m, at x (N,M) rad.
         """
         if self.base is None or self.base.hand is None:
             return np.zeros((len(x), len(self.drift), 0)), np.zeros((len(x), 0, 1))
         moved, rise = bend_still_joints(self.base, self.rig, self.theta, x)
-        first = self.rig.of_carrier(0).start
-        return self.design(x)[:, :, first : first + 3] @ moved, rise[..., None]
-
-    def sink_under_weight(self, x: Array) -> tuple[Array, Array]:
-        """How joints bend (N,M,M+R) under a weight at the hand, and what images show of those that
-        stood still (N,D,M+R); zero where no URDF tells the levers, or all are shorter than
-        LEAST_LEVER.
-        """
-        count = x.shape[1]
-        still = len(self.still_joints)
-        bends = np.zeros((len(x), count, count + still))
-        shows = np.zeros((len(x), len(self.drift), count + still))
-        if not self.hands or not len(x):
-            return bends, shows
-        levers = self.measure_levers(x)[..., 0]
-        shown, rises = self.show_still_joints(x)
-        rise = rises[..., 0]
-        longest = max(float(np.abs(levers).max()), float(np.abs(rise).max(initial=0.0)))
-        if longest < LEAST_LEVER:
-            return bends, shows
-        joints = np.arange(count)
-        bends[:, joints, joints] = -levers / longest
-        shows[:, :, count:] = -shown * rise[:, None] / longest
-        return bends, shows
+        place = self.rig.of_camera(0) if self.base.camera else self.rig.of_carrier(0)
+        by_place = self.design(x)[:, :, place.start : place.start + 3]
+        return by_place @ moved, rise[..., None]
 
     @property
     def offsets(self) -> tuple[Array, Array]:

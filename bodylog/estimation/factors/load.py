@@ -3,11 +3,12 @@
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations_with_replacement
-from typing import Any, ClassVar, Protocol, TypeGuard, runtime_checkable
+from typing import Any, ClassVar, TypeGuard
 
 import numpy as np
 
 from ...body_model import BodyModel
+from ...kinematics.hand import Hand, find_hands, find_same_hand, list_carrying_joints, list_hands
 from ...kinematics.pose import LEAST_LEVER
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
@@ -87,42 +88,6 @@ class PostureLoad(Load):
         return own
 
 
-class Hand(Protocol):
-    """What an arm holds, at which a weight pulls.
-
-    is_upright: whether it is known which way; then there is one direction, for all hands of a
-    robot, else there are three, of this hand's own · still_joints: names of R joints that may carry
-    what it holds, and stood still in the exploration.
-    """
-
-    @property
-    def is_upright(self) -> bool:
-        """Whether the levers are upwards."""
-
-    @property
-    def still_joints(self) -> tuple[str, ...]:
-        """Names of R joints."""
-
-    def measure_levers(self, q: Array) -> Array:
-        """How far each joint moves the hand along each direction, m (or shares of a distance) per
-        rad, at q (N,M) rad: (N,M,1), or (N,M,6), with those of links behind.
-        """
-
-    def show_still_joints(self, q: Array) -> tuple[Array, Array]:
-        """What joints that stood still change in images (N,D,R), per rad, and how far they move the
-        hand along each direction (N,R,1) or (N,R,3).
-        """
-
-
-@runtime_checkable
-class _HoldingModel(Protocol):
-    """A model of a track that knows what the arm may hold."""
-
-    @property
-    def hands(self) -> tuple[Hand, ...]:
-        """What the arm may hold."""
-
-
 @dataclass(frozen=True)
 class Payload(Load):
     """What these joints sink by under a weight at the hand, rad (or m), each by its lever over the
@@ -150,7 +115,7 @@ class Payload(Load):
 
     def displaces_images(self, images: Images, path: Path) -> Array:
         """What images of the hand show of the others."""
-        hand = self._find_hand(images.sighting.model) if self.still else None
+        hand = find_same_hand(images.sighting.model, self.hand) if self.still else None
         if hand is None:
             return super().displaces_images(images, path)
         seen = path.at_images(images)
@@ -159,14 +124,6 @@ class Payload(Load):
         levers = moves @ np.array(self.pull[: moves.shape[2]])
         sunk = -(shown * levers[:, None] * sinks).sum(axis=-1) / self.longest
         return np.asarray(sunk * self._share_carried(seen.knots)[:, None])
-
-    def _find_hand(self, model: object) -> Hand | None:
-        """The hand as a track's model shows it; None if it does not."""
-        hands = model.hands if isinstance(model, _HoldingModel) else ()
-        for hand in hands:
-            if hand is self.hand or (hand.is_upright and self.hand.is_upright):
-                return hand
-        return None
 
 
 def bend_under_load(columns: Sequence[Column], sizes: Array, t: Array, angles: Array) -> Array:
@@ -186,7 +143,7 @@ def build_load_columns(body: BodyModel, readings: Array) -> tuple[LoadColumns, .
     known = readings[find_finite_rows(readings)]
     if not len(known):
         return ()
-    hands = _find_hands(body, known)
+    hands = find_hands(list(body.senses.values()), known)
     if not hands:
         return (tuple(_bend_linearly(known)),)
     return tuple(tuple(_bend_by_levers(hand, body, known)) for hand in hands)
@@ -197,25 +154,6 @@ def count_groups(loads: Sequence[Column]) -> int:
     return 1 + max((one.group for one in loads if one.group is not None), default=-1)
 
 
-def _find_hands(body: BodyModel, known: Array) -> tuple[Hand, ...]:
-    """The hands of the track before which most joints turn at known (N,M) rad."""
-    best: tuple[Hand, ...] = ()
-    most = 0
-    for sense in body.senses.values():
-        hands = sense.hands if isinstance(sense, _HoldingModel) else ()
-        counts = [len(_list_carrying_joints(one, known)) for one in hands]
-        if max(counts, default=0) > most:
-            best = tuple(one for one, count in zip(hands, counts, strict=True) if count)
-            most = max(counts)
-    return best
-
-
-def _list_carrying_joints(hand: Hand, known: Array) -> list[int]:
-    """Joints that carry the hand, at angles known (N,M) rad."""
-    own = np.abs(hand.measure_levers(known)).max(axis=(0, 2))
-    return np.flatnonzero(own > LEAST_LEVER).tolist()
-
-
 def _bend_by_levers(hand: Hand, body: BodyModel, known: Array) -> Iterator[Payload]:
     """Yield, for each direction in which a weight may pull, how all joints that carry the hand sink
     alike, and how each does more than that; where it is known which way that is, those that stood
@@ -224,7 +162,7 @@ def _bend_by_levers(hand: Hand, body: BodyModel, known: Array) -> Iterator[Paylo
     still = _measure_still_levers(body, known) if hand.is_upright else {}
     pulls = [UPRIGHT] if hand.is_upright else PULLS
     longest = max(float(np.abs(hand.measure_levers(known)).max()), *still.values(), 0.0)
-    joints = tuple(_list_carrying_joints(hand, known))
+    joints = tuple(list_carrying_joints(hand, known))
     others = tuple(name for name, lever in still.items() if lever > LEAST_LEVER)
     name = "payload" if hand.is_upright else "pull"
     for group, pull in enumerate(pulls):
@@ -240,8 +178,7 @@ def _measure_still_levers(body: BodyModel, known: Array) -> dict[str, float]:
     """The longest lever, m, of each joint that stood still and may carry an upright hand."""
     longest = dict[str, float]()
     for sense in body.senses.values():
-        hands = sense.hands if isinstance(sense, _HoldingModel) else ()
-        for hand in (one for one in hands if one.is_upright):
+        for hand in (one for one in list_hands(sense) if one.is_upright):
             most = np.abs(hand.show_still_joints(known)[1]).max(axis=(0, 2)).tolist()
             for name, lever in zip(hand.still_joints, most, strict=True):
                 longest[name] = max(longest.get(name, 0.0), lever)
