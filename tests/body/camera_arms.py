@@ -70,8 +70,18 @@ def run(seed, duration=10.0, payload=0.0, swing_rad=0.7) -> tuple[Features, Seri
     return features, replace(joints, values=links)
 
 
+def learn(seed=3, wrist_noise=True):
+    """What is learned from an exploration."""
+    return _learn(seed, wrist_noise)[0]
+
+
 def explored(seed=3, wrist_noise=True):
     """The body of an exploration."""
+    found, given, features = _learn(seed, wrist_noise)
+    return with_robot_chain(found.model, given, [features])
+
+
+def _learn(seed, wrist_noise):
     features, truth = run(seed, 20.0)
     if not wrist_noise:
         read = features.joints.values.copy()
@@ -79,5 +89,5 @@ def explored(seed=3, wrist_noise=True):
         features = replace(features, joints=replace(features.joints, values=read))
     hint = CameraHint("tool", np.eye(4), lens=rig().cameras[0].lens, size=(640, 480))
     given = Robotics(urdf.parse_urdf(ARM, "arm"), {"": hint}, np.radians(5.0))
-    found = learn_kinematics([features], Settings(), body.learn_body([features], Settings(), {}), given)
-    return with_robot_chain(found.model, given, [features])
+    plain = body.learn_body([features], Settings(), {})
+    return learn_kinematics([features], Settings(), plain, given), given, features

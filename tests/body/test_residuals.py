@@ -5,9 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 
 from bodylog.body.gp.marginal_likelihood import cholesky_with_jitter, independent_noise
+from bodylog.body.kinematic import adjusting
 from bodylog.body.kinematic.explicit import ResidualRows, solve_linear_unknowns
+from bodylog.body.kinematic.model import KinematicGP
 from bodylog.body.kinematic.residuals import PERIODIC_STD_RAD, with_periodic_errors
 from bodylog.body.kinematic.sightings import PointMeans
+from tests.body import camera_arms
 from tests.kinematics import robots
 
 NOISE_PX = 0.1
@@ -56,3 +59,17 @@ def test_joints_that_slide_or_have_given_zeros_have_none():
     assert with_periodic_errors(rig, rows, SimpleNamespace(view=view)).design.shape == rows.design.shape
     turning = with_periodic_errors(robots.rig(), rows, SimpleNamespace(view=view))
     assert turning.design.shape[2] == rows.design.shape[2] + 8
+
+
+def test_a_calibration_that_does_not_settle_leaves_the_urdf_unused(monkeypatch):
+    """Images that err by more than their residuals led a step to infinity."""
+    read = adjusting._further_readings
+
+    def misread(*given):
+        angles = read(*given)
+        return angles + np.random.default_rng(4).normal(0.0, 0.02, angles.shape)
+
+    monkeypatch.setattr(adjusting, "_further_readings", misread)
+    found = camera_arms.learn()
+    assert not any(isinstance(sense, KinematicGP) for sense in found.model.senses.values())
+    assert any("the URDF is not used: its calibration does not settle" in one.text for one in found.findings)

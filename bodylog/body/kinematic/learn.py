@@ -116,15 +116,18 @@ def learn_kinematics(
     if whys:
         return leave_urdf_unused(found, next(iter(whys.values())))
     beside = Surroundings(recorded_logs(features, tuple(held)), Resting(robot, held, given.doubt))
-    return learn_residuals(
-        _drop_unexplained_tracks(found, left_out),
-        links,
-        parts,
-        tracks,
-        settings.fit.seed,
-        beside,
-        moves,
-    )
+    try:
+        return learn_residuals(
+            _drop_unexplained_tracks(found, left_out),
+            links,
+            parts,
+            tracks,
+            settings.fit.seed,
+            beside,
+            moves,
+        )
+    except ModelError as problem:
+        return leave_urdf_unused(found, str(problem))
 
 
 def _linked_by_one_log(

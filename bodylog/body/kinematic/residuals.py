@@ -8,6 +8,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ...errors import ModelError
 from ...kinematics.adjustment import Adjusted
 from ...kinematics.identifiability import GIVEN
 from ...kinematics.rig import Rig, RigPrediction
@@ -49,6 +50,8 @@ docs/decisions.md for figures.
 _ROUNDS = 4
 _SETTLED = 0.01
 """Posterior standard deviations of a step of θ that ends the iteration."""
+_FARTHEST = 10.0
+"""Prior standard deviations of a step of θ from a near start: one of 40 led to 10¹⁵."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +178,7 @@ def solve_together(
 
     Each joint's periodic error (`with_periodic_errors`)
     is marginalised, so that θ's covariance contains it; so are `bends` (`with_bends`), by name.
+    ModelError where a step leads far from the start: the noise of the residuals is not theirs.
     """
     mean, std = rig.prior
     bases = {
@@ -198,6 +202,8 @@ def solve_together(
         z, root, _ = posterior_of_unknowns(information, np.sum([one.pull for one in found], axis=0))
         spread = root[: len(theta)] @ root[: len(theta)].T
         step = mean + std * z[: len(theta)] - theta
+        if not (np.abs(step / std) < _FARTHEST).all():
+            raise ModelError("its calibration does not settle beside what it leaves of the images")
         theta = theta + step
         if (np.abs(step / std) < _SETTLED * np.sqrt(np.diag(spread))).all():
             break
