@@ -47,11 +47,15 @@ def judged(monkeypatch):
     plain = estimate_from_features(world.features, world.body, EstimationSettings())
     moved = replace(world.body, provenance={"camera": "moved"})
 
+    by_offsets = []
+
     def judge(found, again, changes):
         by_errors = []
+        by_offsets.clear()
 
-        def find(_, body, errors):
+        def find(_, body, errors, offsets=()):
             by_errors.append(errors)
+            by_offsets.append(list(offsets))
             return changes
 
         monkeypatch.setattr(model, "can_show_changes", lambda body: True)
@@ -60,7 +64,7 @@ def judged(monkeypatch):
         estimate, body = log_estimate.infer_with_changes(world.features, world.body, Settings())
         return estimate, body is moved, by_errors
 
-    return SimpleNamespace(judge=judge, plain=plain, body=world.body, moved=moved)
+    return SimpleNamespace(judge=judge, plain=plain, body=world.body, moved=moved, by_offsets=by_offsets)
 
 
 def displaced(since):
@@ -95,6 +99,15 @@ def test_changes_are_sought_beside_errors_that_only_widen_the_error_bars(judged)
         found = replace(judged.plain, settings={**judged.plain.settings, LASTING_ERROR: widened})
         _, _, tried = judged.judge(found, found, none)
         assert tried[-1] == ({"lasting": widened} if nats else {})
+
+
+@pytest.mark.parametrize(("load", "since", "offsets"), [(False, 0.0, ["lift"]), (True, 0.0, []), (False, 2.0, [])])
+def test_offsets_from_the_start_are_compared_with_loads_where_an_estimate_has_none(judged, load, since, offsets):
+    off = Fault("encoders", "lift", FaultKind.DRIFTING, since, 0.01, "rad", 1e-3)
+    errors = {HARDWARE_ERRORS: {"load": {"rad": {"lift": 0.01}}}} if load else {}
+    found = replace(judged.plain, faults=(off,), settings={**judged.plain.settings, **errors})
+    judged.judge(found, found, FoundChanges((), judged.body, np.zeros((3, 3))))
+    assert judged.by_offsets[-1] == offsets
 
 
 @pytest.mark.parametrize(
