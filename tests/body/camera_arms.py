@@ -48,9 +48,13 @@ def sink(angles, largest):
     return -largest * rises / np.abs(rises).max()
 
 
-def run(seed, duration=10.0, payload=0.0, swing_rad=0.7) -> tuple[Features, Series]:
-    """The log, and where the links were: the wrist stands still, but gives way under a payload (rad)."""
+def run(seed, duration=10.0, payload=0.0, swing_rad=0.7, push=None) -> tuple[Features, Series]:
+    """The log, and where the links were: the wrist stands still, but gives way under a payload (rad).
+
+    push (6,): of the camera, m and rad."""
     one, draw = rig(), np.random.default_rng(seed)
+    theta = one.prior[0].copy()
+    theta[:6] += 0.0 if push is None else push
     speed, phase = draw.uniform(0.4, 1.6, (4, 4)), draw.uniform(0, 2 * np.pi, (4, 4))
     t, frames = np.arange(0, duration, 0.01), np.arange(0.02, duration - 0.05, 0.05)
 
@@ -61,7 +65,7 @@ def run(seed, duration=10.0, payload=0.0, swing_rad=0.7) -> tuple[Features, Seri
 
     links = way(t) + sink(way(t), payload)
     read = way(t) + draw.normal(0, ENCODER_RAD, links.shape)
-    image = one.see(one.sights[0], one.prior[0], way(frames) + sink(way(frames), payload)).image[:, 0]
+    image = one.see(one.sights[0], theta, way(frames) + sink(way(frames), payload)).image[:, 0]
     image += draw.normal(0, 0.3, image.shape)
     ns = [(at * 1e9).astype(np.int64) for at in (t, frames)]
     track = Series(frames, image, ("u", "v"), "px", ns[1], np.full(image.shape, 0.1))

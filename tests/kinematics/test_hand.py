@@ -5,8 +5,10 @@ import pytest
 
 from bodylog.findings import log_estimate
 from bodylog.settings import Settings
+from bodylog.types import FaultKind
 from tests.body import camera_arms
 from tests.seeds import seeds
+from tests.validation import pushed_cameras
 
 STEP = 1e-6
 
@@ -57,6 +59,17 @@ def test_a_weight_at_the_camera_is_a_payload_and_no_moved_camera(known, seed):
         assert (said or bool(named)) == (payload > 0.0)
         off, nees = _judge(found, truth)
         assert nees < 2.0 and (named or off < 2e-3)
+
+
+@pytest.mark.parametrize("degrees", [0.3, 1.0])
+@pytest.mark.parametrize("seed", seeds(1, 4))
+def test_a_camera_that_was_pushed_on_the_hand_is_no_payload(known, seed, degrees):
+    push = pushed_cameras.push(np.random.default_rng(seed), degrees, 0.01 * degrees)
+    features, truth = camera_arms.run(60 + seed, push=push)
+    found, _ = log_estimate.infer_with_changes(features, known, Settings())
+    assert [(fault.name, fault.kind) for fault in found.faults] == [("camera", FaultKind.MOVED)]
+    off, nees = _judge(found, truth)
+    assert off < 0.6e-3 and nees < 1.5
 
 
 def test_an_offset_that_a_payload_explains_as_well_has_no_size(known):

@@ -196,8 +196,9 @@ def _doubt_offsets(found: _Search, estimated: _Explanation) -> Iterator[Change]:
     if parts is found.parts:
         return
     without = fit_parts(found.problem, ()).evidence
+    things = {part.thing for part in found.parts}
     for part in parts:
-        if part.kind == "joint":
+        if part.kind == "joint" and part.thing not in things:
             yield _make_change(part, fit, fit.evidence - without, (("load", PAYLOAD),))
 
 

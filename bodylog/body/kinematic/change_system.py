@@ -47,8 +47,9 @@ class Sinking:
     (n,M,K) along each of K directions, and of R joints that stood still in the exploration
     (n,R,K), which images show (n,D,R) per rad.
 
-    The unknowns (K+2M+R,) are the pull along each direction, rad at the longest lever, and by how
-    much more each joint is compliant than that, each link, and each joint that stood still.
+    The unknowns (K+2M+R,) are the pull along each direction, rad at the longest lever, by how much
+    more each joint gives way than that, how much each link does, and by how much more each joint
+    that stood still.
     """
 
     joints: Array
@@ -77,10 +78,11 @@ class Sinking:
         pull, by_joint, by_link, by_still = self._split_unknowns(unknowns)
         still = self.still[rows]
         shown = self.shown[rows]
+        share = 1.0 + by_still
         sunk = shown * (still @ pull)[:, None]
         nothing = np.zeros((*shown.shape[:2], len(by_joint) + len(by_link)))
-        columns = ((shown * by_still) @ still, nothing, sunk)
-        return -(sunk @ by_still), -np.concatenate(columns, axis=2)
+        columns = ((shown * share) @ still, nothing, sunk)
+        return -(sunk @ share), -np.concatenate(columns, axis=2)
 
     def _split_unknowns(self, unknowns: Array) -> list[Array]:
         _, count, ways = self.joints.shape
