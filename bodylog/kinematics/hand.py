@@ -8,6 +8,11 @@ import numpy as np
 from ..types import Array
 from .pose import LEAST_LEVER
 
+COMPLIANCE_SPREAD = 1.0
+"""Standard deviation of a joint's compliance, in shares of what all joints have alike: those of
+one arm differ by factors of up to five, and of the simulated one by none.
+"""
+
 
 class Hand(Protocol):
     """What an arm holds, at which a weight pulls.

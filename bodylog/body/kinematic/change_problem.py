@@ -9,7 +9,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...errors import InputError
-from ...kinematics.hand import Hand, find_hands, find_same_hand
+from ...kinematics.hand import COMPLIANCE_SPREAD, Hand, find_hands, find_same_hand
 from ...types import Array, Features
 from ..data.pairs import NO_ERRORS, correlate_angle_errors, pair_sightings, smooth_all_joints
 from ..data.subsampling import choose_spaced_rows
@@ -30,8 +30,6 @@ MARKER = np.array([0.01] * 3 + [np.radians(5.0)] * 3)
 """m, rad: prior std of a marker's motion: its own size, and as far as a joint."""
 LOAD = 0.02
 """rad: prior std of the largest sag under a load, along each direction, 1.1°; as in `estimation`."""
-COMPLIANCE_SPREAD = 1.0
-"""Standard deviation of a joint's compliance, in shares of what all have alike; as there."""
 SCALES = (1.0, 0.2, 0.05)
 """Shares of these prior stds of poses and loads that are tried: a push has 2° or 0.1°, and six
 numbers of a prior 20 times too wide cost 18 nats. Of 15 drawn pushes and payloads of 0.1 to 0.3°

@@ -8,7 +8,14 @@ from typing import Any, ClassVar, TypeGuard
 import numpy as np
 
 from ...body_model import BodyModel
-from ...kinematics.hand import Hand, find_hands, find_same_hand, list_carrying_joints, list_hands
+from ...kinematics.hand import (
+    COMPLIANCE_SPREAD,
+    Hand,
+    find_hands,
+    find_same_hand,
+    list_carrying_joints,
+    list_hands,
+)
 from ...kinematics.pose import LEAST_LEVER
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
@@ -27,10 +34,6 @@ nats where it was 0.02 s, and won 4 to 10 and 0 to 8 where it was 0.2 and 0.5 s.
 MOST_COLUMNS = 64
 """Columns of a log to which curvature is added, of four joints that turn: 168 of six joints took
 107 CPU s for 36 of 16 s of a drawn log, and left 2.3 mrad for 2.1.
-"""
-COMPLIANCE_SPREAD = 1.0
-"""Standard deviation of a joint's compliance, in shares of what all joints have alike: those of
-one arm differ by factors of up to five, and of the simulated one by none.
 """
 UPRIGHT = (1.0,)
 """A pull along the one direction of levers that are known to be upright."""
