@@ -100,6 +100,7 @@ def _describe_joints(found: Features) -> str:
 def _sights_to_add(log: Path, read: Recording) -> str:
     """What to add to a log without images; "" where what it lost says so."""
     from .logs.images.messages import PACKETS, is_packets
+    from .recording.topic_tracks import find_point_topic
 
     if loss_note(log, read.facts.findings):
         return ""
@@ -110,6 +111,9 @@ def _sights_to_add(log: Path, read: Recording) -> str:
         )
     if packed := next((topic.name for topic in read.facts.topics if is_packets(topic)), None):
         return f"; {packed} holds {PACKETS}"
+    if point := find_point_topic(read.facts.topics):
+        named = f"[features] effector = {{ topic = {json.dumps(point)} }}"
+        return f"; if {point} is the marker's place, name it in robot.toml: {named}"
     film = '[topics] camera = "file.mp4"'
     alone = f"for the joints alone, type: bodylog estimate {log} -o out.mcap"
     return f": record a camera's topic too, or name a video beside the log, {film}; {alone}"

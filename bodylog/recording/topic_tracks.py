@@ -45,6 +45,7 @@ BY_TYPE: Mapping[str, str] = {
     "foxglove.ImageAnnotations": ".circles[0].position",
 }
 """Types whose messages hold several positions, and a path to one of them."""
+_ONE_POINT = "geometry_msgs/msg/PointStamped"
 Read = tuple[Series, Health]
 EPOCH = 1e8
 """s: later times count from 1970, earlier ones from the log's first joints."""
@@ -53,6 +54,15 @@ SPACE_ENDS = tuple(
     for before in ("", ".point", ".position", ".pose.position", ".transform.translation")
 )
 """Possible ends of a path to a point in space: those of PointStamped, PoseStamped and others."""
+
+
+def find_point_topic(topics: Sequence[Topic]) -> str | None:
+    """The first topic of points, with a path to one of them, that may be a marker's track; None
+    where there is none, as a simulation's truth is no track.
+    """
+    paths = {_ONE_POINT: "", **BY_TYPE}
+    points = (one for one in topics if one.type in paths and "truth" not in one.name)
+    return next((one.name + paths[one.type] for one in points), None)
 
 
 def read_topic_track(

@@ -12,7 +12,7 @@ import pytest
 
 from bodylog.body import storage
 
-from ..logs.writing import T0, Stream, camera, cdr, compressed, define, joint_state, joints, write
+from ..logs.writing import T0, Stream, camera, cdr, compressed, define, header, joint_state, joints, write
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 
@@ -68,7 +68,12 @@ def test_fit_says_what_a_log_without_images_lacks(tmp_path, capsys, run_cli, log
     packets = Stream("/film", kind, define("std_msgs/msg/String"), [(T0, cdr("std_msgs/msg/String", data="x"))])
     stream = joints("/joint_states", [(T0 + k, joint_state(T0 + k, ("pan",), [0.1 * k])) for k in range(9)])
     film = write(tmp_path / "film.mcap", [stream, packets])
+    point = "geometry_msgs/msg/PointStamped"
+    place = cdr(point, header=header(T0), point=("geometry_msgs/msg/Point", {"x": 1.0, "y": 2.0, "z": 0.0}))
+    places = [Stream(topic, point, define(point), [(T0, place)]) for topic in ("/truth/tip", "/tip")]
+    pointed = write(tmp_path / "pointed.mcap", [stream, *places])
     expected_errors = {
+        pointed: ("only 1 joint (pan)", 'if /tip is the marker\'s place, name it in robot.toml: [features] effector = { topic = "/tip" }'),
         blind: (" for 4.0 s; a body is learned from joints and ", f"type: bodylog estimate {blind} -o out.mcap\n"),
         poses: (" in 3 poses; ", ": add columns NAME_u and NAME_v (px) of a marker, NAME_x, NAME_y and NAME_z (m) "),
         film: ("only 1 joint (pan)", "; /film holds a video's packets, not images; "),

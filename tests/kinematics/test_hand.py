@@ -55,8 +55,8 @@ def test_a_weight_at_the_camera_is_a_payload_and_no_moved_camera(known, seed):
         found, _ = log_estimate.infer_with_changes(features, known, Settings())
         named = {name for fault in found.faults for name in fault.names}
         assert ("payload" in named) == bool(named) and not any(np.isfinite(one.size) for one in found.faults)
-        said = any(one.text.startswith("payload:") for one in found.findings)
-        assert (said or bool(named)) == (payload > 0.0)
+        has_load = any(one.text.startswith("payload:") for one in found.findings)
+        assert (has_load or bool(named)) == (payload > 0.0)
         off, nees = _judge(found, truth)
         assert nees < 2.0 and (named or off < 2e-3)
 

@@ -29,7 +29,7 @@ a camera placed by a transform (links.TF_POSE).
 MARKER = np.array([0.01] * 3 + [np.radians(5.0)] * 3)
 """m, rad: prior std of a marker's motion: its own size, and as far as a joint."""
 LOAD = 0.02
-"""rad: prior std of the largest sag under a load, along each direction, 1.1°; as in `estimation`."""
+"""rad: prior std of the largest sag under a load, along each direction, 1.1°."""
 SCALES = (1.0, 0.2, 0.05)
 """Shares of these prior stds of poses and loads that are tried: a push has 2° or 0.1°, and six
 numbers of a prior 20 times too wide cost 18 nats. Of 15 drawn pushes and payloads of 0.1 to 0.3°
