@@ -116,7 +116,8 @@ def pose_in_base(
         if not slides:
             by_joints[:, 3:, base.chain.column[k]] += base.chain.scale[k] * poses.axes[:, k]
     by = np.zeros((len(q), 6, len(theta)))
-    by[:, :3], by[:, 3:] = poses.rotation @ by_theta[:3], poses.rotation @ by_theta[3:]
+    by[:, :3] = poses.rotation @ by_theta[:3]
+    by[:, 3:] = poses.rotation @ by_theta[3:]
     by[..., rig.of_joints] += by_joints
     if len(rig.scale_doubt):
         by[..., rig.of_scales] += by_joints * q[:, None]

@@ -12,7 +12,18 @@ import pytest
 
 from bodylog.body import storage
 
-from ..logs.writing import T0, Stream, camera, cdr, compressed, define, header, joint_state, joints, write
+from ..logs.writing import (
+    T0,
+    Stream,
+    camera,
+    cdr,
+    compressed,
+    define,
+    header,
+    joint_state,
+    joints,
+    write,
+)
 
 JOINTS = ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
 

@@ -394,7 +394,8 @@ def _output_covariance(
     place = np.full(len(part.x), -1)
     place[kept] = np.arange(len(kept))
     i, j, m, value = track.coupling
-    rows, columns = place[i], place[j]
+    rows = place[i]
+    columns = place[j]
     both = (rows >= 0) & (columns >= 0)
     rows = rows[both]
     columns = columns[both]

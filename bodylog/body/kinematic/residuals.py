@@ -164,7 +164,8 @@ def spread_of(part: Pairs, slope: Array, known: Coupling) -> Spread:
             return part.y, slope
 
     data = Samples(part.x, part.y, part.floor, part.variance, known)
-    return propagate_input_noise(data, Slopes(), (slice(0, part.y.shape[1]),))[0]  # type: ignore[arg-type]
+    outputs = (slice(0, part.y.shape[1]),)
+    return propagate_input_noise(data, Slopes(), outputs)[0]  # type: ignore[arg-type]
 
 
 def solve_together(

@@ -271,7 +271,7 @@ def _is_picked_up(explanation: Explanation) -> bool:
 
 def _is_usual(noise: Noise) -> bool:
     """Whether encoders' errors last too short to imitate an offset, and are of a size that is
-    probable before the log; so is none.
+    probable before the log. No error is usual, too.
     """
     joints = noise.joints
     if joints.error is None:
