@@ -84,7 +84,7 @@ def test_fit_says_what_a_log_without_images_lacks(tmp_path, capsys, run_cli, log
     places = [Stream(topic, point, define(point), [(T0, place)]) for topic in ("/truth/tip", "/tip")]
     pointed = write(tmp_path / "pointed.mcap", [stream, *places])
     expected_errors = {
-        pointed: ("only 1 joint (pan)", 'if /tip is the marker\'s place, name it in robot.toml: [features] effector = { topic = "/tip" }'),
+        pointed: ("only 1 joint (pan)", 'name it in robot.toml: [features] effector = { topic = "/tip" }'),
         blind: (" for 4.0 s; a body is learned from joints and ", f"type: bodylog estimate {blind} -o out.mcap\n"),
         poses: (" in 3 poses; ", ": add columns NAME_u and NAME_v (px) of a marker, NAME_x, NAME_y and NAME_z (m) "),
         film: ("only 1 joint (pan)", "; /film holds a video's packets, not images; "),
