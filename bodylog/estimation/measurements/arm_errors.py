@@ -146,14 +146,17 @@ def follow_slack(motors: Array, half: Array, noise: Array) -> Array:
     operator). noise (M,) rad: how far the motors' angles are known. A turn back within it counts
     for none, as noise alone would drag the link along.
     """
-    low = motors - (half + noise)
-    high = motors + (half + noise)
-    links = motors[0]
-    found = np.zeros(motors.shape)
-    for k in range(len(motors)):
-        links = np.minimum(np.maximum(links, low[k]), high[k])
-        found[k] = links
-    return np.clip((found - motors) / half, -1.0, 1.0)
+    reach = half + noise
+    links = np.empty(motors.shape)
+    for j, motor in enumerate(motors.T):
+        link = float(motor[0])
+        path = []
+        # numbers of Python's: a loop over rows of an array takes four times as long
+        for low, high in zip((motor - reach[j]).tolist(), (motor + reach[j]).tolist(), strict=True):
+            link = low if link < low else high if link > high else link
+            path.append(link)
+        links[:, j] = path
+    return np.clip((links - motors) / half, -1.0, 1.0)
 
 
 def read_slack(t: Array, readings: Array, half: Array) -> Array:
