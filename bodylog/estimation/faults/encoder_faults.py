@@ -22,6 +22,7 @@ from .jumping import (
     find_evident_slips,
     find_jumps,
     find_level_shifts,
+    index_resumed_readings,
     measure_slip_nats,
     unwrap_turns,
 )
@@ -193,18 +194,16 @@ def _find_recovery_time(t: Array, y: Array, repeated: RepeatedReadings) -> float
 def _find_excursions(
     t: Array, y: Array, moves: Sequence[tuple[int, float, float]]
 ) -> list[tuple[int, int, float]]:
-    """Short stretches [begin, end) of readings y (N,) before
-    the first jump or between two, and their shifts (rad).
+    """Short stretches [begin, end) of readings y (N,) before a jump, from the first reading, a gap
+    or another jump on, and their shifts (rad).
 
     Such as a driver's zeros before its first reading: the readings after them are sound. Jumps are
     those of the `moves` that win EVIDENCE_THRESHOLD_NATS.
     """
-    edges = [(at, size) for at, size, nats in moves if nats > EVIDENCE_THRESHOLD_NATS]
-    if not edges:
-        return []
-    stretches = pairwise([(int(np.isfinite(y).argmax()), -edges[0][1]), *edges])
+    jumps = {at: size for at, size, nats in moves if nats > EVIDENCE_THRESHOLD_NATS}
+    begins = sorted({*jumps, *index_resumed_readings(t, y).tolist()})
     return [
-        (begin, end, size)
-        for (begin, size), (end, _) in stretches
-        if t[end] - t[begin] < LONG_SILENCE_S
+        (begin, end, jumps.get(begin, -jumps[end]))
+        for begin, end in pairwise(begins)
+        if end in jumps and t[end] - t[begin] < LONG_SILENCE_S
     ]

@@ -27,6 +27,8 @@ parallel robots reach a third of it at 1 m (15 g at 0.5 m).
 """
 
 
+MOST_STEPS_TO_SHIFT = 3.0
+"""Usual steps between two readings beyond which the joint may have moved from one to the other."""
 SIZE_READINGS = 2 * LEVEL_READINGS
 """Readings on each side of a jump that tell its size. On 1,800 jumps of drawn arms at 50 to 500 Hz
 sizes are off by 0.90 to 0.95 of the stated standard deviation, and by 3.0 of it at most; with up to
@@ -203,6 +205,14 @@ def estimate_reading_noise(v: Array) -> float:
     return float(max(scatter, rounding))
 
 
+def index_resumed_readings(t: Array, y: Array) -> Array:
+    """The first of readings y (N,) at t (N,) s, and those after gaps."""
+    known = np.flatnonzero(np.isfinite(y))
+    steps = np.diff(t[known])
+    gaps = steps >= MOST_STEPS_TO_SHIFT * measure_median_step(t[known])
+    return np.asarray(known[np.append(True, gaps)])
+
+
 def find_level_shifts(t: Array, y: Array) -> list[tuple[int, float, float]]:
     """The first index after each shift that may be a jump, its
     size (rad) and the nats it wins, for y (N,) at t (N,) s.
@@ -219,9 +229,15 @@ def find_level_shifts(t: Array, y: Array) -> list[tuple[int, float, float]]:
     usual = measure_median_step(when)
     bound = _find_largest_sound_step(steps, when, usual)
     # after a gap the joint may have moved to the new reading
-    sizes = np.where(np.diff(when) < 3.0 * usual, np.abs(steps), 0.0)
+    resumed = index_resumed_readings(when, v)
+    sizes = np.abs(steps)
+    sizes[resumed[1:] - 1] = 0.0
     tried = {*np.flatnonzero(sizes > bound).tolist(), int(sizes.argmax())}
-    found = [(k, _measure_level_shift(v, k)) for k in sorted(tried)]
+    firsts = resumed[np.searchsorted(resumed, sorted(tried), "right") - 1]
+    found = [
+        (k, _measure_level_shift(v, k, first))
+        for k, first in zip(sorted(tried), firsts.tolist(), strict=True)
+    ]
     return [
         (int(np.searchsorted(t, when[k + 1])), size, EVIDENCE_THRESHOLD_NATS * (size / bound) ** 2)
         for k, size in found
@@ -237,17 +253,20 @@ def _find_largest_sound_step(steps: Array, when: Array, usual: float) -> float:
     return max(EVIDENCE_THRESHOLD_NATS * _estimate_step_scale(steps), OFFSET_STD, fastest)
 
 
-def _measure_level_shift(v: Array, k: int) -> float:
+def _measure_level_shift(v: Array, k: int, first: int) -> float:
     """Shift in level (rad) of readings v (N,) after the
-    k-th; 0 if they change as much beside it, or are too few.
+    k-th; 0 if they change as much beside it, or too few follow.
+
+    `first`: the reading after the last gap. Fewer may be false there than show a level: no belief
+    comes before them, by which they could be rejected.
     """
-    before = v[max(0, k + 1 - LEVEL_READINGS) : k + 1]
+    before = v[max(first, k + 1 - LEVEL_READINGS) : k + 1]
     after = v[k + 1 : k + 1 + LEVEL_READINGS]
-    if len(before) < LEVEL_READINGS or len(after) < LEVEL_READINGS:
+    if len(after) < LEVEL_READINGS:
         return 0.0
     size = _extrapolate_level(after[::-1]) - _extrapolate_level(before)
-    apart = max(float(np.abs(np.diff(before)).max()), float(np.abs(np.diff(after)).max()))
-    return size if apart < abs(size) / 2 else 0.0
+    beside = np.abs(np.append(np.diff(before), np.diff(after)))
+    return size if float(beside.max()) < abs(size) / 2 else 0.0
 
 
 def unwrap_turns(y: Array) -> Array:
@@ -283,5 +302,7 @@ def _estimate_step_scale(steps: Array) -> float:
 
 
 def _extrapolate_level(v: Array) -> float:
-    """Level of a short piece at its last reading, by a straight line."""
+    """Level of a short piece at its last reading, by a straight line; of one or two, that reading."""
+    if len(v) < 3:
+        return float(v[-1])
     return float(np.polyfit(np.arange(1 - len(v), 1), v, 1)[1])
