@@ -130,7 +130,8 @@ def check_estimation_settings(body: BodyModel, settings: EstimationSettings) -> 
         raise UsageError(f"method: {settings.method!r} is unknown; possible: {', '.join(METHODS)}")
     method = METHODS[settings.method]
     if not method.can.causal:
-        load_kernel("carry_adjoints_back")
+        load_kernel("carry_adjoint_back")
+        load_kernel("carry_information_back")
     if settings.touch == "literal" and not method.literal_touch:
         able = " or ".join(name for name, one in METHODS.items() if one.literal_touch)
         raise UsageError(

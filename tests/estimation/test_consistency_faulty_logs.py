@@ -52,8 +52,8 @@ def test_a_slow_drift_of_a_quiet_arm_is_estimated(
         least.append(float(readings.var.min()))
         return scan(readings, *rest, **more)
 
-    scan = evidence_search.filter_stretches
-    monkeypatch.setattr(evidence_search, "filter_stretches", watched)
+    scan = evidence_search.filter_readings
+    monkeypatch.setattr(evidence_search, "filter_readings", watched)
     world = _drifting(seed, how, drift, stated)
     settings = EstimationSettings(hardware_errors=errors)
     found = estimate_from_features(world.features, world.body, settings)

@@ -166,7 +166,7 @@ def test_full_reset_separates_what_precedes_and_follows(world, linear_model, sol
             if solve is smoother.solve_map_path
             else (found.trace.z, found.trace.cov[:, :3, :3])
         )
-        return problem.timeline.t, found.fold.unfold_events(z)[:, :3], found.fold.unfold_events(cov)
+        return problem.timeline.t, z[:, :3], cov
 
     middle = joints.t[223]
     t, *whole = solved(0.0, 9.0, (np.array([middle]), np.ones((1, 3), bool)))

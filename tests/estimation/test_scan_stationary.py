@@ -114,11 +114,11 @@ def test_silence_of_a_linear_body_is_that_of_full_matrices(world, linear_model, 
     assert problem.stepwise and problem.left_open.any()
     z, p, smooth, cov = textbook(problem, drawn, order, problem.stationary)
     for found in (filter_sequentially(problem), filter_log.solve_by_gauss_newton(problem)):
-        np.testing.assert_allclose(found.fold.unfold_events(found.trace.z), z, atol=1e-7)
-        np.testing.assert_allclose(found.fold.unfold_events(found.trace.cov), p[:, :3, :3], atol=1e-7)
+        np.testing.assert_allclose(found.trace.z, z, atol=1e-7)
+        np.testing.assert_allclose(found.trace.cov, p[:, :3, :3], atol=1e-7)
     for found in (smooth_across_silence(problem), smoother.solve_map_path(problem)):
-        np.testing.assert_allclose(found.fold.unfold_events(found.z), smooth, atol=1e-6)
-        np.testing.assert_allclose(found.fold.unfold_events(found.cov), cov[:, :3, :3], atol=1e-6)
+        np.testing.assert_allclose(found.z, smooth, atol=1e-6)
+        np.testing.assert_allclose(found.cov, cov[:, :3, :3], atol=1e-6)
 
 
 def test_own_mean_squares_are_carried_to_a_live_filter(world):

@@ -68,7 +68,7 @@ class OffsetHypothesis(NamedTuple):
 
 def sum_free_energy(solution: Solution) -> float:
     """Free energy (nats) of a whole filtered log."""
-    return float(solution.fold.unfold_events(solution.trace.nats).sum())
+    return float(solution.trace.nats.sum())
 
 
 def measure_free_energy(problem: FilterProblem, warm: Solution) -> float:
@@ -101,7 +101,7 @@ def _measure_residuals(
     """How far the problem's readings of a joint (N,) rad are from the angles of the posed one."""
     assert problem.evidence.encoders is not None
     solution = filter_roughly(posed, solved)
-    angles = solution.fold.unfold_events(solution.trace.z[:, joint])
+    angles = solution.trace.z[:, joint]
     return np.asarray(
         problem.evidence.encoders.values[:, joint] - angles[problem.timeline.encoders]
     )
@@ -323,9 +323,9 @@ def _score_offsets(pull: Array, weight: Array, seen: Array) -> tuple[Array, Arra
 def _sum_encoder_innovations(solved: Solution, bounds: Array, most: float) -> tuple[Array, Array]:
     """Sums (S,M) of S⁻¹ν, clipped at `most` standard deviations, and of S⁻¹ over spans."""
     d = solved.trace.encoder_d
-    spread = np.einsum("liic->lic", solved.trace.prior_cov) + solved.readings.encoder_var
+    spread = np.einsum("eii->ei", solved.trace.prior_cov) + solved.readings.encoder_var
     each = np.clip(d, -most, most) / np.sqrt(spread), 1.0 / spread
-    rows = (solved.fold.unfold_events(np.where(np.isfinite(d), a, 0.0)) for a in each)
+    rows = (np.where(np.isfinite(d), a, 0.0) for a in each)
     pull, weight = (np.add.reduceat(a, bounds[:-1]) for a in rows)
     return pull, weight
 
@@ -353,11 +353,8 @@ def _whiten_track(
     seen = find_finite_rows(sighting.values)
     size = np.arange(sighting.values.shape[1])
     events = problem.timeline.sightings[track][seen]
-    x, cov = (solved.fold.select_events(a, events) for a in (trace.prior, trace.prior_cov))
-    y, jac, var = (
-        solved.fold.select_events(a[:, track, size], events)
-        for a in (readings.y, readings.jac, readings.var)
-    )
+    x, cov = (a[events] for a in (trace.prior, trace.prior_cov))
+    y, jac, var = (a[events, track, : len(size)] for a in (readings.y, readings.jac, readings.var))
     s = jac @ cov @ jac.swapaxes(1, 2)
     nu = y[..., None] - jac @ x[..., None]
     s[:, size, size] += var + _measure_correlated_error(solved, track, seen)

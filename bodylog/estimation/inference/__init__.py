@@ -1,3 +1,3 @@
-"""Gaussian inference: the filter of a log in stretches or instant by instant, re-acquisition after
-silences, and the backward pass of the smoother.
+"""Gaussian inference: the filter of a whole log or instant by instant, re-acquisition after
+silences, and the backward passes of the smoother.
 """

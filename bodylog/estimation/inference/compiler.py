@@ -78,7 +78,7 @@ class CompilationNotice(event.Listener):
     def on_start(self, event: Any) -> None:
         """A function is about to be compiled."""
         if not self._logged:
-            LOG.warning("bodylog compiles its filter, once: this takes half a minute")
+            LOG.warning("bodylog compiles its filter, once: this takes a quarter of a minute")
         self._logged = True
 
     def on_end(self, event: Any) -> None:

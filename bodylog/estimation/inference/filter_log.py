@@ -2,10 +2,9 @@
 instant.
 
 Under the Laplace approximation this is an iterated extended Kalman filter. Each sweep linearises
-all frames, and filters all stretches of the log side by side from the ends of their predecessors.
-Sweeps repeat until neither the linearisation points nor the starts move: the fixed point is the
-sequential filter's solution. Where encoders do not determine the arm, sweeps may not converge: the
-filter then takes one instant after the other, which is slower but robust.
+all frames and filters the log; sweeps repeat until no linearisation point moves. Where encoders do
+not determine the arm, sweeps may not converge: the filter then takes one instant after the other,
+which is slower but robust.
 """
 
 from collections.abc import Iterator, Mapping
@@ -17,7 +16,7 @@ from ...types import Array
 from ..measurements.long_arrays import find_finite_rows
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from ..noise.posture_prior import build_stationary_motion
-from .filter_problem import FilterProblem, Fold, build_encoder_rows, choose_fold, fold_readings
+from .filter_problem import FilterProblem, build_encoder_rows, lay_out_readings
 from .reacquisition import LONG_SILENCE_S
 from .scan import (
     CONVERGED_MOVE,
@@ -25,13 +24,13 @@ from .scan import (
     ROUGHLY_CONVERGED_MOVE,
     DidNotConverge,
     FilterReadings,
+    FilterTrace,
     TraceDetail,
-    advance_starts,
-    filter_stretches,
+    filter_readings,
 )
 from .sequential import Line, SequentialFilter, State
 from .solution import Solution
-from .tangents import Tangents, begin_along_path, correlate_errors, repeat_state_prior
+from .tangents import Tangents, begin_along_path, build_state_prior, correlate_errors
 
 
 def solve_by_gauss_newton(
@@ -43,61 +42,61 @@ def solve_by_gauss_newton(
     """Sweep over the log until the solution is the sequential filter's, or raise DidNotConverge.
 
     Frames are linearised at the `posterior` mean (iterated) or at the `prior` one. warm: a solution
-    of the same log to start from · rest: tolerance on starts, in standard deviations, and on
-    linearisation points, in rad.
+    of the same log to start from · rest: tolerance on linearisation points, rad.
     """
-    fold = choose_fold(len(problem.timeline.t))
-    readings, tangents, z, p = begin_sweeps(problem, fold, warm, rest)
+    readings, tangents = begin_sweeps(problem, warm, rest)
     trace = None
-    move = np.inf
     for _ in range(MAX_SWEEPS):
-        moved = tangents.write_stale_tangents(problem, fold, readings)
-        if trace is not None and move < rest and not moved:
-            return Solution(fold, readings, tangents, trace)
-        trace = filter_stretches(readings, problem.dynamics, z, p, into=trace)
-        tangents.move_points(problem, fold, trace.prior if at == "prior" else trace.z)
-        z, p, move = advance_starts(z, p, trace)
-    raise DidNotConverge(f"filter: no rest after {MAX_SWEEPS} sweeps, last move {move:.2g}")
+        moved = tangents.write_stale_tangents(problem, readings)
+        if trace is not None and not moved:
+            return Solution(readings, tangents, trace)
+        trace = sweep_log(problem, readings, into=trace)
+        tangents.move_points(problem, trace.prior if at == "prior" else trace.z)
+    raise DidNotConverge(f"filter: no rest after {MAX_SWEEPS} sweeps")
 
 
 def begin_sweeps(
-    problem: FilterProblem, fold: Fold, warm: Solution | None, resting: float, whole: bool = False
-) -> tuple[FilterReadings, Tangents, Array, Array]:
-    """Readings, tangents and each stretch's start z (K,C), p (K,K,C) to begin with.
+    problem: FilterProblem, warm: Solution | None, resting: float, whole: bool = False
+) -> tuple[FilterReadings, Tangents]:
+    """Readings and tangents to begin with: those of a solution of the same log, `warm`, or else
+    along a path.
 
-    They come from a solution of the same log, `warm`, except for new offsets, or else from a path.
     resting: tangents stay where points move by less, rad · whole: for a smoother.
     """
-    if warm is None:
-        tangents, z, p = begin_along_path(problem, fold)
-    else:
-        tangents = warm.tangents.copy_tangents(problem.evidence.sightings)
-        z, p = repeat_state_prior(problem, fold)
-        k = min(len(z), warm.trace.z.shape[1])
-        z[:k, 1:] = warm.fold.select_events(warm.trace.z, fold.handover_events)[:, :k].T
-        if warm.fold == fold:
-            p[:k, :k, 1:] = warm.trace.end_p[:k, :k, :-1]
+    sightings = problem.evidence.sightings
+    tangents = warm.tangents.copy_tangents(sightings) if warm else begin_along_path(problem)
     tangents.resting = resting
     tangents.whole = whole
-    readings = fold_readings(problem, fold)
-    tangents.write_all_tangents(problem, fold, readings)
-    return readings, tangents, z, p
+    readings = lay_out_readings(problem)
+    tangents.write_all_tangents(problem, readings)
+    return readings, tangents
+
+
+def sweep_log(
+    problem: FilterProblem,
+    readings: FilterReadings,
+    keep: TraceDetail = TraceDetail.BELIEFS,
+    into: FilterTrace | None = None,
+) -> FilterTrace:
+    """Filter the readings from the prior; DidNotConverge if rounding leaves no number."""
+    start = build_state_prior(problem.start, problem.dynamics)
+    trace = filter_readings(readings, problem.dynamics, *start, keep, into)
+    if not np.isfinite(trace.end_p).all():
+        raise DidNotConverge("rounding leaves no number")
+    return trace
 
 
 @dataclass(frozen=True, eq=False)
 class SequentialPath:
     """What a pass over the log, instant by instant, leaves behind.
 
-    points (E,M) rad: where frames were linearised · z (K,C), p (K,K,C): starts of a fold's
-    stretches · resets: times (R,) s of resets and their joints (R,M), or None · held (E,M) bool:
-    joints silent for long · adrift: states after the instants at which images hardly determined
-    some joints · moments (O,M): mean squares of the angles, from their usual mean, and of their
-    derivatives, where encoders were read.
+    points (E,M) rad: where frames were linearised · resets: times (R,) s of resets and their joints
+    (R,M), or None · held (E,M) bool: joints silent for long · adrift: states after the instants at
+    which images hardly determined some joints · moments (O,M): mean squares of the angles, from
+    their usual mean, and of their derivatives, where encoders were read.
     """
 
     points: Array
-    z: Array
-    p: Array
     resets: tuple[Array, Array] | None
     held: Array
     adrift: dict[int, State]
@@ -114,7 +113,7 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
     if confirmed and not _has_long_silence(problem, t[-1:]):
         return replace(problem, resets=resets)
     problem = _with_stationary_motion(problem)
-    path = _step_through_log(problem, False, ROUGHLY_CONVERGED_MOVE, Fold(len(t), length=len(t)))
+    path = _step_through_log(problem, False, ROUGHLY_CONVERGED_MOVE)
     stepwise = (
         not confirmed
         or _has_long_silence(problem, t[:0])
@@ -135,7 +134,7 @@ def loses_encoder(problem: FilterProblem, solution: Solution) -> bool:
     t = problem.evidence.encoders.t[:, None]
     read = np.isfinite(problem.evidence.encoders.values)
     # NaN where a smoother has removed a reading as an outlier
-    d = np.abs(solution.fold.unfold_events(solution.trace.encoder_d)[problem.timeline.encoders])
+    d = np.abs(solution.trace.encoder_d[problem.timeline.encoders])
     accepted = d <= solution.readings.gate
     confirmed = np.maximum.accumulate(np.where(accepted, t, t[0]), axis=0)
     return bool((read & ~accepted & (t - confirmed > LONG_SILENCE_S)).any())
@@ -176,24 +175,21 @@ def _with_stationary_motion(problem: FilterProblem) -> FilterProblem:
 
 
 def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution:
-    """The filter's solution; for the `whole` log in
-    one single stretch, and all that the smoother needs.
-    """
-    events = len(problem.timeline.t)
-    keep = TraceDetail.MEANS if whole else TraceDetail.BELIEFS
-    fold = Fold(events, length=events) if whole else choose_fold(events)
-    path = _step_through_log(problem, whole, CONVERGED_MOVE, fold)
+    """The filter's solution; for the `whole` log all that the smoother needs."""
+    path = _step_through_log(problem, whole, CONVERGED_MOVE)
     points = tuple(path.points[at] for at in problem.timeline.sightings)
     tangents = Tangents(problem.evidence.sightings, points)
     tangents.whole = whole
-    readings = fold_readings(replace(problem, resets=path.resets), fold, path.held)
-    tangents.write_stale_tangents(problem, fold, readings)
+    readings = lay_out_readings(replace(problem, resets=path.resets), path.held)
+    tangents.write_stale_tangents(problem, readings)
     for event, state in path.adrift.items():
-        write_track_lines(event, state.lines or {}, fold, readings)
-    trace = filter_stretches(readings, problem.dynamics, path.z, path.p, keep)
+        write_track_lines(event, state.lines or {}, readings)
+    start = build_state_prior(problem.start, problem.dynamics)
+    keep = TraceDetail.MEANS if whole else TraceDetail.BELIEFS
+    trace = filter_readings(readings, problem.dynamics, *start, keep)
     for event, state in path.adrift.items():
-        fold.write_events(trace.nats, event, np.array(state.nats))
-    return Solution(fold, readings, tangents, trace)
+        trace.nats[event] = state.nats
+    return Solution(readings, tangents, trace)
 
 
 def filter_roughly(
@@ -208,15 +204,13 @@ def filter_roughly(
         return filter_sequentially(problem)
 
 
-def write_track_lines(
-    event: int, lines: Mapping[int, Line], fold: Fold, readings: FilterReadings
-) -> None:
+def write_track_lines(event: int, lines: Mapping[int, Line], readings: FilterReadings) -> None:
     """Write the lines of tracks at one instant into the readings."""
     for track, line in lines.items():
         rows = len(line.y)
-        fold.write_events(readings.y[:, track, :rows], event, line.y)
-        fold.write_events(readings.jac[:, track, :rows], event, line.jac)
-        fold.write_events(readings.var[:, track, :rows], event, line.var)
+        readings.y[event, track, :rows] = line.y
+        readings.jac[event, track, :rows] = line.jac
+        readings.var[event, track, :rows] = line.var
 
 
 def _has_long_silence(problem: FilterProblem, end: Array) -> bool:
@@ -231,9 +225,7 @@ def _has_long_silence(problem: FilterProblem, end: Array) -> bool:
     return max(float(np.diff(times).max(initial=0.0)) for times in known) > LONG_SILENCE_S
 
 
-def _step_through_log(
-    problem: FilterProblem, whole: bool, rest: float, fold: Fold
-) -> SequentialPath:
+def _step_through_log(problem: FilterProblem, whole: bool, rest: float) -> SequentialPath:
     """Filter the log instant by instant, for the smoother of the `whole` log or not.
 
     Each frame is linearised until its point moves by less than `rest` rad.
@@ -248,11 +240,7 @@ def _step_through_log(
     read = np.zeros(len(t), bool)
     lost = dict[float, Array]()
     adrift = dict[int, State]()
-    z, p = repeat_state_prior(problem, fold)
     for k, state in enumerate(_iterate_states(problem, whole, rest, len(t))):
-        if (k + 1) % fold.length == 0 and k + 1 < len(t):
-            z[:, (k + 1) // fold.length] = state.z
-            p[..., (k + 1) // fold.length] = state.p
         means[k] = state.z[:size]
         var[k] = state.p.diagonal()[:size]
         points[k] = means[k, :m] if state.point is None else state.point
@@ -268,7 +256,7 @@ def _step_through_log(
     if read.any():
         squares = np.square(means[read] - np.pad(usual, (0, size - m)))
         moments = (squares.mean(axis=0) + var[read].min(axis=0)).reshape(-1, m)
-    return SequentialPath(points, z, p, _stack_resets(lost), held, adrift, moments)
+    return SequentialPath(points, _stack_resets(lost), held, adrift, moments)
 
 
 def _iterate_states(

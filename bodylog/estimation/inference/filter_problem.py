@@ -1,9 +1,7 @@
-"""A log to be filtered, and its readings folded into stretches that are filtered in parallel:
-(E,…) in time order <-> (L,…,C).
-"""
+"""A log to be filtered, and its readings at each instant."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -95,62 +93,8 @@ class FilterProblem:
         return np.stack([fewer.get(view, usual) / usual for view in views])[which]
 
 
-MAX_STRETCHES = 8
-"""Stretches of a log that are filtered side by side. With 16, a filter is 5 to 10 % faster, but
-noise learned on stretches half as long differs by 4 %, and a sound encoder was called jumping.
-"""
-MIN_STRETCH_INSTANTS = 32
-"""Least number of instants in a stretch: its end must not depend on its start."""
-
-
-@dataclass(frozen=True)
-class Fold:
-    """So many events, instants in time order, in C stretches of `length` instants L each."""
-
-    events: int
-    length: int
-
-    @property
-    def stretch_count(self) -> int:
-        """Number C of stretches, of which the last one may not be full."""
-        return max(1, -(-self.events // self.length))
-
-    def fold_events(self, a: Array, fill: float) -> Array:
-        """(E,…) -> (L,…,C), with `fill` after the last event."""
-        padded = np.empty((self.length * self.stretch_count, *a.shape[1:]))
-        padded[: self.events] = a
-        padded[self.events :] = fill
-        return np.ascontiguousarray(
-            np.moveaxis(padded.reshape(self.stretch_count, self.length, *a.shape[1:]), 0, -1)
-        )
-
-    def unfold_events(self, a: Array) -> Array:
-        """(L,…,C) -> (E,…)."""
-        return np.moveaxis(a, -1, 0).reshape(-1, *a.shape[1:-1])[: self.events]
-
-    def select_events(self, a: Array, events: Array) -> Array:
-        """Rows (F,…) of the folded a (L,…,C) at the given events."""
-        rows: Array = a[events % self.length, ..., events // self.length]
-        return rows
-
-    def write_events(self, a: Array, events: Array | int, rows: Array) -> None:
-        """Write rows (F,…) into the folded a (L,…,C) at the given events, or at one."""
-        a[events % self.length, ..., events // self.length] = rows
-
-    @property
-    def handover_events(self) -> Array:
-        """Last event (C−1,) of every stretch that has a successor."""
-        return np.arange(1, self.stretch_count) * self.length - 1
-
-
-def choose_fold(events: int) -> Fold:
-    """Fold with MAX_STRETCHES, or fewer if the log is short."""
-    count = min(MAX_STRETCHES, max(1, events // MIN_STRETCH_INSTANTS))
-    return Fold(events, max(1, -(-events // count)))
-
-
-def fold_readings(problem: FilterProblem, fold: Fold, held: Array | None = None) -> FilterReadings:
-    """Readings of all instants, folded, with room for the frames' tangents.
+def lay_out_readings(problem: FilterProblem, held: Array | None = None) -> FilterReadings:
+    """Readings of all instants, with room for the frames' tangents.
 
     held (E,M) bool: joints silent for long; by default those that images leave open.
     """
@@ -159,31 +103,27 @@ def fold_readings(problem: FilterProblem, fold: Fold, held: Array | None = None)
     dt = np.diff(t, prepend=t[0])
     encoders, encoder_var = build_encoder_rows(problem)
     sizes = [sighting.values.shape[1] for sighting in problem.evidence.sightings]
-    frames = (fold.length, len(sizes), max(sizes, default=2))
-    process_factor = problem.process_factor
-    readings = FilterReadings(
-        fold.fold_events(dt, 0.0),
-        fold.fold_events(encoders, np.nan),
-        fold.fold_events(encoder_var, 1.0),
-        np.full((*frames, fold.stretch_count), np.nan),
-        np.zeros((*frames, m, fold.stretch_count)),
-        np.ones((*frames, fold.stretch_count)),
-        reset=_mark_restarting_joints(problem, fold),
-        process_factor=None if process_factor is None else fold.fold_events(process_factor, 1.0),
+    frames = (len(t), len(sizes), max(sizes, default=2))
+    held = problem.left_open if held is None else held
+    moves = None
+    if held is not None and problem.stationary is not None and held.any():
+        moves = problem.dynamics.compute_silent_moves(dt, held)
+    return FilterReadings(
+        dt,
+        encoders,
+        encoder_var,
+        np.full(frames, np.nan),
+        np.zeros((*frames, m)),
+        np.ones(frames),
+        reset=_mark_restarting_joints(problem),
+        process_factor=problem.process_factor,
+        moves=moves,
         gate=problem.gate,
     )
-    held = problem.left_open if held is None else held
-    if held is None or problem.stationary is None or not held.any():
-        return readings
-    # other joints move by dt, with the process of a candidate
-    move, shift, noise = (
-        fold.fold_events(part, np.nan) for part in problem.dynamics.compute_silent_moves(dt, held)
-    )
-    return replace(readings, moves=(move, shift, noise))
 
 
-def _mark_restarting_joints(problem: FilterProblem, fold: Fold) -> Array | None:
-    """Joints (L,M,C) bool that restart from a wide prior at an instant; None if none does."""
+def _mark_restarting_joints(problem: FilterProblem) -> Array | None:
+    """Joints (E,M) bool that restart from a wide prior at an instant; None if none does."""
     if problem.resets is None:
         return None
     times, joints = problem.resets
@@ -191,8 +131,8 @@ def _mark_restarting_joints(problem: FilterProblem, fold: Fold) -> Array | None:
     here = np.isin(times, t)
     if not here.any():
         return None
-    reset = np.zeros((fold.length, len(problem.start), fold.stretch_count), bool)
-    fold.write_events(reset, np.searchsorted(t, times[here]), joints[here])
+    reset = np.zeros((len(t), len(problem.start)), bool)
+    reset[np.searchsorted(t, times[here])] = joints[here]
     return reset
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-KERNELS = ("weigh_noise_ratios", "filter_instants", "carry_adjoints_back")
+KERNELS = ("weigh_noise_ratios", "filter_instants", "carry_adjoint_back", "carry_information_back")
 """The compiled loops, in the order in which an estimate asks for them."""
 
 

@@ -48,12 +48,9 @@ class SmoothedWithResiduals(Smooth):
 
 def predict_left_out(problem: FilterProblem, smooth: Smooth) -> LeftOut:
     """Predict each reading of the problem by a smoothed log from which some may be removed."""
-    unfold = smooth.fold.unfold_events
     d = smooth.trace.encoder_d
-    var = unfold(np.einsum("looc->loc", smooth.cov))
-    encoders, nats = _predict_left_out_encoders(
-        problem, unfold(smooth.z), var, unfold(d), smooth.readings.gate
-    )
+    var = np.einsum("eoo->eo", smooth.cov)
+    encoders, nats = _predict_left_out_encoders(problem, smooth.z, var, d, smooth.readings.gate)
     frames = [
         _predict_left_out_frames(problem, smooth, index)
         for index in range(len(problem.evidence.sightings))
@@ -97,17 +94,16 @@ def _predict_left_out_frames(
     at = problem.timeline.sightings[index]
     m = len(problem.start)
     values, _, mix = sighting.independent_rows
-    select = smooth.fold.select_events
-    x = select(smooth.z[:, :m], at)
-    removed = np.isnan(select(smooth.readings.y, at)[:, index, 0])
+    x = smooth.z[at, :m]
+    removed = np.isnan(smooth.readings.y[at, index, 0])
     mean, jac, var = smooth.tangents.predict_from_tangents(index, x)
-    noise = select(smooth.readings.var, at)[:, index, : values.shape[1]]
+    noise = smooth.readings.var[at, index, : values.shape[1]]
     std = np.sqrt(noise + var * removed[:, None])
     # rows in units of their noise, so that R is 1
     residual = (values - mean) / std
     h = jac / std[..., None]
     far = ~removed & _find_gated_frames(smooth, at, index)
-    a = project_covariance(h, select(smooth.cov[:, :m, :m], at))
+    a = project_covariance(h, smooth.cov[at, :m, :m])
     used = ~(removed | far)[:, None, None]
     identity = np.eye(h.shape[1])
     inverse, log_total = _invert_with_log_determinant(identity + np.where(used, -a, a))
@@ -144,10 +140,9 @@ def _find_gated_frames(smooth: Smooth, at: Array, index: int) -> Array:
     """
     var = smooth.readings.var
     information = smooth.trace.information
-    select = smooth.fold.select_events
     assert information is not None
     first = information.shape[1] + (index - var.shape[1]) * var.shape[2]
-    used = select(information[:, first], at) * select(var[:, index, 0], at)
+    used = information[at, first] * var[at, index, 0]
     return np.asarray(used < 1.0 - 1e-12)
 
 
@@ -191,7 +186,7 @@ def compute_smoothed_free_energy(
     problem: FilterProblem, smooth: Smooth, left_out: LeftOut
 ) -> Array:
     """Nats (E,) of a smoothed log and of the readings removed from it."""
-    nats = smooth.fold.unfold_events(smooth.trace.nats).copy()
+    nats = smooth.trace.nats.copy()
     line = problem.timeline
     encoders, *frames = left_out.nats
     nats[line.encoders] += encoders.sum(axis=1)

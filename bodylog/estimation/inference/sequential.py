@@ -67,23 +67,23 @@ class FilterStep:
         k = dynamics.size
         n = k // m
         self._dynamics = dynamics
-        self._z = np.empty((k, 1))
-        self._p = np.empty((k, k, 1))
-        self._reset = np.empty((1, m, 1), bool)
-        self._process_factor = np.empty((1, m, 1))
-        self._moves = (np.empty((1, n, n, m, 1)), np.empty((1, n, m, 1)), np.empty((1, n, n, m, 1)))
+        self._z = np.empty(k)
+        self._p = np.empty((k, k))
+        self._reset = np.empty((1, m), bool)
+        self._process_factor = np.empty((1, m))
+        self._moves = (np.empty((1, n, n, m)), np.empty((1, n, m)), np.empty((1, n, n, m)))
         self._readings = FilterReadings(
-            np.empty((1, 1)),
-            np.empty((1, m, 1)),
-            np.empty((1, m, 1)),
-            np.empty((1, tracks, rows, 1)),
-            np.empty((1, tracks, rows, m, 1)),
-            np.empty((1, tracks, rows, 1)),
+            np.empty(1),
+            np.empty((1, m)),
+            np.empty((1, m)),
+            np.empty((1, tracks, rows)),
+            np.empty((1, tracks, rows, m)),
+            np.empty((1, tracks, rows)),
             reset=self._reset,
             process_factor=self._process_factor,
             moves=self._moves,
         )
-        self._trace = allocate_trace(self._readings, dynamics, 1)
+        self._trace = allocate_trace(self._readings, dynamics)
         self._run = prepare_filter(self._readings, dynamics, self._z, self._p, self._trace)
 
     def __call__(
@@ -107,13 +107,13 @@ class FilterStep:
         leaves no number.
         """
         readings = self._readings
-        self._z[:, 0] = z
-        self._p[..., 0] = p
-        readings.dt[:] = dt
-        readings.encoders[0, :, 0] = encoders
-        readings.encoder_var[0, :, 0] = var
-        self._reset[0, :, 0] = False if lost is None else lost
-        self._process_factor[0, :, 0] = 1.0 if process_factor is None else process_factor
+        self._z[:] = z
+        self._p[:] = p
+        readings.dt[0] = dt
+        readings.encoders[0] = encoders
+        readings.encoder_var[0] = var
+        self._reset[0] = False if lost is None else lost
+        self._process_factor[0] = 1.0 if process_factor is None else process_factor
         self._write_moves(dt, held)
         if lines:
             readings.y[:] = np.nan
@@ -121,20 +121,20 @@ class FilterStep:
             readings.var[:] = 1.0
         for track, line in enumerate(lines):
             n = len(line.y)
-            readings.y[0, track, :n, 0] = line.y
-            readings.jac[0, track, :n, :, 0] = line.jac
-            readings.var[0, track, :n, 0] = line.var
+            readings.y[0, track, :n] = line.y
+            readings.jac[0, track, :n] = line.jac
+            readings.var[0, track, :n] = line.var
         self._run()
         trace = self._trace
         nats = trace.nats.item()
         if not math.isfinite(nats):
             raise np.linalg.LinAlgError("rounding leaves no number")
         return SteppedBelief(
-            trace.z[0, :, 0].copy(),
-            trace.end_p[..., 0].copy(),
-            trace.prior[0, :, 0].copy(),
-            trace.prior_cov[0, ..., 0].copy(),
-            trace.encoder_d[0, :, 0].copy(),
+            trace.z[0].copy(),
+            trace.end_p.copy(),
+            trace.prior[0].copy(),
+            trace.prior_cov[0].copy(),
+            trace.encoder_d[0].copy(),
             nats,
         )
 
@@ -144,7 +144,7 @@ class FilterStep:
         if held is not None and self._dynamics.stationary is not None:
             silent = self._dynamics.compute_silent_moves(np.array([dt]), held[None])
             for part, own in zip(self._moves, silent, strict=True):
-                part[..., 0] = own
+                part[:] = own
         moved = self._dynamics.add_model_moves(self._readings)
         if moved is not self._readings:
             for part, own in zip(self._moves, moved.moves or (), strict=True):

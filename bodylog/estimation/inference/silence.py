@@ -17,12 +17,12 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from .filter_log import filter_sequentially, group_frames_by_instant, write_track_lines
-from .filter_problem import FilterProblem, Fold
+from .filter_problem import FilterProblem
 from .leave_one_out import remove_readings
-from .scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE, TraceDetail, filter_stretches
+from .scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE, TraceDetail, filter_readings
 from .sequential import linearise_over_belief
 from .solution import Smooth, Solution, assemble_smooth
-from .tangents import repeat_state_prior
+from .tangents import build_state_prior
 
 BRIEF_SILENCE_S = 5.0
 """s: a longer silence starts once, as evidence of 40 sines with 10 s does not tell postures apart.
@@ -43,12 +43,13 @@ def smooth_across_silence(problem: FilterProblem) -> Smooth:
     without_frames = remove_readings(problem, (np.array(False), *hidden))
     solution = _undo_resets(problem, filter_sequentially(without_frames, whole=True))
     for frames in _split_frames_by_silence(problem, alone):
-        stretches, sights = _start_from_cubature_points(problem, solution, frames)
-        x, cov = _mix_beliefs(*_converge_beliefs(problem, stretches, sights))
+        starts, sights = _start_from_cubature_points(problem, solution, frames)
+        found = [_converge_belief(problem, start, sights) for start in starts]
+        x, cov = _mix_beliefs(*map(np.stack, zip(*found, strict=True)))
         seconds = t[max(frames)] - t[min(frames)]
         count = len(frames) * BRIEF_SILENCE_S / max(seconds, BRIEF_SILENCE_S)
         _write_lines_over_beliefs(solution, frames, x, cov, count)
-    return _smooth_stretches(problem, solution)
+    return _smooth_readings(problem, solution)
 
 
 def _find_open_instants(problem: FilterProblem) -> Array:
@@ -68,7 +69,7 @@ def _undo_resets(problem: FilterProblem, solution: Solution) -> Solution:
     held = problem.left_open
     if reset is None or held is None:
         return solution
-    return replace(solution, readings=replace(solution.readings, reset=reset & ~held[..., None]))
+    return replace(solution, readings=replace(solution.readings, reset=reset & ~held))
 
 
 def _split_frames_by_silence(problem: FilterProblem, alone: Array) -> Iterator[Frames]:
@@ -82,32 +83,30 @@ def _split_frames_by_silence(problem: FilterProblem, alone: Array) -> Iterator[F
 
 def _start_from_cubature_points(
     problem: FilterProblem, solution: Solution, frames: Frames
-) -> tuple[Solution, Frames]:
-    """A silence started through each cubature point, side by side, and the frames of all."""
+) -> tuple[list[Solution], Frames]:
+    """A silence started through each cubature point, or once, and its frames by instant from
+    there.
+    """
     t = problem.timeline.t
     at = list(frames)
-    m = len(problem.start)
     begin = t[at[0]]
     end = t[at[-1]]
     first, last = np.searchsorted(t, [begin - BRIEF_SILENCE_S, end + BRIEF_SILENCE_S])
-    length = last - first
-    count = 1 + 2 * m if end - begin <= BRIEF_SILENCE_S else 1
-    fold = Fold(length * count, length)
-    silent_solution = replace(
-        solution,
-        fold=fold,
-        readings=solution.readings.select_instants(first, last).repeat_stretches(count),
+    silent = replace(
+        solution, readings=solution.readings.select_instants(first, last).copy_tracks()
     )
-    sights = {lane * length + k - first: frames[k] for lane in range(count) for k in at}
-    if count > 1:
-        x, cov, _ = _smooth_frames(problem, silent_solution, sights)
-        widest = int(np.linalg.det(cov[: len(at)]).argmax())
-        points = _compute_cubature_points(x[widest], cov[widest])
-        var = problem.precision.encoder
-        through_points = _with_point_readings(silent_solution, at[widest] - first, points, var)
-        x, cov, _ = _smooth_frames(problem, through_points, sights)
-        _write_lines_over_beliefs(silent_solution, sights, x, cov)
-    return silent_solution, sights
+    sights = {k - first: frames[k] for k in at}
+    if end - begin > BRIEF_SILENCE_S:
+        return [silent], sights
+    x, cov, _ = _smooth_frames(problem, silent, sights)
+    widest = int(np.linalg.det(cov).argmax())
+    starts = []
+    for point in _compute_cubature_points(x[widest], cov[widest]).T:
+        through = _with_point_reading(silent, at[widest] - first, point, problem.precision.encoder)
+        start = replace(silent, readings=silent.readings.copy_tracks())
+        _write_lines_over_beliefs(start, sights, *_smooth_frames(problem, through, sights)[:2])
+        starts.append(start)
+    return starts, sights
 
 
 def _compute_cubature_points(x: Array, cov: Array) -> Array:
@@ -117,23 +116,23 @@ def _compute_cubature_points(x: Array, cov: Array) -> Array:
     return np.asarray(x[:, None] + np.hstack([np.zeros((len(x), 1)), steps, -steps]))
 
 
-def _with_point_readings(solution: Solution, at: int, points: Array, var: Array) -> Solution:
-    """The solution with encoders that read points (M,C) at an instant, with variances var (M,)."""
+def _with_point_reading(solution: Solution, at: int, point: Array, var: Array) -> Solution:
+    """The solution with encoders that read a point (M,) at an instant, with variances var (M,)."""
     readings = solution.readings
     encoders = readings.encoders.copy()
     noise = readings.encoder_var.copy()
-    encoders[at] = points
-    noise[at] = var[:, None]
+    encoders[at] = point
+    noise[at] = var
     return replace(
         solution, readings=replace(readings, encoders=encoders, encoder_var=noise, gate=np.inf)
     )
 
 
-def _converge_beliefs(
+def _converge_belief(
     problem: FilterProblem, solution: Solution, frames: Frames
 ) -> tuple[Array, Array, Array]:
-    """Beliefs x (C,F,M), cov (C,F,M,M) whose lines lead to
-    themselves, and nats (C,), of stretches side by side.
+    """Belief x (F,M), cov (F,M,M) whose lines lead to itself, and its nats (), along the readings
+    of a silence.
     """
     before = np.array(np.inf)
     for _ in range(MAX_SWEEPS):
@@ -143,7 +142,7 @@ def _converge_beliefs(
             break
         _write_lines_over_beliefs(solution, frames, x, cov)
         before = x
-    return x.reshape(len(nats), -1, *x.shape[1:]), cov.reshape(len(nats), -1, *cov.shape[1:]), nats
+    return x, cov, nats
 
 
 def _mix_beliefs(x: Array, cov: Array, nats: Array) -> tuple[Array, Array]:
@@ -158,14 +157,13 @@ def _mix_beliefs(x: Array, cov: Array, nats: Array) -> tuple[Array, Array]:
 def _smooth_frames(
     problem: FilterProblem, solution: Solution, frames: Frames
 ) -> tuple[Array, Array, Array]:
-    """Smoothed beliefs x (F,M), cov (F,M,M) at the frames of
-    stretches side by side, and nats (C,) of each stretch.
+    """Smoothed beliefs x (F,M), cov (F,M,M) at the frames of a silence, and nats () of its
+    readings.
     """
-    path = _smooth_stretches(problem, solution)
+    path = _smooth_readings(problem, solution)
     at = np.array(list(frames))
     m = len(problem.start)
-    x, cov = (path.fold.select_events(part, at) for part in (path.z, path.cov))
-    return x[:, :m], cov[:, :m, :m], path.trace.nats.sum(axis=0)
+    return path.z[at, :m], path.cov[at, :m, :m], path.trace.nats.sum()
 
 
 def _write_lines_over_beliefs(
@@ -174,29 +172,22 @@ def _write_lines_over_beliefs(
     """Write lines of frames at F instants over beliefs x (F,M) of cov (F,M,M) into a solution's
     readings; residuals count as noise `count` times.
     """
-    last = dict[tuple[int, int], LastFrame]()
+    last = dict[int, LastFrame]()
     for (k, sights), mean, spread in zip(frames.items(), x, cov, strict=True):
-        lane = k // solution.fold.length
         sights = {
-            track: replace(s, memory=last.get((lane, track), s.memory))
-            for track, s in sights.items()
+            track: replace(sight, memory=last.get(track, sight.memory))
+            for track, sight in sights.items()
         }
         lines = {
             track: linearise_over_belief(sight, mean, spread, count)
             for track, sight in sights.items()
         }
-        last |= {(lane, track): line.memory for track, line in lines.items()}
-        write_track_lines(k, lines, solution.fold, solution.readings)
+        last |= {track: line.memory for track, line in lines.items()}
+        write_track_lines(k, lines, solution.readings)
 
 
-def _smooth_stretches(problem: FilterProblem, solution: Solution) -> Smooth:
-    """The smoothed log of a solution's readings, whose stretches do not follow one another."""
-    trace = filter_stretches(
-        solution.readings,
-        problem.dynamics,
-        *repeat_state_prior(problem, solution.fold),
-        TraceDetail.MEANS,
-    )
-    return assemble_smooth(
-        solution.fold, solution.readings, solution.tangents, trace, None, problem.dynamics
-    )
+def _smooth_readings(problem: FilterProblem, solution: Solution) -> Smooth:
+    """The smoothed log of a solution's readings."""
+    start = build_state_prior(problem.start, problem.dynamics)
+    trace = filter_readings(solution.readings, problem.dynamics, *start, TraceDetail.MEANS)
+    return assemble_smooth(solution.readings, solution.tangents, trace, problem.dynamics)

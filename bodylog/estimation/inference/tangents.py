@@ -1,5 +1,5 @@
 """Tangents of frames at their linearisation points, which are computed again only where a point
-moved; priors of a log's stretches, and the points where linearisation begins.
+moved; the prior of a log, and the points where linearisation begins.
 """
 
 from copy import copy
@@ -19,7 +19,7 @@ from ..noise.correlated_noise import (
     read_correlation_length,
 )
 from ..noise.noise_model import NoiseModel
-from .filter_problem import FilterProblem, Fold
+from .filter_problem import FilterProblem
 from .scan import FilterDynamics, FilterReadings
 
 
@@ -63,9 +63,7 @@ class Tangents:
         )
         self._repeated = compute_shared_model_factors(counted, common, distinct)
 
-    def write_stale_tangents(
-        self, problem: FilterProblem, fold: Fold, readings: FilterReadings
-    ) -> bool:
+    def write_stale_tangents(self, problem: FilterProblem, readings: FilterReadings) -> bool:
         """Write tangents whose point or noise changed into the readings; return whether any did.
 
         At the point x° a frame s, predicted as g with the Jacobian J, reads y = s − g + J x°.
@@ -75,36 +73,32 @@ class Tangents:
             stale = self._stale[index]
             if stale.any():
                 self._linearise_frames(index, stale)
-                _write_frames(fold, readings.y, index, events, self._compute_y(index), stale)
-                _write_frames(fold, readings.jac, index, events, self._jac[index], stale)
+                _write_frames(readings.y, index, events, self._compute_y(index), stale)
+                _write_frames(readings.jac, index, events, self._jac[index], stale)
                 changed = True
             elif self._precision is problem.precision:
                 continue
             var = self._compute_variances(index, problem.precision, self.whole)
             differs = np.any(np.abs(var / self._var[index] - 1.0) > 1e-9, axis=1)  # beyond rounding
             self._var[index][differs] = var[differs]
-            _write_frames(fold, readings.var, index, events, var, differs)
+            _write_frames(readings.var, index, events, var, differs)
             changed = changed or bool(differs.any())
         self._precision = problem.precision
         return changed
 
-    def write_all_tangents(
-        self, problem: FilterProblem, fold: Fold, readings: FilterReadings
-    ) -> None:
+    def write_all_tangents(self, problem: FilterProblem, readings: FilterReadings) -> None:
         """Write tangents computed before into other readings of the same log."""
         for index, events in enumerate(problem.timeline.sightings):
-            _write_frames(fold, readings.y, index, events, self._compute_y(index))
-            _write_frames(fold, readings.jac, index, events, self._jac[index])
-            _write_frames(fold, readings.var, index, events, self._var[index])
+            _write_frames(readings.y, index, events, self._compute_y(index))
+            _write_frames(readings.jac, index, events, self._jac[index])
+            _write_frames(readings.var, index, events, self._var[index])
 
-    def fold_smoother_variances(
-        self, problem: FilterProblem, fold: Fold, readings: FilterReadings
-    ) -> Array:
-        """Variances (L,T,D,C) of the readings' frames by the problem's noise, for a smoother."""
+    def compute_smoother_variances(self, problem: FilterProblem, readings: FilterReadings) -> Array:
+        """Variances (E,T,D) of the readings' frames by the problem's noise, for a smoother."""
         var = readings.var.copy()
         for index, events in enumerate(problem.timeline.sightings):
             own = self._compute_variances(index, problem.precision, whole=True)
-            _write_frames(fold, var, index, events, own)
+            _write_frames(var, index, events, own)
         return var
 
     def predict_from_tangents(self, index: int, x: Array) -> tuple[Array, Array, Array]:
@@ -168,12 +162,10 @@ class Tangents:
         )
         return other
 
-    def move_points(self, problem: FilterProblem, fold: Fold, means: Array) -> None:
-        """Move to the angles of folded states (L,K,C) that are farther away than `resting`."""
-        wanted = [
-            fold.select_events(means[:, : len(problem.start)], events)
-            for events in problem.timeline.sightings
-        ]
+    def move_points(self, problem: FilterProblem, means: Array) -> None:
+        """Move to the angles of states (E,K) that are farther away than `resting`."""
+        angles = means[:, : len(problem.start)]
+        wanted = [angles[events] for events in problem.timeline.sightings]
         # a row of frames for each joint: numpy is slow along short axes
         moves = [
             np.ascontiguousarray((new - old).T)
@@ -205,10 +197,10 @@ def _predict_independent_rows(
 
 
 def _write_frames(
-    fold: Fold, a: Array, index: int, events: Array, rows: Array, some: Array | slice = slice(None)
+    a: Array, index: int, events: Array, rows: Array, some: Array | slice = slice(None)
 ) -> None:
-    """Write some of a sighting's frames (F,D,…) into its part of the folded a (L,T,…,C)."""
-    fold.write_events(a[:, index, : rows.shape[1]], events[some], rows[some])
+    """Write some of a sighting's frames (F,D,…) into its part of a (E,T,…)."""
+    a[events[some], index, : rows.shape[1]] = rows[some]
 
 
 OFFSET_STD = 0.01
@@ -227,27 +219,15 @@ def build_state_prior(start: Array, dynamics: FilterDynamics) -> tuple[Array, Ar
     return np.concatenate([start, np.zeros(dynamics.size - len(start))]), np.diag(var)
 
 
-def repeat_state_prior(problem: FilterProblem, fold: Fold) -> tuple[Array, Array]:
-    """The prior state z (K,C) and covariance p (K,K,C) of every stretch."""
-    z, p = build_state_prior(problem.start, problem.dynamics)
-    return np.repeat(z[:, None], fold.stretch_count, axis=1), np.repeat(
-        p[:, :, None], fold.stretch_count, axis=2
-    )
-
-
-def begin_along_path(problem: FilterProblem, fold: Fold) -> tuple[Tangents, Array, Array]:
-    """Tangents at the initial path, or at the encoders'
-    readings; each stretch's start z (K,C), p (K,K,C).
-    """
-    start = problem.start
+def begin_along_path(problem: FilterProblem) -> Tangents:
+    """Tangents at the initial path, or at the encoders' readings."""
     encoders = problem.evidence.encoders
     sightings = problem.evidence.sightings
     path = problem.path or (None if encoders is None else (encoders.t, encoders.values))
-    points = tuple(_interpolate_path(path, start, sighting.t) for sighting in sightings)
-    z, p = repeat_state_prior(problem, fold)
-    t = problem.timeline.t[fold.handover_events]
-    z[: len(start), 1:] = _interpolate_path(path, start, t).T
-    return Tangents(sightings, points), z, p
+    return Tangents(
+        sightings,
+        tuple(_interpolate_path(path, problem.start, sighting.t) for sighting in sightings),
+    )
 
 
 def _interpolate_path(path: tuple[Array, Array] | None, start: Array, at: Array) -> Array:

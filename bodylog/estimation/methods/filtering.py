@@ -68,16 +68,15 @@ def estimate_by_filter(
 
     problem, solution = solve_with_reacquisition(start_problem, solve_problem)
     trace = solution.trace
-    unfold = solution.fold.unfold_events
     m = len(problem.start)
     precision = problem.precision
     beliefs = Beliefs(
-        z=select_reported_states(unfold(trace.z), problem),
-        cov=report_angle_covariance(unfold(trace.cov[:, :m, :m]), problem, solution),
-        nats=unfold(trace.nats),
-        before=unfold(trace.prior),
-        before_cov=unfold(trace.prior_cov),
-        encoder_errors=unfold(trace.encoder_d),
+        z=select_reported_states(trace.z, problem),
+        cov=report_angle_covariance(trace.cov[:, :m, :m], problem, solution),
+        nats=trace.nats,
+        before=trace.prior,
+        before_cov=trace.prior_cov,
+        encoder_errors=trace.encoder_d,
         scale=precision.scale,
         settings=precision.plain_numbers(),
         faults=find_offset_faults(problem, solution),
@@ -248,15 +247,13 @@ def warn_of_lost_belief(problem: FilterProblem, solved: Solution) -> tuple[Findi
     if resets is None:
         return ()
     names = problem.evidence.joints
-    return tuple(warn_of_resets(names, problem.timeline.t, solved.fold.unfold_events(resets)))
+    return tuple(warn_of_resets(names, problem.timeline.t, resets))
 
 
-def unfold_offset_variance(problem: FilterProblem, solved: Solution) -> Array:
+def read_offset_variance(problem: FilterProblem, solved: Solution) -> Array:
     """Variances (E,M) rad² of the encoder offsets in the filter's state."""
     m = len(problem.start)
-    return np.asarray(
-        solved.fold.unfold_events(np.einsum("liic->lic", solved.trace.cov[:, m:, m:]))
-    )
+    return np.asarray(np.einsum("eii->ei", solved.trace.cov[:, m:, m:]))
 
 
 def report_angle_covariance(cov: Array, problem: FilterProblem, solved: Solution) -> Array:
@@ -264,9 +261,8 @@ def report_angle_covariance(cov: Array, problem: FilterProblem, solved: Solution
     repaired jumps add.
     """
     cov = problem.precision.stated_covariance(cov, problem.left_open)
-    offset_var = (
-        None if problem.precision.drift is None else unfold_offset_variance(problem, solved)
-    )
+    drifts = problem.precision.drift is not None
+    offset_var = read_offset_variance(problem, solved) if drifts else None
     added = encoder_offset.measure_repair_variance(problem, offset_var)
     return np.asarray(cov + added[:, :, None] * np.eye(added.shape[1]))
 
@@ -275,9 +271,8 @@ def find_offset_faults(problem: FilterProblem, solved: Solution) -> tuple[Fault,
     """Encoder offsets as faults, from the filtered offsets, without encoders known to be faulty."""
     if problem.precision.drift is None:
         return ()
-    unfold = solved.fold.unfold_events
-    var = unfold_offset_variance(problem, solved)
-    offsets = unfold(solved.trace.z[:, problem.dynamics.offset :])
+    var = read_offset_variance(problem, solved)
+    offsets = solved.trace.z[:, problem.dynamics.offset :]
     return encoder_offset.list_drifting_encoders(problem, offsets, var)
 
 

@@ -110,8 +110,8 @@ def find_reason_of_disagreement(
         problem = _move_readings_to_links(problem, found.explanation)
         problem = replace(problem, precision=tune_by_evidence(problem, whole=False)[0])
         filtered = filter_roughly(problem)
-        angles = filtered.fold.unfold_events(filtered.trace.z)
-        cov = filtered.fold.unfold_events(filtered.trace.cov)
+        angles = filtered.trace.z
+        cov = filtered.trace.cov
         white = explain_by_white_noise(problem)
         assert white is not None  # as the log with its load has an explanation
         causal = True
@@ -223,8 +223,7 @@ def measure_rough_motion(
             problem = remove_readings(problem, (far, *kept))
             solution = filter_roughly(problem, rest=1.0)
         trace = solution.trace
-        found = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
-        x, cov, read, nats = map(solution.fold.unfold_events, found)
+        x, cov, read, nats = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
     products, weights, image_nats, at = _compare_images_with_readings(problem, x, cov, read)
     noise = problem.precision.encoder
     coloured = _find_coloured_joints(read[problem.timeline.encoders], encoders, noise)

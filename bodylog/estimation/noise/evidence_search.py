@@ -15,7 +15,7 @@ The stated share of V is that of noise and motion where their sum is least, (1 â
 p/(p âˆ’ 1).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,17 +26,9 @@ from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
 from ..inference.reacquisition import find_joints_left_open, find_silent_joints
-from ..inference.scan import (
-    MAX_SWEEPS,
-    FilterDynamics,
-    FilterReadings,
-    FilterTrace,
-    TraceDetail,
-    filter_stretches,
-    hand_over_starts,
-)
-from ..inference.solution import Solution, hand_back_adjoints, smooth_states
-from ..inference.tangents import repeat_state_prior
+from ..inference.scan import MAX_SWEEPS, FilterReadings, FilterTrace, TraceDetail, filter_readings
+from ..inference.solution import Solution, smooth_states
+from ..inference.tangents import build_state_prior
 from ..measurements.long_arrays import find_finite_rows, measure_median_step
 from ..measurements.records import Encoders, Sighting
 from ..measurements.timeline import (
@@ -122,60 +114,20 @@ def _fit_motion_power(ratios: Array, step: float, order: int) -> float:
 
 
 def _smooth_candidates(part: FilterProblem, solved: Solution, factors: Array) -> Array:
-    """Smoothed angles (G,E,M) for each factor, with the tangents of `solved`.
-
-    One factor after the other, as a smoother keeps covariances of all instants.
-    """
-    solved.tangents.write_stale_tangents(part, solved.fold, solved.readings)
+    """Smoothed angles (G,E,M) for each factor, with the tangents of `solved`."""
+    m = len(part.start)
+    start = build_state_prior(part.start, part.dynamics)
+    solved.tangents.write_stale_tangents(part, solved.readings)
     trace = None
     paths = []
     for process in factors[:, None] * part.precision.process:
         precision = replace(part.precision, process=process, stated=_compute_noise_share(part))
-        path, trace = _smooth_path(replace(part, precision=precision), solved, trace)
-        paths.append(path)
+        posed = replace(part, precision=precision)
+        var = solved.tangents.compute_smoother_variances(posed, solved.readings)
+        readings = replace(solved.readings, var=var)
+        trace = filter_readings(readings, posed.dynamics, *start, TraceDetail.MEANS, trace)
+        paths.append(smooth_states(readings, trace, posed.dynamics)[0][:, :m])
     return np.stack(paths)
-
-
-def _smooth_path(
-    posed: FilterProblem, solved: Solution, into: FilterTrace | None
-) -> tuple[Array, FilterTrace]:
-    """Smoothed angles (E,M); and the trace, which may be `into`, overwritten."""
-    fold = solved.fold
-    dynamics = posed.dynamics
-    m = len(posed.start)
-    var = solved.tangents.fold_smoother_variances(posed, fold, solved.readings)
-    readings = replace(solved.readings, var=var)
-    prior = repeat_state_prior(posed, fold)
-    trace = filter_stretches(
-        readings, dynamics, *hand_over_starts(*prior, solved.trace), TraceDetail.MEANS, into
-    )
-    trace = filter_stretches(
-        readings, dynamics, *hand_over_starts(*prior, trace), TraceDetail.MEANS, trace
-    )
-    _, start = smooth_states(readings, trace, np.zeros_like(trace.z[-1]), dynamics)
-    smooth, _ = smooth_states(readings, trace, hand_back_adjoints(start), dynamics)
-    return fold.unfold_events(smooth[:, :m]), trace
-
-
-def stack_candidates(
-    part: FilterProblem, solved: Solution, processes: Array, var: Array
-) -> tuple[FilterReadings, FilterDynamics, Array, Array]:
-    """What `filter_stretches` takes for candidates of process
-    variances (M,G) and variances of frames (L,T,D,C,G).
-
-    Their stretches start where those of `solved` ended.
-    """
-    g = processes.shape[1]
-    fold = solved.fold
-    dynamics = replace(part.dynamics, process=np.tile(processes, fold.stretch_count))
-    starts = hand_over_starts(*repeat_state_prior(part, fold), solved.trace)
-    z, p = (np.repeat(part, g, axis=-1) for part in starts)
-    return (
-        replace(solved.readings, var=var.reshape(*var.shape[:-2], var.shape[-2] * g)),
-        dynamics,
-        z,
-        p,
-    )
 
 
 def with_preferred_order(problem: FilterProblem) -> FilterProblem:
@@ -324,7 +276,7 @@ def _tune_filter_noise(problem: FilterProblem, part: FilterProblem, solved: Solu
     if encoders is None or len(encoders.t) < 2:
         return replace(part.precision, process=0.5 * (alone + part.precision.process))
     density = precision.encoder * measure_median_step(encoders.t)
-    var = solved.fold.unfold_events(np.einsum("liic->lic", solved.trace.cov[:, :m, :m]))
+    var = np.einsum("eii->ei", solved.trace.cov[:, :m, :m])
     together = np.sqrt(var).mean(axis=0)
     unknown, white = (
         np.minimum(together**2 / compute_steady_variance(density, process, precision.order), 1.0)
@@ -378,32 +330,47 @@ def compute_candidate_costs(
     """Free energy (G,) nats of the log for candidates (G,
     M + tracks): process variances, then pixel factors.
 
-    Stretches start where those of `solved` ended. Also the first candidate's solution.
+    Also the first candidate's solution.
     """
-    readings = solved.readings
-    fold = solved.fold
-    g = len(candidates)
     m = len(part.start)
-    solved.tangents.write_stale_tangents(part, fold, readings)
-    var = np.repeat(readings.var[..., None], g, axis=-1)
+    solved.tangents.write_stale_tangents(part, solved.readings)
+    start = build_state_prior(part.start, part.dynamics)
+
+    def filter_candidate(values: Array, into: FilterTrace | None) -> FilterTrace:
+        scale = dict(zip(names, values[m:].tolist(), strict=True))
+        readings = replace(solved.readings, var=_scale_pixel_noise(part, solved.readings, scale))
+        return filter_readings(
+            readings, replace(part.dynamics, process=values[:m]), *start, into=into
+        )
+
+    first = filter_candidate(candidates[0], None)
+    nats = [first.nats.sum()]
+    trace = None
+    for values in candidates[1:]:
+        trace = filter_candidate(values, trace)
+        nats.append(trace.nats.sum())
+    return np.array(nats), replace(solved, trace=first)
+
+
+def _scale_pixel_noise(
+    part: FilterProblem, readings: FilterReadings, scale: Mapping[str, float]
+) -> Array:
+    """Variances (E,T,D) of the readings' frames with other pixel factors of some tracks."""
+    var = readings.var.copy()
     for index, (sighting, events) in enumerate(
         zip(part.evidence.sightings, part.timeline.sightings, strict=True)
     ):
-        if sighting.name in names:
-            pixels = np.zeros_like(readings.var[:, index])
-            fold.write_events(
-                pixels[:, : sighting.var.shape[1]], events, sighting.independent_rows.var
-            )
-            scale = part.precision.scale[sighting.name]
-            more = candidates[:, m + names.index(sighting.name)] - scale
-            # a lasting error counts less than its variance in a filter's
-            # extrapolation, so that a reading's variance may be less
-            # than its pixels': no more can be taken from it than it has
-            shares = np.minimum(pixels, readings.var[:, index] / scale)
-            var[:, index] += shares[..., None] * more
-    trace = filter_stretches(*stack_candidates(part, solved, candidates[:, :m].T, var), every=g)
-    first = replace(trace, nats=trace.nats[:, ::g])
-    return np.asarray(trace.nats.reshape(-1, g).sum(axis=0)), replace(solved, trace=first)
+        if sighting.name in scale:
+            usual = part.precision.scale[sighting.name]
+            pixels = sighting.independent_rows.var
+            rows = pixels.shape[1]
+            now = readings.var[events, index, :rows]
+            # a lasting error counts less than its variance in a filter's extrapolation, so that a
+            # reading's variance may be less than its pixels': no more can be taken from it than it
+            # has
+            more = np.minimum(pixels, now / usual) * (scale[sighting.name] - usual)
+            var[events, index, :rows] = now + more
+    return var
 
 
 def cut_to_middle(problem: FilterProblem) -> FilterProblem:
