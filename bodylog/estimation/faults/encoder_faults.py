@@ -201,6 +201,8 @@ def _find_excursions(
     those of the `moves` that win EVIDENCE_THRESHOLD_NATS.
     """
     jumps = {at: size for at, size, nats in moves if nats > EVIDENCE_THRESHOLD_NATS}
+    if not jumps:
+        return []
     begins = sorted({*jumps, *index_resumed_readings(t, y).tolist()})
     return [
         (begin, end, jumps.get(begin, -jumps[end]))
