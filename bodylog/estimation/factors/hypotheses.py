@@ -21,7 +21,7 @@ from .encoder_error import LEAST_STD
 from .factor_problem import CHANGE, FactorProblem, Noise
 from .gauss_newton import path_from_beliefs, solve_problem
 from .load import FIRST_BEND, LoadColumns, bend_under_load, count_groups, refine_loads
-from .noise_search import FEWEST_READINGS, Learned, learn_noise
+from .noise_search import FEWEST_READINGS, FLAT_NATS, Learned, learn_noise
 from .timed_columns import list_displaced_images, list_timed_loads, weigh_displacements
 
 FIRST_STD = 1e-3
@@ -32,6 +32,8 @@ SILENT_STD = 1e-5
 """rad: width of a group of columns whose joint does not bend."""
 MOST_BEND = 0.1
 """rad: an arm that bends farther under a load is broken; its images show something else."""
+COMPARED_NATS = 0.1
+"""Twice what the last step of a search may gain where explanations are compared."""
 MOST_TIMES = 2
 """Times in which a load is carried that are looked for: each takes a second or two to compare."""
 OFFSET = "offset"
@@ -154,7 +156,7 @@ def _solve_refined_load(
     """The problem with columns of a load that hold for angles, and its noise and sizes."""
     columns = refine_loads(problem.columns, found.sizes, _find_turning(found.noise))
     refined = replace(problem, columns=columns)
-    found = _fit_noise(refined, found.noise, step_s, found)
+    found = _fit_noise(refined, found.noise, step_s, found, flat=FLAT_NATS)
     return refined, mix_silent_groups(found, columns)
 
 
@@ -314,7 +316,7 @@ def _list_plays(halves: Array) -> Iterator[Play]:
 
 def fit_white_noise(problem: FactorProblem, noise: Noise, step_s: float) -> Learned:
     """White noise alone by the evidence of a log; arguments as of `find_explanation`."""
-    return _fit_noise(problem, noise, step_s, rounds=2)
+    return _fit_noise(problem, noise, step_s, rounds=2, flat=FLAT_NATS)
 
 
 def mix_silent_groups(found: Learned, columns: Sequence[Column]) -> Learned:
@@ -427,12 +429,14 @@ def _fit_noise(
     step_s: float,
     before: Learned | None = None,
     rounds: int = 1,
+    flat: float = COMPARED_NATS,
 ) -> Learned:
     """Noise by evidence, from the path that this noise gives; one round is enough to compare.
 
-    before: what was learned of a like problem, with whose path and curvature this begins.
+    before: what was learned of a like problem, with whose path and curvature this begins · flat:
+    as `learn_noise` takes it.
     """
     solution = solve_problem(problem, noise, None if before is None else before.path, rounds=4)
     path = path_from_beliefs(problem, noise, solution.beliefs)
     curvature = {} if before is None else before.curvature
-    return learn_noise(problem, noise, path, step_s, rounds, curvature)
+    return learn_noise(problem, noise, path, step_s, rounds, curvature, flat)

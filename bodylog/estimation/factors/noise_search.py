@@ -81,9 +81,11 @@ def learn_noise(
     step_s: float,
     rounds: int,
     curvature: Mapping[tuple[str, str], float],
+    flat: float = FLAT_NATS,
 ) -> Learned:
     """The most probable noise, from `noise` on; step_s: the encoders' usual step · rounds: times
-    that the log is linearised about what the last noise gives · curvature: as `Learned` has it.
+    that the log is linearised about what the last noise gives · curvature: as `Learned` has it ·
+    flat: twice what the last step of the search may gain, nats.
     """
     names, table = _tabulate_parameters(problem, noise, step_s)
     begin, unit, least, most, mean, std = table.T
@@ -99,7 +101,7 @@ def learn_noise(
             return nats + float(0.5 * away @ away), slope + away / std
 
         found = minimise_with_bfgs(
-            weigh_with_prior, np.clip(begin, least, most), least, most, guess, FLAT_NATS, 1.0
+            weigh_with_prior, np.clip(begin, least, most), least, most, guess, flat, 1.0
         )
         begin = found.at
         guess = found.curvature
