@@ -237,8 +237,12 @@ def _allow_load(
         return problem, before, None
     each = (list_timed_loads(problem, basis.noise, basis.white.path, one) for one in loads)
     timed = chain(*(islice(one, 1 + MOST_TIMES) for one in each))
-    tried = ((_learn_load(problem, basis, one, before), one, cost) for one, cost in timed)
+    sides = _list_lasting_noises(basis.white.noise)
+    own, other = sides[::-1] if before.noise.joints.at_link.any() else sides
+    tried = ((_learn_load(problem, basis, one, before, own), one, cost) for one, cost in timed)
     bent, load, cost = min(tried, key=lambda one: one[0].nats + one[2])
+    # which load it is does not depend on where errors last
+    bent = _choose_most_probable([bent, _learn_load(problem, basis, load, before, other)])
     # each of the loads is as likely before the log
     cost += float(np.log(len(loads)))
     # noise that is found beside a load may explain the log without it, too
@@ -297,13 +301,11 @@ def _replaces_play(problem: FactorProblem, before: Learned, bent: Learned, halve
 
 
 def _learn_load(
-    problem: FactorProblem, basis: _Basis, load: LoadColumns, before: Learned
+    problem: FactorProblem, basis: _Basis, load: LoadColumns, before: Learned, lasting: Noise
 ) -> Learned:
-    """The noise beside a load by evidence, with errors at encoders or at links."""
-    loaded = problem.with_columns(load)
-    groups = (FIRST_BEND,) * count_groups(load)
-    each = [replace(one, groups=groups) for one in _list_lasting_noises(basis.white.noise)]
-    return _choose_most_probable([_fit_noise(loaded, one, basis.step_s, before) for one in each])
+    """The noise beside a load by evidence, from noise with errors that last."""
+    noise = replace(lasting, groups=(FIRST_BEND,) * count_groups(load))
+    return _fit_noise(problem.with_columns(load), noise, basis.step_s, before)
 
 
 def _list_plays(halves: Array) -> Iterator[Play]:
