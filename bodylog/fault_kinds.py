@@ -141,10 +141,12 @@ class Fault:
 
 
 def span_text(fault: Fault, decimals: int = 1) -> str:
-    """When a fault was there: "since 18.0 s", or "18.0 to 21.0 s"."""
-    if fault.until is None:
-        return f"since {fault.since:.{decimals}f} s"
-    return f"{fault.since:.{decimals}f} to {fault.until:.{decimals}f} s"
+    """When a fault was there: "since 18.0 s", "18.0 to 21.0 s", or "for a moment at 18.0 s"."""
+    begin = f"{fault.since:.{decimals}f}"
+    end = None if fault.until is None else f"{fault.until:.{decimals}f}"
+    if end == begin or (end is None and fault.kind == FaultKind.GLITCH):
+        return f"for a moment at {begin} s"
+    return f"since {begin} s" if end is None else f"{begin} to {end} s"
 
 
 def fault_sentence(fault: Fault) -> str:
@@ -159,10 +161,8 @@ def fault_sentence(fault: Fault) -> str:
     elif fault.kind == FaultKind.DISPLACED and fault.unit == "m":
         form = _TRACKER
     words = form.words if fault.sized or form.words_unsized is None else form.words_unsized
-    momentary = fault.kind == FaultKind.GLITCH and fault.until is None
     at = f"{fault.since:.1f} s"
-    since = f"for a moment at {at}" if momentary else span_text(fault)
-    text = f"{fault.name}: {words.format(size=_size_text(fault), since=since, at=at)}"
+    text = f"{fault.name}: {words.format(size=_size_text(fault), since=span_text(fault), at=at)}"
     if fault.turn is not None and fault.sized:
         text += f" and turned by {_turn_text(fault)}"
     return text if fault.sized or not fault.alternatives else f"{text} (the log cannot tell which)"

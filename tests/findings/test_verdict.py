@@ -51,6 +51,10 @@ def test_verdict_without_truth_gives_typical_error_bars() -> None:
             "encoder is off by 0.1 ± 0.01 rad (5.73 ± 0.57°) since 0.0 s",
         ),
         (Fault("encoders", JOINTS[0], FaultKind.GLITCH, 1.0, 2.0, "rad"), "encoder is off by 2 rad (115°) for a moment at 1.0 s"),
+        (
+            Fault("encoders", JOINTS[0], FaultKind.GLITCH, 0.0, 0.5, "rad", until=0.02),
+            "encoder is off by 0.5 rad (28.6°) for a moment at 0.0 s",
+        ),
     ],
 )
 def test_verdict_names_a_fault_first(fault: Fault, text: str) -> None:
