@@ -57,8 +57,8 @@ SPACE_ENDS = tuple(
 
 
 def find_point_topic(topics: Sequence[Topic]) -> str | None:
-    """The first topic of points, with a path to one of them, that may be a marker's track; None
-    where there is none, as a simulation's truth is no track.
+    """The first topic of points, with a path to one of them, that may be a marker's track, or None;
+    a simulation's truth is no track.
     """
     paths = {_ONE_POINT: "", **BY_TYPE}
     points = (one for one in topics if one.type in paths and "truth" not in one.name)

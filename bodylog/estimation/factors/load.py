@@ -159,7 +159,7 @@ def count_groups(loads: Sequence[Column]) -> int:
 
 def _bend_by_levers(hand: Hand, body: BodyModel, known: Array) -> Iterator[Payload]:
     """Yield, for each direction in which a weight may pull, how all joints that carry the hand sink
-    alike, and how each does more than that; where it is known which way that is, those that stood
+    together, and how each does more than that; where it is known which way that is, those that stood
     still as well.
     """
     still = _measure_still_levers(body, known) if hand.is_upright else {}

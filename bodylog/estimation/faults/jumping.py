@@ -302,7 +302,7 @@ def _estimate_step_scale(steps: Array) -> float:
 
 
 def _extrapolate_level(v: Array) -> float:
-    """Level of a short piece at its last reading, by a straight line; that reading of one or two."""
+    """Level of a short piece at its last reading, by a straight line; of one or two, that one."""
     if len(v) < 3:
         return float(v[-1])
     return float(np.polyfit(np.arange(1 - len(v), 1), v, 1)[1])

@@ -1,5 +1,5 @@
-"""A solved log, filtered or smoothed, and the backward passes of the smoother (kernels.py): smoothed
-means x = z − P λ, where λ is the adjoint, and covariances.
+"""A solved log, filtered or smoothed, and the backward passes of the smoother (kernels.py): to
+smoothed means x = z − P λ, where λ is the adjoint, and to covariances.
 
 Back over a reading y = h x + n of noise R the adjoint is λ − hᵀ R⁻¹ (y − h x). The information of
 covariances is carried back in Bryson–Frazier form, which needs the filter's gains but no inverse.

@@ -223,7 +223,10 @@ def measure_rough_motion(
             problem = remove_readings(problem, (far, *kept))
             solution = filter_roughly(problem, rest=1.0)
         trace = solution.trace
-        x, cov, read, nats = (trace.prior, trace.prior_cov, trace.encoder_d, trace.nats)
+        x = trace.prior
+        cov = trace.prior_cov
+        read = trace.encoder_d
+        nats = trace.nats
     products, weights, image_nats, at = _compare_images_with_readings(problem, x, cov, read)
     noise = problem.precision.encoder
     coloured = _find_coloured_joints(read[problem.timeline.encoders], encoders, noise)
