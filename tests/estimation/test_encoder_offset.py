@@ -206,6 +206,23 @@ def test_step_after_a_silence_of_all_encoders_is_named(world, seed, size, silenc
     assert error(found, drawn, since=8.0 + silence) < 0.006
 
 
+@pytest.mark.parametrize("seed", seeds(1, 4))
+def test_large_step_in_a_gap_of_precise_encoders_is_a_step_from_the_first_reading_on(world, seed):
+    """A filter shows it late, and a parabola that was followed too far found no size: a drift."""
+    drawn = world(seed, duration=12.0, encoder_std=0.003, camera_hz=20.0)
+    joints = drawn.features.joints
+    values = joints.values.copy()
+    values[joints.t >= 7.0, joints.names.index("pan")] += 0.5
+    values[(joints.t >= 6.0) & (joints.t < 7.0)] = np.nan
+    features = replace(drawn.features, joints=replace(joints, values=values))
+    found = estimate_from_features(features, drawn.body, EstimationSettings())
+    (fault,) = found.faults
+    assert (fault.name, fault.kind) == ("pan", "jumping")
+    assert fault.since == pytest.approx(7.0, abs=0.03)
+    assert abs(fault.size - 0.5) < 4.0 * fault.std < 0.01
+    assert error(found, drawn) < 0.003
+
+
 @pytest.mark.parametrize(
     ("seed", "joint", "size"), [(3, "elbow", 0.02), (4, "elbow", 0.05), (0, "pan", 0.02)]
 )

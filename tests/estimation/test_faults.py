@@ -409,6 +409,26 @@ def test_the_stretch_between_two_jumps_may_be_the_true_one(world, seed):
     assert np.sqrt(np.mean((found.joints.values - drawn.truth.values) ** 2)) < 0.003
 
 
+@pytest.mark.parametrize("method", ["filter", "smoother"])
+@pytest.mark.parametrize("returns_in_gap", [False, True])
+@pytest.mark.parametrize("seed", seeds(1, 3))
+def test_a_jump_that_hides_in_a_gap_is_found_by_the_jump_that_undoes_it(world, method, returns_in_gap, seed):
+    """Readings behind the visible jump were all taken for wrong ones: 85 to 230 mrad."""
+
+    def start_again(t, y):
+        y[(t >= 6.0) & (t < 7.0)] = np.nan
+        y[(t >= 5.0) & (t < 7.0) if returns_in_gap else (t >= 7.0) & (t < 8.0)] += 0.5
+
+    drawn = world(seed, duration=12.0, encoder_std=0.003, camera_hz=20.0)
+    found = estimate_from_features(spoil(drawn, start_again), drawn.body, EstimationSettings(method=method))
+    first, second = sorted(found.faults, key=lambda fault: fault.since)
+    begin, end = (5.0, 7.0) if returns_in_gap else (7.0, 8.0)
+    assert [one.name for one in (first, second)] == ["pan", "pan"]
+    assert (first.since, second.since) == (pytest.approx(begin, abs=0.03), pytest.approx(end, abs=0.03))
+    assert (first.size, second.size) == (pytest.approx(0.5, abs=0.02), pytest.approx(-0.5, abs=0.02))
+    assert np.sqrt(np.mean((found.joints.values - drawn.truth.values) ** 2)) < 0.004
+
+
 @pytest.mark.parametrize("seed", seeds(1, 2))
 def test_images_of_something_else_do_not_choose_the_true_stretch(world, seed):
     drawn = world(seed, duration=12.0, encoder_std=0.002, camera_hz=20.0)

@@ -120,8 +120,10 @@ def _find_likeliest_step(
     unsure = (t > since - MAX_MEMORY_S) & (t <= since)
     masked = np.where(unsure, np.nan, np.where(t > since, y - size, y))
     masked_off = _measure_residuals(_with_readings(problem, joint, masked), problem, joint, solved)
-    shifts = np.where(unsure, np.sign(size) * np.diff(y, prepend=np.nan), np.nan)
-    largest = float(t[np.nan_to_num(shifts, nan=-np.inf).argmax()])
+    # an encoder may jump while it is silent: a shift is that from the reading before
+    read = np.isfinite(y)
+    shifts = np.where(unsure[read], np.sign(size) * np.diff(y[read], prepend=np.nan), np.nan)
+    largest = float(t[read][np.nan_to_num(shifts, nan=-np.inf).argmax()])
     begins = {_fit_change(t, masked_off, grows=False)[0], largest}
     # an encoder that is off so soon is off from the start
     steps = {one if one - t[0] >= MAX_MEMORY_S else float(t[0]): size for one in sorted(begins)}
@@ -202,10 +204,17 @@ def _size_likeliest_change(
 
     since = min(tried, key=lambda one: measure_cost(one, tried[one]))
     size = tried[since]
+    least = np.inf
+    more = 0.0
     for _ in range(SIZE_ROUNDS):
-        lowest = _fit_parabola_minimum(
-            [measure_cost(since, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
-        )
+        nats = [measure_cost(since, size + apart) for apart in (-OFFSET_STD, 0.0, OFFSET_STD)]
+        if nats[1] > least:
+            # beyond where the parabola holds: back by three quarters of the way
+            more *= 0.25
+            size -= 3.0 * more
+            continue
+        least = nats[1]
+        lowest = _fit_parabola_minimum(nats)
         if lowest is None:
             return None
         cost, more, std = lowest

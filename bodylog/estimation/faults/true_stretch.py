@@ -12,6 +12,7 @@ import numpy as np
 from ...types import Array, Fault, FaultKind
 from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Encoders, Sighting
+from .jumping import index_resumed_readings
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 IMAGES_OF_LOG = 3
@@ -34,6 +35,9 @@ def refer_to_true_stretch(
     jumps = [fault for fault in faults if fault.kind == FaultKind.JUMPING]
     if not jumps or not images or not np.isfinite(encoders.values).any(axis=0).all():
         return encoders, list(faults)
+    encoders, behind_gaps = _take_out_jumps_at_gaps(encoders, images, joints, jumps)
+    jumps += behind_gaps
+    faults = [*faults, *behind_gaps]
 
     def continue_stretch(begin: float) -> Encoders:
         level = [
@@ -47,15 +51,8 @@ def refer_to_true_stretch(
 
     begins = np.array(sorted({fault.since for fault in jumps}))
     lasting = np.diff(begins, append=encoders.t[-1])
-    first = _measure_misfits(encoders, images)
     won = {
-        begin: IMAGES_OF_LOG
-        * sum(
-            float(np.median(before - after))
-            for before, after in zip(
-                first, _measure_misfits(continue_stretch(begin), images), strict=True
-            )
-        )
+        begin: _compare_misfits(encoders, continue_stretch(begin), images)
         for begin in begins[np.argsort(-lasting)[:MOST_STRETCHES]].tolist()
     }
     true_since = max(won, key=lambda begin: won[begin])
@@ -68,6 +65,62 @@ def refer_to_true_stretch(
         else one
         for one in faults
     ]
+
+
+def _take_out_jumps_at_gaps(
+    encoders: Encoders, images: Sequence[Sighting], joints: Sequence[str], jumps: Sequence[Fault]
+) -> tuple[Encoders, list[Fault]]:
+    """Readings without the jumps that hide in gaps, where images show them, and these jumps.
+
+    An encoder whose driver starts again may read wrongly until it is homed, or be homed while it is
+    silent: one of its two jumps shows in its readings, and the other undoes it in a gap.
+    """
+    found = list[Fault]()
+    for jump in jumps[:MOST_STRETCHES]:
+        joint = joints.index(jump.name)
+        for since in _find_longest_gaps(encoders, joint, jump, [*jumps, *found]):
+            values = encoders.values.copy()
+            values[encoders.t >= since, joint] += jump.size
+            mended = replace(encoders, values=values)
+            if _compare_misfits(encoders, mended, images) > EVIDENCE_THRESHOLD_NATS:
+                encoders = mended
+                found.append(replace(jump, since=since, size=-jump.size))
+                break
+    return encoders, found
+
+
+def _find_longest_gaps(
+    encoders: Encoders, joint: int, jump: Fault, jumps: Sequence[Fault]
+) -> list[float]:
+    """When (s) a joint's encoder reads again after the longest gap between one of its jumps and the
+    jump before, and after that between it and the next one.
+    """
+    resumed = index_resumed_readings(encoders.t, encoders.values[:, joint])
+    known = np.flatnonzero(np.isfinite(encoders.values[:, joint]))
+    before = encoders.t[known[np.searchsorted(known, resumed[1:]) - 1]]
+    after = encoders.t[resumed[1:]]
+    others = [one.since for one in jumps if one.name == jump.name]
+    earlier = max((since for since in others if since < jump.since), default=-np.inf)
+    later = min((since for since in others if since > jump.since), default=np.inf)
+    longest = list[float]()
+    for begin, end in ((earlier, jump.since), (jump.since, later)):
+        within = (after > begin) & (after < end)
+        if within.any():
+            longest.append(float(after[within][(after - before)[within].argmax()]))
+    return longest
+
+
+def _compare_misfits(encoders: Encoders, mended: Encoders, images: Sequence[Sighting]) -> float:
+    """Nats by which images fit mended readings better than the readings, by the median of each
+    sense's images at which the two differ.
+    """
+    nats = 0.0
+    pairs = zip(_measure_misfits(encoders, images), _measure_misfits(mended, images), strict=True)
+    for misfits, fewer in pairs:
+        differ = misfits != fewer
+        if differ.any():
+            nats += IMAGES_OF_LOG * float(np.median((misfits - fewer)[differ]))
+    return nats
 
 
 def _measure_misfits(encoders: Encoders, images: Sequence[Sighting]) -> list[Array]:
