@@ -63,6 +63,19 @@ def test_estimate_follows_a_joint_after_a_long_rest(method):
     assert np.abs(found.joints.values - truth).max() < 1e-3
 
 
+def test_error_bars_of_joints_at_rest_that_images_determine_are_stated_nearly_whole():
+    """Images' errors last; of what encoders alone tell, a quarter is motion, and there is none."""
+    each = []
+    for seed in range(4):
+        world = drawn(seed, Drawn("rest", noise=0.01, encoder_hz=100.0, camera_hz=20.0, pixel=0.03))
+        for senses in (None, ("encoders",)):
+            found = estimate_from_features(world.features, world.body, EstimationSettings(senses=senses))
+            stated = np.array(found.settings["stated"])
+            assert (stated > 0.8).all() if senses is None else (stated < 0.77).all()
+            each.append(judged(world, found.joints, found.cov)[1])
+    assert 0.8 < np.mean(each) < 1.2
+
+
 def ramped(t, rng, speed):
     """Moves from rest to rest: speed (rad/s) rises and falls evenly, within a tenth of a second."""
     x = np.tile(np.array([-0.9, -0.9, 1.0]), (len(t), 1))

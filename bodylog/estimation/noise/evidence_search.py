@@ -271,23 +271,36 @@ def _tune_filter_noise(problem: FilterProblem, part: FilterProblem, solved: Solu
     """
     encoders = problem.evidence.encoders
     precision = problem.precision
-    m = len(problem.start)
     alone = precision.process if precision.evidence_process is None else precision.evidence_process
     if encoders is None or len(encoders.t) < 2:
         return replace(part.precision, process=0.5 * (alone + part.precision.process))
-    density = precision.encoder * measure_median_step(encoders.t)
-    var = np.einsum("eii->ei", solved.trace.cov[:, :m, :m])
-    together = np.sqrt(var).mean(axis=0)
-    unknown, white = (
-        np.minimum(together**2 / compute_steady_variance(density, process, precision.order), 1.0)
-        for process in (precision.process, part.precision.process)
-    )
+    unknown = _compute_share_of_encoders(problem, solved, precision.process)
     taking_part = unknown.sum() ** 2 / np.square(unknown).sum()
     # a silent encoder has no share
     share = np.isfinite(encoders.values).mean(axis=0) * np.minimum(taking_part * unknown, 1.0)
     # encoders alone may find no motion where images find some
     more = share * np.maximum(alone - part.precision.process, 0.0)
-    return part.precision.with_memory_bound(part.precision.process + more, encoders, white)
+    evident = part.precision.process + more
+    bounded = part.precision.with_memory_bound(evident, encoders)
+    if (bounded.process == evident).all():
+        return bounded
+    # with the process of a joint that stands still a filter settles at no steady variance
+    settled = filter_roughly(replace(part, precision=bounded), solved)
+    white = _compute_share_of_encoders(problem, settled, bounded.process)
+    return part.precision.with_memory_bound(evident, encoders, white)
+
+
+def _compute_share_of_encoders(problem: FilterProblem, solved: Solution, process: Array) -> Array:
+    """Variance (M,) of the solved filter over the steady one by encoders alone with a process (M,),
+    at most 1.
+    """
+    encoders = problem.evidence.encoders
+    assert encoders is not None
+    m = len(problem.start)
+    density = problem.precision.encoder * measure_median_step(encoders.t)
+    together = np.sqrt(np.einsum("eii->ei", solved.trace.cov[:, :m, :m])).mean(axis=0)
+    alone = compute_steady_variance(density, process, problem.precision.order)
+    return np.asarray(np.minimum(together**2 / alone, 1.0))
 
 
 def _take_log_parameters(part: FilterProblem, names: list[str]) -> Array:
