@@ -410,8 +410,10 @@ def test_a_pull_is_of_one_direction_for_all_joints_and_begins_when_it_did():
         own, link = refined[4:6]
         force = np.array([0.3, -0.4, 1.2])
         levers = hand.measure_levers(q)[:, 0]
+        rest = np.zeros(q.shape)
+        path = Path(np.arange(len(q), dtype=float), q, rest, q, rest)
         for one, lever in ((own, levers[:, :3]), (link, levers[:, 3:])):
-            np.testing.assert_allclose(one.bends_links(q)[:, 0], -lever @ force / one.longest, atol=1e-12)
+            np.testing.assert_allclose(one.bends_links(path)[:, 0], -lever @ force / one.longest, atol=1e-12)
 
 
 def judge_log(kind, seed):

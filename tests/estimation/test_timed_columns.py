@@ -53,7 +53,8 @@ def test_columns_added_later_have_the_schur_complement_of_columns_that_are_there
 def moved_images(problem, shifts, sizes):
     """The problem with images displaced by shifts of these sizes, px."""
     (sighting,), (images,) = problem.sightings, problem.images
-    rows = sum(size * one.displaces_images(images, guess_path(problem)) for one, size in zip(shifts, sizes, strict=True))
+    seen = guess_path(problem).at_images(images)
+    rows = sum(size * one.displaces_images(images, seen) for one, size in zip(shifts, sizes, strict=True))
     return replace(problem, sightings=(replace(sighting, values=sighting.values + rows),))
 
 

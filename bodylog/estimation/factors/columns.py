@@ -4,10 +4,12 @@ unit of each changes in links, images and readings.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 
+from ...kinematics.hand import Hand
 from ...types import TRACK_AXES, Array
 from ..measurements.track import camera_of_track
 from .images import Images
@@ -42,6 +44,17 @@ class Path:
             self.slack[rows],
         )
 
+    def measure_levers(self, hand: Hand) -> Array:
+        """The levers of a hand along the path, as `Hand` has them: once for all columns of a load."""
+        levers = self._levers_by_hand.get(id(hand))
+        if levers is None:
+            levers = self._levers_by_hand[id(hand)] = hand.measure_levers(self.angles)
+        return levers
+
+    @cached_property
+    def _levers_by_hand(self) -> dict[int, Array]:
+        return {}
+
 
 @dataclass(frozen=True)
 class Column:
@@ -62,11 +75,13 @@ class Column:
         """What a unit moves the links by (K,M) rad."""
         return np.zeros(path.angles.shape)
 
-    def moves_images(self, images: Images, path: Path) -> Array:
-        """What a unit moves the links by (F,M) rad, as images show them."""
-        return self.moves_links(path.at_images(images))
+    def moves_images(self, images: Images, seen: Path) -> Array:
+        """What a unit moves the links by (F,M) rad, as images show them; seen: the path at their
+        times.
+        """
+        return self.moves_links(seen)
 
-    def displaces_images(self, images: Images, path: Path) -> Array:
+    def displaces_images(self, images: Images, seen: Path) -> Array:
         """What a unit displaces images by beside moving links (F,D), in the unit of their sense."""
         return np.zeros(images.values.shape)
 
@@ -95,11 +110,9 @@ class Delay(Column):
 
     camera: str = ""
 
-    def moves_images(self, images: Images, path: Path) -> Array:
+    def moves_images(self, images: Images, seen: Path) -> Array:
         """Minus the rate, in this camera's images."""
-        return -path.at_images(images).rates * float(
-            camera_of_track(images.sighting.name) == self.camera
-        )
+        return -seen.rates * float(camera_of_track(images.sighting.name) == self.camera)
 
 
 @dataclass(frozen=True)
@@ -113,13 +126,12 @@ class ImageShift(Column):
     since: float = -np.inf
     until: float = np.inf
 
-    def displaces_images(self, images: Images, path: Path) -> Array:
+    def displaces_images(self, images: Images, seen: Path) -> Array:
         """A unit along the axis, in this camera's images of that time."""
         own = np.zeros(images.values.shape)
         sighting = images.sighting
         if sighting.is_track and camera_of_track(sighting.name) == self.camera:
-            t = path.at_images(images).knots
-            own[:, self.axis] = (t >= self.since) & (t < self.until)
+            own[:, self.axis] = (seen.knots >= self.since) & (seen.knots < self.until)
         return own
 
 

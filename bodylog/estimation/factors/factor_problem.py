@@ -146,22 +146,22 @@ def linearise_problem(problem: FactorProblem, path: Path, noise: Noise) -> Linea
     first = size - problem.model_rows
     for images in problem.images:
         here = path.at_images(images)
-        columns = build_image_columns(problem, images, path)
+        columns = build_image_columns(problem, images, here)
         rows.append(build_image_rows(images, here.links, noise.joints, *columns, first, size))
         first += images.values.shape[1]
     kappa = correlate_model_errors(problem.sightings, path.links)
     return Linearised(problem, path, problem.place_on_knots(path), tuple(rows), kappa, noise)
 
 
-def build_image_columns(problem: FactorProblem, images: Images, path: Path) -> tuple[Array, Array]:
-    """What the columns move links by (F,M,C), as images show
-    them, and what they displace images by beside (F,D,C).
+def build_image_columns(problem: FactorProblem, images: Images, seen: Path) -> tuple[Array, Array]:
+    """What the columns move links by (F,M,C), as images show them along the path seen, and what
+    they displace images by beside (F,D,C).
     """
     links = np.zeros((len(images.frames), len(problem.start), len(problem.columns)))
     displaced = np.zeros((*images.values.shape, len(problem.columns)))
     for c, column in enumerate(problem.columns):
-        links[..., c] = column.moves_images(images, path)
-        displaced[..., c] = column.displaces_images(images, path)
+        links[..., c] = column.moves_images(images, seen)
+        displaced[..., c] = column.displaces_images(images, seen)
     return links, displaced
 
 

@@ -55,11 +55,11 @@ class Load(Column):
 
     def moves_links(self, path: Path) -> Array:
         """What a unit bends the links by while the load is carried."""
-        return self.bends_links(path.angles) * self._share_carried(path.knots)[:, None]
+        return self.bends_links(path) * self._share_carried(path.knots)[:, None]
 
-    def bends_links(self, angles: Array) -> Array:
-        """What a unit bends links by (K,M) rad at angles (K,M)."""
-        return np.zeros(angles.shape)
+    def bends_links(self, path: Path) -> Array:
+        """What a unit bends links by (K,M) rad at a path's angles."""
+        return np.zeros(path.angles.shape)
 
     def _share_carried(self, t: Array) -> Array:
         """The share of the load that is carried at times t (N,) s: a hand takes it up steadily."""
@@ -83,10 +83,10 @@ class PostureLoad(Load):
     middle: tuple[float, ...] = ()
     factors: tuple[int, ...] = ()
 
-    def bends_links(self, angles: Array) -> Array:
+    def bends_links(self, path: Path) -> Array:
         """The product at the angles, for this joint."""
-        own = np.zeros(angles.shape)
-        each = [angles[:, j] - self.middle[j] for j in self.factors]
+        own = np.zeros(path.angles.shape)
+        each = [path.angles[:, j] - self.middle[j] for j in self.factors]
         own[:, self.joint] = np.prod(each, axis=0)
         return own
 
@@ -107,21 +107,20 @@ class Payload(Load):
     joints: tuple[int, ...] = ()
     still: tuple[str, ...] = ()
 
-    def bends_links(self, angles: Array) -> Array:
+    def bends_links(self, path: Path) -> Array:
         """Minus the levers at the angles, for these joints."""
-        own = np.zeros(angles.shape)
+        own = np.zeros(path.angles.shape)
         if self.joints:
             carrying = list(self.joints)
-            levers = self.hand.measure_levers(angles)[:, carrying]
+            levers = path.measure_levers(self.hand)[:, carrying]
             own[:, carrying] = -levers @ np.array(self.pull) / self.longest
         return own
 
-    def displaces_images(self, images: Images, path: Path) -> Array:
+    def displaces_images(self, images: Images, seen: Path) -> Array:
         """What images of the hand show of the others."""
         hand = find_same_hand(images.sighting.model, self.hand) if self.still else None
         if hand is None:
-            return super().displaces_images(images, path)
-        seen = path.at_images(images)
+            return super().displaces_images(images, seen)
         shown, moves = hand.show_still_joints(seen.links)
         sinks = np.array([name in self.still for name in hand.still_joints])
         levers = moves @ np.array(self.pull[: moves.shape[2]])
