@@ -9,10 +9,11 @@ _SMALL = 1e-4
 
 def cross_product_matrix(v: Array) -> Array:
     """Cross-product matrices (…,3,3) of vectors (…,3)."""
-    zero = np.zeros(v.shape[:-1])
-    x, y, z = v[..., 0], v[..., 1], v[..., 2]
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    cross = np.zeros((*v.shape, 3))
+    for first, second, third in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        cross[..., second, first] = v[..., third]
+        cross[..., first, second] = -v[..., third]
+    return cross
 
 
 def rotation_from_vector(w: Array) -> Array:

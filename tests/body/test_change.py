@@ -17,7 +17,7 @@ from bodylog.sim.hardware import Hardware, encoder_noise
 from bodylog.types import Fault, FaultKind
 from tests.body.changed_arms import DEGREE, explored, explored_without_urdf, run
 from tests.kinematics.robots import JOINTS
-from tests.seeds import seeds
+from tests.seeds import first_of, seeds
 from tests.validation.pushed_cameras import push
 
 
@@ -71,7 +71,7 @@ def test_false_sightings_do_not_count(known):
     assert one.name == "elbow" and abs(one.value[0] - 2 * DEGREE) < 3 * one.std[0]
 
 
-@pytest.mark.parametrize("seed", [53, 54, 55])
+@pytest.mark.parametrize("seed", first_of(1, [53, 54, 55]))
 def test_errors_of_encoders_that_last_are_no_change_and_hide_none(known, seed):
     hardware = Hardware(correlated=4e-3, correlation_s=2.0)
     lasting = dict.fromkeys(known.joints, (hardware.correlated, hardware.correlation_s))
@@ -115,11 +115,13 @@ def test_change_findings_name_a_change_once_with_its_std(known):
     assert any(f.text.startswith("elbow: reads -") and "nats likelier" in f.text for f in estimated.findings)
 
 
+@pytest.mark.soak
 def test_change_leaves_a_slip_to_the_filters_fault(known):
     found, estimated = _estimate(run(offset={"lift": 3 * DEGREE}, since=6.0), known)
     assert estimated.faults == found.faults and len(found.faults) == 1
 
 
+@pytest.mark.soak
 def test_change_findings_attribute_no_pushed_camera_to_joints(known):
     features = run(duration=14.0)
     track = features.tracks["effector"]
@@ -134,7 +136,7 @@ PUSHES = np.array([[0.01, 0.0, 0.0, 0.0, 0.03, 0.01], [0.0, -0.02, 0.01, 0.02, 0
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
-@pytest.mark.parametrize("learned", ["known", "on_axes"])
+@pytest.mark.parametrize("learned", first_of(1, ["on_axes", "known"]))
 def test_angles_after_a_pushed_camera_are_as_good_as_without(request, learned, seed):
     """By the camera where it is now: an encoder's offset or a load would take up a part of the push."""
     known = request.getfixturevalue(learned)
@@ -156,6 +158,7 @@ def _see_two_markers(seed, camera=None, **of):
     return replace(features, tracks={**features.tracks, "tip": other.tracks["effector"]})
 
 
+@pytest.mark.soak
 def test_markers_without_a_urdf_have_lengths_of_their_own():
     """Each has its distance as unit, so a camera's displacement is another number for each."""
     learned = explored_without_urdf(_see_two_markers(3, duration=16.0, encoder=0.003))
@@ -181,7 +184,7 @@ def test_no_camera_is_moved_that_a_track_without_axes_sees(on_axes):
 
 
 @pytest.mark.parametrize("size", [0.01, 0.03])
-@pytest.mark.parametrize("seed", [50, 60])
+@pytest.mark.parametrize("seed", first_of(1, [50, 60]))
 def test_a_weight_at_the_hand_is_no_moved_camera_on_found_axes(on_axes, seed, size):
     """No image tells which way is down: a load may pull the hand in any direction."""
     features = run(seed, encoder=1e-3)
@@ -221,7 +224,7 @@ def test_an_arm_with_upright_axes_carries_no_load(known, lever):
 
 
 @pytest.mark.parametrize("size", [0.006, 0.03])
-@pytest.mark.parametrize("seed", [50, 60, 61])
+@pytest.mark.parametrize("seed", first_of(1, [50, 60, 61]))
 def test_a_weight_at_the_hand_is_no_change_and_hides_none(known, seed, size):
     """Joints that sink beyond what they read look like a camera that has moved, and one takes up a part of the other."""
     plain = known.senses["effector"]
@@ -327,7 +330,7 @@ def test_a_load_beside_a_moved_camera_is_doubt_where_it_explains_as_much(on_axes
     assert np.allclose(np.diag(doubt), np.square(bends).max(axis=0) * odds / (4 + 6 * odds), rtol=1e-3)
 
 
-@pytest.mark.parametrize("degrees", [0.2, 0.3])
+@pytest.mark.parametrize("degrees", first_of(1, [0.3, 0.2]))
 def test_small_pushes_are_not_taken_for_something_else(on_axes, degrees):
     """Priors as wide as 2° and 20 mm cost more nats than what tells such a push from a load or an offset."""
     draw = np.random.default_rng(11)

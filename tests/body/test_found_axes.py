@@ -18,6 +18,7 @@ from bodylog.errors import ModelError
 from bodylog.settings import FitSettings, Settings
 from bodylog.types import Series
 from tests.body.conftest import project
+from tests.seeds import seeds
 
 HOME = np.array([0.0, 0.3, 0.6])
 FAR = np.random.default_rng(4).uniform(-0.9, 0.9, (400, 3)) + HOME
@@ -36,7 +37,7 @@ def _errors(model, q=FAR):
     return float(np.sqrt(np.square(away).mean())), float((np.square(away) / variance).mean())
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", seeds(1, 4))
 def test_postures_never_seen_are_predicted_as_well_as_stated(explored, seed):
     plain, found = _with_axes(explored(seed, 0.003).features)
     models = [one.model.senses["effector"] for one in (plain, found)]
@@ -53,6 +54,7 @@ def test_postures_never_seen_are_predicted_as_well_as_stated(explored, seed):
     assert any("in order pan, lift, elbow" in one.text for one in found.findings)
 
 
+@pytest.mark.soak
 def test_error_bars_hold_over_explorations(explored):
     squares = [
         _errors(_with_axes(explored(seed, 0.003).features)[1].model.senses["effector"])[1]

@@ -81,6 +81,7 @@ def test_learn_corrects_a_late_exploration(seed, seconds):
     assert again.settings["delay"] == late.model.provenance["delay"]
 
 
+@pytest.mark.soak
 def test_learn_gives_each_log_its_delay():
     first, other, short = (run(seed, 0.003, duration).features for seed, duration in ((0, 40.0), (1, 40.0), (2, 2.0)))
     found = learned(delayed(first, 0.05), delayed(other, -0.04), delayed(short, 0.05))
@@ -89,6 +90,7 @@ def test_learn_gives_each_log_its_delay():
     assert abs(found.model.provenance["delay"]["camera"]) == pytest.approx(0.045, abs=0.007)
 
 
+@pytest.mark.soak
 def test_learn_corrects_and_stores_a_configured_delay():
     features, plain = explored(0)
     found = learned(delayed(features, 0.05), delay={"camera": 0.05})

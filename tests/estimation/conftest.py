@@ -45,9 +45,9 @@ class Arm:
         return np.stack([160 + 420 * side / depth, 120 - 420 * (height - 0.2 + 0.3 * forward) / depth], axis=-1)
 
     def predict(self, x: Array) -> tuple[Array, Array, Array]:
-        # complex step: the derivative to machine precision
-        jac = np.stack([self.place(x + 1e-30j * e).imag / 1e-30 for e in np.eye(3)], axis=-1)
-        return self.place(x), jac, np.full((len(x), 2), self.blur)
+        # complex steps: the derivative to machine precision
+        jac = self.place(x[:, None] + 1e-30j * np.eye(3)).imag / 1e-30
+        return self.place(x), jac.swapaxes(1, 2), np.full((len(x), 2), self.blur)
 
 
 @dataclass(frozen=True)

@@ -49,6 +49,7 @@ def test_measured_delay_has_true_error_bars(world, camera_hz, encoder_hz):
     assert np.abs(off).max() < 4.0 and 0.7 < np.sqrt(np.mean(np.square(off))) < 1.4
 
 
+@pytest.mark.soak
 def test_delay_error_holds_the_correlation_of_interpolated_images(world):
     off = []
     for seed in range(300):

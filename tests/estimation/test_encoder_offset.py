@@ -21,7 +21,7 @@ from bodylog.types import FaultKind
 from tests.estimation import mechanisms
 from tests.estimation.conftest import draw
 from tests.estimation.mechanisms import Mechanism, errors_and_nees
-from tests.seeds import seeds
+from tests.seeds import first_of, seeds
 from tests.validation import logs
 
 WALK = encoder_offset.RANDOM_WALKS[0]
@@ -143,7 +143,7 @@ def test_body_of_a_short_exploration_gives_no_encoder_fault(world, seed):
 
 
 @pytest.mark.parametrize("joint", ["lift", "elbow"])
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", seeds(1, 2))
 def test_encoder_step_near_the_noise_is_named(world, seed, joint):
     drawn = world(seed, duration=16.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     found = estimate_from_features(lying(drawn, 0.04, joint), drawn.body, EstimationSettings())
@@ -174,7 +174,7 @@ def test_encoder_step_leaves_the_filters_error_as_it_is_without(world, seed):
 
 
 @pytest.mark.parametrize(
-    "seed", [1, 2, *(pytest.param(seed, marks=pytest.mark.soak) for seed in range(3, 12))]
+    "seed", first_of(1, range(1, 12))
 )
 @pytest.mark.parametrize("method", ["filter", "smoother"])
 def test_large_encoder_step_is_a_step_and_no_drift(world, seed, method):
@@ -298,7 +298,7 @@ def test_a_change_is_worth_no_more_than_the_log_with_it(monkeypatch, world):
     assert near.fault.size == pytest.approx(0.03, abs=1e-3)
 
 
-@pytest.mark.parametrize("method", ["filter", "smoother"])
+@pytest.mark.parametrize("method", first_of(1, ["filter", "smoother"]))
 def test_a_drift_of_hundreds_of_times_the_noise_is_named(method):
     """Innovations are cut at 4 σ, so that the first score shows an offset smaller than a fault."""
     quiet = logs.drawn(
@@ -322,6 +322,7 @@ def test_a_drift_of_hundreds_of_times_the_noise_is_named(method):
         *(pytest.param("smoother", *one, marks=pytest.mark.soak) for one in [(0, -0.3), (1, 0.1), (2, 0.17)]),
     ],
 )
+@pytest.mark.soak
 def test_an_encoder_that_is_off_far_beyond_precise_images_is_named_on_an_arm_with_play(method, joint, size):
     """Images that tell a joint ten times as well as a reading were rejected, or taken for a payload: 66 mrad."""
     arm = Mechanism(5e-4, Hardware(play=4e-3), pixel_std=0.05)

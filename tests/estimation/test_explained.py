@@ -25,6 +25,7 @@ from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, FaultKind, Finding
 from tests.estimation import mechanisms
 from tests.estimation.conftest import Explored
 from tests.estimation.mechanisms import LASTING, LOOSE, Fault, errors_and_nees, true_angles
+from tests.seeds import first_of
 
 
 def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
@@ -47,6 +48,7 @@ def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
     assert any("errors last" in line for line in verdict.verdict_of_estimate(found, ()))
 
 
+@pytest.mark.soak
 def test_images_that_are_displaced_for_a_while_are_no_load():
     body = mechanisms.learned(1000, mechanisms.SOUND)
     features = mechanisms.replayed(4, mechanisms.SOUND, Fault())
@@ -66,6 +68,7 @@ def test_images_that_are_displaced_for_a_while_are_no_load():
     assert "no fault found in 3 encoders" in lines  # not in the track
 
 
+@pytest.mark.soak
 def test_an_offset_that_is_no_fault_goes_where_what_lasts_explains_the_log_as_well():
     # pan's encoder seems to walk here, by less than counts as a fault
     body = mechanisms.learned(1000, mechanisms.SOUND)
@@ -101,6 +104,7 @@ def test_play_is_measured_and_taken_out_and_no_delay_stands_for_it():
     assert not any("timestamps" in line for line in lines)
 
 
+@pytest.mark.soak
 def test_play_that_came_after_the_exploration_is_found_where_joints_rest_for_long():
     # errors of images at one place stood for it, and the rest for a delay of 5 ms
     arm = mechanisms.Mechanism(5e-4, Hardware(play=4e-3))
@@ -235,6 +239,7 @@ def test_an_offset_beside_a_load_is_a_fault_only_where_the_load_alone_explains_l
     assert explained._choose_fault_allowance(alone, both, problem, (offset,), 0) == least
 
 
+@pytest.mark.soak
 def test_noise_beside_play_is_searched_from_what_a_load_would_leave_too():
     """From the noise without a load alone the search ends elsewhere: 2.5 mrad, with a NEES of 4.1."""
     arm = mechanisms.Mechanism(1e-3, Hardware(play=17.5e-3))
@@ -244,7 +249,7 @@ def test_noise_beside_play_is_searched_from_what_a_load_would_leave_too():
     assert np.sqrt(np.mean(error**2)) < 2e-3 and nees < 2.0
 
 
-@pytest.mark.parametrize("axes", [True, False])
+@pytest.mark.parametrize("axes", first_of(1, [True, False]))
 def test_a_load_that_is_found_is_refined(monkeypatch, axes):
     """It gets one direction for all joints on found axes, and the second order in the posture without them."""
     body = mechanisms.fitted(mechanisms.SOUND)
@@ -268,6 +273,7 @@ PRECISE = 0.04
 """px: noise of rendered images, whose track tells a joint ten times as well as a reading does."""
 
 
+@pytest.mark.soak
 def test_play_beside_precise_images_leads_no_filter_away():
     """Its rounds diverge: a link elsewhere within its play moves the motor, which moves the link."""
     arm = mechanisms.Mechanism(1e-3, Hardware(play=8.7e-3), pixel_std=PRECISE)
@@ -278,6 +284,7 @@ def test_play_beside_precise_images_leads_no_filter_away():
     assert 0.5 < nees < 1.6 and np.sqrt(np.mean(error**2)) < 0.75e-3
 
 
+@pytest.mark.soak
 def test_errors_that_last_beside_precise_images_are_taken_out():
     """White noise has error bars so small that two ways to find outliers differ by as much."""
     arm = mechanisms.Mechanism(

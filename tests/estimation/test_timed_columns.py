@@ -184,6 +184,7 @@ def test_an_encoder_that_is_off_since_a_moment_is_no_load():
         pytest.param(REALISTIC, 7803, (5.0, 11.0), marks=pytest.mark.soak),
     ],
 )
+@pytest.mark.soak
 def test_what_an_arm_picks_up_is_named_as_a_load_and_no_encoder_is_accused(mechanism, seed, moments):
     fault = Fault(payload=SAG, moments=moments)
     reaches = seed % 2 == 1

@@ -140,7 +140,7 @@ def test_images_of_an_arm_that_stands_still_leave_open_which_encoders_are_off(se
     assert misfit.misfit_sentence(wrong).endswith("leave open which; record a log in which the arm moves")
 
 
-@pytest.mark.parametrize("seed", seeds(2, 10))
+@pytest.mark.parametrize("seed", seeds(1, 10))
 def test_images_of_an_arm_that_moves_leave_no_encoder_open(seed) -> None:
     """Also where encoders are noisy, so that images determine one direction ten times worse than the others."""
     noisy = draw(seed, duration=20.0, encoder_std=0.02, speed=1.0)

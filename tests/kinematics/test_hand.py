@@ -7,7 +7,7 @@ from bodylog.findings import log_estimate
 from bodylog.settings import Settings
 from bodylog.types import FaultKind
 from tests.body import camera_arms
-from tests.seeds import seeds
+from tests.seeds import first_of, seeds
 from tests.validation import pushed_cameras
 
 STEP = 1e-6
@@ -48,7 +48,7 @@ def test_the_noise_of_a_joint_that_stood_still_is_no_error_of_images(known):
     np.testing.assert_array_less(np.abs(model.printed - without.printed), 0.5 * std + 1e-9)
 
 
-@pytest.mark.parametrize("seed", seeds(2, 8))
+@pytest.mark.parametrize("seed", seeds(1, 8))
 def test_a_weight_at_the_camera_is_a_payload_and_no_moved_camera(known, seed):
     for payload in (0.0, 0.01):
         features, truth = camera_arms.run(60 + seed, payload=payload)
@@ -61,7 +61,7 @@ def test_a_weight_at_the_camera_is_a_payload_and_no_moved_camera(known, seed):
         assert nees < 2.0 and (named or off < 2e-3)
 
 
-@pytest.mark.parametrize("degrees", [0.3, 1.0])
+@pytest.mark.parametrize("degrees", first_of(1, [0.3, 1.0]))
 @pytest.mark.parametrize("seed", seeds(1, 4))
 def test_a_camera_that_was_pushed_on_the_hand_is_no_payload(known, seed, degrees):
     push = pushed_cameras.push(np.random.default_rng(seed), degrees, 0.01 * degrees)
@@ -72,6 +72,7 @@ def test_a_camera_that_was_pushed_on_the_hand_is_no_payload(known, seed, degrees
     assert off < 0.6e-3 and nees < 1.5
 
 
+@pytest.mark.soak
 def test_an_offset_that_a_payload_explains_as_well_has_no_size(known):
     """By small motions alone nothing tells whether the lift slipped, or bends as others do."""
     features, truth = camera_arms.run(60, payload=0.01, swing_rad=0.35)

@@ -256,6 +256,7 @@ def test_convert_keeps_degrees(tmp_path):
         np.testing.assert_array_equal(log["/joint_states"].position, drawn.angles(12))
 
 
+@pytest.mark.soak
 def test_convert_to_mcap_and_back_keeps_a_real_dataset(tmp_path):
     if not REAL.is_dir():
         pytest.skip("the real SO-101 dataset (../shared/real/so101) is not at hand")
