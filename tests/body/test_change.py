@@ -136,7 +136,8 @@ PUSHES = np.array([[0.01, 0.0, 0.0, 0.0, 0.03, 0.01], [0.0, -0.02, 0.01, 0.02, 0
 
 
 @pytest.mark.parametrize("seed", seeds(1, 3))
-@pytest.mark.parametrize("learned", first_of(1, ["on_axes", "known"]))
+@pytest.mark.parametrize("learned", ["on_axes", "known"])
+@pytest.mark.soak
 def test_angles_after_a_pushed_camera_are_as_good_as_without(request, learned, seed):
     """By the camera where it is now: an encoder's offset or a load would take up a part of the push."""
     known = request.getfixturevalue(learned)
@@ -330,7 +331,8 @@ def test_a_load_beside_a_moved_camera_is_doubt_where_it_explains_as_much(on_axes
     assert np.allclose(np.diag(doubt), np.square(bends).max(axis=0) * odds / (4 + 6 * odds), rtol=1e-3)
 
 
-@pytest.mark.parametrize("degrees", first_of(1, [0.3, 0.2]))
+@pytest.mark.parametrize("degrees", [0.3, 0.2])
+@pytest.mark.soak
 def test_small_pushes_are_not_taken_for_something_else(on_axes, degrees):
     """Priors as wide as 2° and 20 mm cost more nats than what tells such a push from a load or an offset."""
     draw = np.random.default_rng(11)

@@ -125,6 +125,7 @@ def test_a_known_board_turned_about_the_base_is_the_zero_of_joint_1(robot, tmp_p
     assert abs(zeros[1].value - zeros[0].value - np.radians(1.0)) < np.radians(0.03)
 
 
+@pytest.mark.soak
 def test_board_moved_between_two_logs_is_found_and_the_zeros_stay_as_sure(robot, tmp_path):
     settings = load_settings(DATA / "robot.toml")
     settings = replace(settings, kinematics=replace(settings.kinematics, urdf=robot))

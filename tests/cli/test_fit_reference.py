@@ -35,6 +35,7 @@ def test_squares_are_learned_by_the_reference_and_estimated_without(tmp_path, ca
     assert alone["rmse/joint"] < 0.006 and 0.5 < alone["nees/joint"] < 1.5
 
 
+@pytest.mark.soak
 def test_fit_without_a_reference_treats_squares_as_angles(tmp_path, capsys, run_cli, squared):
     body = tmp_path / "body.npz"
     _, findings = _printed(capsys, run_cli, "fit", squared / "explore.mcap", "-o", body)

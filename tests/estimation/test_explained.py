@@ -25,7 +25,6 @@ from bodylog.types import HARDWARE_ERRORS, LASTING_ERROR, FaultKind, Finding
 from tests.estimation import mechanisms
 from tests.estimation.conftest import Explored
 from tests.estimation.mechanisms import LASTING, LOOSE, Fault, errors_and_nees, true_angles
-from tests.seeds import first_of
 
 
 def test_encoder_errors_that_last_are_taken_out_as_far_as_images_show_them():
@@ -249,7 +248,8 @@ def test_noise_beside_play_is_searched_from_what_a_load_would_leave_too():
     assert np.sqrt(np.mean(error**2)) < 2e-3 and nees < 2.0
 
 
-@pytest.mark.parametrize("axes", first_of(1, [True, False]))
+@pytest.mark.parametrize("axes", [True, False])
+@pytest.mark.soak
 def test_a_load_that_is_found_is_refined(monkeypatch, axes):
     """It gets one direction for all joints on found axes, and the second order in the posture without them."""
     body = mechanisms.fitted(mechanisms.SOUND)

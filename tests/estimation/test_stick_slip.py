@@ -191,7 +191,8 @@ def test_the_encoder_that_is_off_is_named_where_joints_slip(method, motion, join
     assert np.mean(off**2 / np.einsum("emm->em", found.cov)) < 1.5
 
 
-@pytest.mark.parametrize("method", first_of(1, ["smoother", "filter"]))
+@pytest.mark.parametrize("method", ["smoother", "filter"])
+@pytest.mark.soak
 def test_encoders_that_jump_together_where_joints_slip_are_known_to_their_jumps(method):
     """All their readings left out, images alone lost such arms: 300 mrad, NEES of 12 and 34."""
     how = resting.Drawn("sines", noise=1e-3, encoder_hz=100.0, camera_hz=20.0, pixel=0.3, slip=np.deg2rad(1.0))

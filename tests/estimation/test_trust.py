@@ -14,7 +14,6 @@ from bodylog.settings import EstimationSettings
 from bodylog.types import Array
 from tests.estimation.conftest import draw
 from tests.estimation.mechanisms import errors_and_nees
-from tests.seeds import first_of
 from tests.validation import logs, outliers
 
 
@@ -118,7 +117,8 @@ def test_readings_of_smooth_joints_have_no_colour_for_a_smoother_either(seed):
     assert 0.4 < nees < 2.0 and np.sqrt(np.mean(errors**2)) < 6e-3
 
 
-@pytest.mark.parametrize("seed", first_of(1, [0, 3]))
+@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.soak
 def test_false_first_readings_that_a_filter_believes_are_no_joints_that_stick(seed):
     """The filter loses the joint for half a second, and hindsight removes the readings."""
     spoil = outliers.KINDS["one encoder off by 0.5 rad in its first three"]
