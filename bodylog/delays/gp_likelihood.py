@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..estimation.faults.threshold import EVIDENCE_THRESHOLD_NATS, SIGNIFICANT_SIGMA
-from ..estimation.inference.scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
+from ..estimation.inference.filter_pass import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..estimation.measurements.arm_errors import (
     LEAST_PLAY,
     PLAY_STD,

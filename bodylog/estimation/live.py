@@ -18,8 +18,8 @@ from ..errors import LogError, ModelError, UsageError
 from ..settings import EstimationSettings
 from ..types import MM_PER_M, TRACK_AXES, Array, Health
 from .faults.encoder_offset import RANDOM_WALKS
+from .inference.filter_pass import FilterDynamics
 from .inference.reacquisition import LONG_SILENCE_S
-from .inference.scan import FilterDynamics
 from .inference.sequential import SequentialFilter, State
 from .inference.tangents import correlate_errors
 from .measurements.gather import choose_senses, read_given_start

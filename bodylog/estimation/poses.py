@@ -39,7 +39,7 @@ from ..types import (
 )
 from .faults.screening import screen_measurements
 from .faults.threshold import CERTAIN_SIGMA, EVIDENCE_THRESHOLD_NATS, PRIOR_STD_RAD
-from .inference.scan import GATE_SIGMA
+from .inference.filter_pass import GATE_SIGMA
 from .inference.tangents import OFFSET_STD
 from .measurements.long_arrays import find_finite_rows
 from .measurements.posture import PostureModel

@@ -15,7 +15,7 @@ from bodylog import body as learning
 from bodylog.body_model import BodyModel
 from bodylog.errors import LogError, ModelError, UsageError
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.inference.scan import FilterDynamics
+from bodylog.estimation.inference.filter_pass import FilterDynamics
 from bodylog.estimation.inference.sequential import FilterStep, Line, SequentialFilter
 from bodylog.estimation.live import Belief, LiveEstimator
 from bodylog.estimation.measurements import touch

@@ -7,7 +7,7 @@ import pytest
 
 from bodylog.body_model import BodyModel, Noise, TouchConstants
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.inference.scan import FilterDynamics
+from bodylog.estimation.inference.filter_pass import FilterDynamics
 from bodylog.estimation.inference.sequential import SequentialFilter
 from bodylog.estimation.measurements import gather, track
 from bodylog.estimation.noise.correlated_noise import ErrorCorrelation, LastFrame, PendingFrame

@@ -9,7 +9,7 @@ import numpy as np
 
 from ...types import Array
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
-from ..inference.scan import ROUGHLY_CONVERGED_MOVE
+from ..inference.filter_pass import ROUGHLY_CONVERGED_MOVE
 from ..measurements.arm_errors import LEAST_PLAY, NOISE_SIGMAS, follow_slack
 from ..measurements.records import interpolate_values
 from .columns import Path, Play

@@ -23,8 +23,8 @@ import numpy as np
 
 from ...types import ALTERNATIVE_SEPARATOR, Array, Fault, FaultKind, Hypothesis
 from ..inference.filter_log import filter_roughly
+from ..inference.filter_pass import GATE_SIGMA
 from ..inference.filter_problem import FilterProblem
-from ..inference.scan import GATE_SIGMA
 from ..inference.solution import Solution
 from ..inference.tangents import OFFSET_STD
 from ..measurements.long_arrays import find_finite_rows

@@ -16,9 +16,7 @@ from ...types import Array
 from ..measurements.long_arrays import find_finite_rows
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from ..noise.posture_prior import build_stationary_motion
-from .filter_problem import FilterProblem, build_encoder_rows, lay_out_readings
-from .reacquisition import LONG_SILENCE_S
-from .scan import (
+from .filter_pass import (
     CONVERGED_MOVE,
     MAX_SWEEPS,
     ROUGHLY_CONVERGED_MOVE,
@@ -28,6 +26,8 @@ from .scan import (
     TraceDetail,
     filter_readings,
 )
+from .filter_problem import FilterProblem, build_encoder_rows, lay_out_readings
+from .reacquisition import LONG_SILENCE_S
 from .sequential import Line, SequentialFilter, State
 from .solution import Solution
 from .tangents import Tangents, begin_along_path, build_state_prior, correlate_errors

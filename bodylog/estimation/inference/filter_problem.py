@@ -11,8 +11,8 @@ from ..measurements.records import Evidence
 from ..measurements.timeline import Timeline, list_track_sets
 from ..noise.noise_model import NoiseModel
 from ..noise.posture_prior import PosturePrior
+from .filter_pass import GATE_SIGMA, FilterDynamics, FilterReadings
 from .reacquisition import extend_open_silence, find_joints_left_open
-from .scan import GATE_SIGMA, FilterDynamics, FilterReadings
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,10 +1,10 @@
 """The loops over instants, which Numba compiles: the filter, the two backward passes of the
 smoother, and the evidence of one joint's encoder readings.
 
-Shapes of the arrays are in scan.py, solution.py and encoder_noise.py; one that is absent has the
-size 0. The belief is a matrix (K,K+1): the covariance, beside the mean. A product of a row h with
-it is h P and the predicted reading, so both are updated at once. What is absent at an instant is
-NaN.
+Shapes of the arrays are in filter_pass.py, solution.py and encoder_noise.py; one that is absent has
+the size 0. The belief is a matrix (K,K+1): the covariance, beside the mean. A product of a row h
+with it is h P and the predicted reading, so both are updated at once. What is absent at an instant
+is NaN.
 
 All of it stands in this file, because the cache of machine code notices changes of no other one.
 """

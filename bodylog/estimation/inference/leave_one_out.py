@@ -13,8 +13,8 @@ import numpy as np
 from ...linear_algebra import project_covariance
 from ...types import Array
 from ..measurements.records import unmix_rows
+from .filter_pass import FLAT_COST_NATS, GATE_SIGMA
 from .filter_problem import FilterProblem
-from .scan import FLAT_COST_NATS, GATE_SIGMA
 from .solution import Smooth
 
 MIN_VARIANCE_SHARE = 1e-3

@@ -18,7 +18,7 @@ from ...wording import list_in_words
 from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Encoders, Evidence
 from ..noise.correlated_noise import PendingFrame
-from .scan import GATE_SIGMA
+from .filter_pass import GATE_SIGMA
 
 LONG_SILENCE_S = 0.5
 """s: after a longer silence an encoder must confirm the belief before the gate may reject it. With

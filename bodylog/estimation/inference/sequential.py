@@ -13,8 +13,7 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from ..noise.posture_prior import PosturePrior
-from .reacquisition import LONG_SILENCE_S, find_lost_joints, find_open_joints
-from .scan import (
+from .filter_pass import (
     CONVERGED_MOVE,
     GATE_SIGMA,
     MAX_SWEEPS,
@@ -23,6 +22,7 @@ from .scan import (
     allocate_trace,
     prepare_filter,
 )
+from .reacquisition import LONG_SILENCE_S, find_lost_joints, find_open_joints
 from .tangents import build_state_prior
 
 

@@ -17,9 +17,9 @@ import numpy as np
 from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from .filter_log import filter_sequentially, group_frames_by_instant, write_track_lines
+from .filter_pass import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE, TraceDetail, filter_readings
 from .filter_problem import FilterProblem
 from .leave_one_out import remove_readings
-from .scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE, TraceDetail, filter_readings
 from .sequential import linearise_over_belief
 from .solution import Smooth, Solution, assemble_smooth
 from .tangents import build_state_prior

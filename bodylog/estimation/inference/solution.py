@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...types import Array
+from .filter_pass import FilterDynamics, FilterReadings, FilterTrace, TraceDetail, filter_readings
 from .kernel_call import bind_kernel_call
-from .scan import FilterDynamics, FilterReadings, FilterTrace, TraceDetail, filter_readings
 from .tangents import Tangents
 
 

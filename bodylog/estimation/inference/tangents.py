@@ -19,8 +19,8 @@ from ..noise.correlated_noise import (
     read_correlation_length,
 )
 from ..noise.noise_model import NoiseModel
+from .filter_pass import FilterDynamics, FilterReadings
 from .filter_problem import FilterProblem
-from .scan import FilterDynamics, FilterReadings
 
 
 class Tangents:

@@ -25,9 +25,9 @@ from ..inference.filter_log import (
     loses_encoder,
     solve_by_gauss_newton,
 )
+from ..inference.filter_pass import DidNotConverge
 from ..inference.filter_problem import FilterProblem
 from ..inference.reacquisition import warn_of_resets
-from ..inference.scan import DidNotConverge
 from ..inference.solution import Solution
 from ..measurements.gather import choose_initial_angles
 from ..measurements.timeline import build_timeline

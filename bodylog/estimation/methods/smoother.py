@@ -13,6 +13,7 @@ from ...body_model import BodyModel
 from ...settings import EstimationSettings
 from ...types import Capabilities, Estimate, Features
 from ..inference.filter_log import begin_sweeps, sweep_log
+from ..inference.filter_pass import CONVERGED_MOVE, MAX_SWEEPS, DidNotConverge, TraceDetail
 from ..inference.filter_problem import FilterProblem
 from ..inference.leave_one_out import (
     SmoothedWithResiduals,
@@ -21,7 +22,6 @@ from ..inference.leave_one_out import (
     predict_left_out,
     remove_readings,
 )
-from ..inference.scan import CONVERGED_MOVE, MAX_SWEEPS, DidNotConverge, TraceDetail
 from ..inference.silence import smooth_across_silence
 from ..inference.solution import Smooth, Solution, assemble_smooth, smooth_states
 from .contract import Method

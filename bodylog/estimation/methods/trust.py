@@ -28,9 +28,9 @@ from ..factors.whole_log import (
 )
 from ..faults.threshold import SIGNIFICANT_SIGMA
 from ..inference.filter_log import filter_roughly, loses_encoder
+from ..inference.filter_pass import GATE_SIGMA
 from ..inference.filter_problem import FilterProblem
 from ..inference.leave_one_out import remove_readings
-from ..inference.scan import GATE_SIGMA
 from ..measurements.arm_errors import LEAST_PLAY, follow_links
 from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..measurements.records import Encoders

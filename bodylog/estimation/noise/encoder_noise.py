@@ -11,8 +11,8 @@ import numpy as np
 from scipy.special import wrightomega
 
 from ...types import Array
+from ..inference.filter_pass import GATE_SIGMA
 from ..inference.kernel_call import bind_kernel_call
-from ..inference.scan import GATE_SIGMA
 from ..measurements.long_arrays import LEVEL_READINGS, index_true_rows, measure_median_step
 from ..measurements.records import Encoders
 from ..measurements.timeline import GAP_STEPS, MAX_OUTPUT_RATE_HZ

@@ -24,9 +24,15 @@ from ...motion import WHITE_JERK
 from ...types import Array, Hypothesis
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
 from ..inference.filter_log import filter_roughly
+from ..inference.filter_pass import (
+    MAX_SWEEPS,
+    FilterReadings,
+    FilterTrace,
+    TraceDetail,
+    filter_readings,
+)
 from ..inference.filter_problem import FilterProblem
 from ..inference.reacquisition import find_joints_left_open, find_silent_joints
-from ..inference.scan import MAX_SWEEPS, FilterReadings, FilterTrace, TraceDetail, filter_readings
 from ..inference.solution import Solution, smooth_states
 from ..inference.tangents import build_state_prior
 from ..measurements.long_arrays import find_finite_rows, measure_median_step

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from ...types import Array
-from ..inference.scan import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
+from ..inference.filter_pass import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 
 Detail = TypeVar("Detail")
 MAX_DELAY_S = 1.0

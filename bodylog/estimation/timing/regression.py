@@ -22,7 +22,7 @@ from ..faults.threshold import (
     PRIOR_STD_RAD,
     SIGNIFICANT_SIGMA,
 )
-from ..inference.scan import CONVERGED_MOVE, MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
+from ..inference.filter_pass import CONVERGED_MOVE, MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE
 from ..measurements.long_arrays import MIN_READINGS
 from ..measurements.records import Encoders, Sighting
 from ..measurements.track_curve import (

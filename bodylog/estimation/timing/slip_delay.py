@@ -14,7 +14,7 @@ from ...types import Array
 from ..factors.whole_log import LEARNED_S
 from ..faults.jumping import average_between_slips
 from ..faults.threshold import EVIDENCE_THRESHOLD_NATS
-from ..inference.scan import GATE_SIGMA
+from ..inference.filter_pass import GATE_SIGMA
 from ..measurements.long_arrays import MIN_READINGS, find_finite_rows, measure_median_step
 from ..measurements.records import Encoders, Sighting
 from .delay_profile import MAX_DELAY_S, Delay

@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import block_diag, expm
 
 from bodylog.estimation.inference import solution
-from bodylog.estimation.inference.scan import (
+from bodylog.estimation.inference.filter_pass import (
     FLAT_COST_NATS,
     GATE_SIGMA,
     FilterDynamics,
@@ -120,7 +120,7 @@ CASES = [(order, drift, tracks) for order in (2, 3) for drift in (False, True) f
 @pytest.fixture(params=CASES, ids=str)
 def drawn(request, monkeypatch):
     """Readings, some absent, some wrong, over several blocks: (readings, dynamics, z, p)."""
-    monkeypatch.setattr("bodylog.estimation.inference.scan.BLOCK_INSTANTS", 16)
+    monkeypatch.setattr("bodylog.estimation.inference.filter_pass.BLOCK_INSTANTS", 16)
     order, drift, tracks = request.param
     rng, length, rows = np.random.default_rng(order + 10 * tracks + drift), 150, 2 + tracks % 2
     walk = np.array([1e-4, 0.0, 1e-5]) if drift else None
