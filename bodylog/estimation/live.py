@@ -17,7 +17,7 @@ from ..body_model import BodyModel, ForwardModel
 from ..errors import LogError, ModelError, UsageError
 from ..settings import EstimationSettings
 from ..types import MM_PER_M, TRACK_AXES, Array, Health
-from .faults.encoder_offset import RANDOM_WALKS
+from .faults.offset_changes import RANDOM_WALKS
 from .inference.filter_pass import FilterDynamics
 from .inference.reacquisition import LONG_SILENCE_S
 from .inference.sequential import SequentialFilter, State

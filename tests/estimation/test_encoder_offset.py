@@ -9,8 +9,8 @@ import pytest
 
 from bodylog import body
 from bodylog.estimation import estimate_from_features
-from bodylog.estimation.faults import encoder_offset
-from bodylog.estimation.faults.encoder_offset import _score_offsets, score_encoder_offsets
+from bodylog.estimation.faults import encoder_offset, offset_changes
+from bodylog.estimation.faults.offset_scores import _score_offsets, score_encoder_offsets
 from bodylog.estimation.inference.filter_log import solve_by_gauss_newton
 from bodylog.estimation.measurements.records import Encoders
 from bodylog.estimation.methods import filtering
@@ -24,7 +24,7 @@ from tests.estimation.mechanisms import Mechanism, errors_and_nees
 from tests.seeds import first_of, seeds
 from tests.validation import logs
 
-WALK = encoder_offset.RANDOM_WALKS[0]
+WALK = offset_changes.RANDOM_WALKS[0]
 
 
 def lying(drawn, size, joint="pan", since=8.0):
@@ -56,9 +56,9 @@ def solved(features, body, **settings):
 def test_offset_score_is_the_evidence_with_an_offset(world, seed, size):
     drawn = world(seed, duration=14.0, encoder_std=0.02, pixel_std=0.5, camera_hz=20.0)
     problem, found = solved(lying(drawn, size), drawn.body)
-    cost = partial(encoder_offset.measure_free_energy, warm=found)
+    cost = partial(offset_changes.measure_free_energy, warm=found)
     wins = [
-        cost(problem) - cost(encoder_offset.with_drift(problem, WALK * row)) for row in np.eye(3)
+        cost(problem) - cost(offset_changes.with_drift(problem, WALK * row)) for row in np.eye(3)
     ]
     np.testing.assert_allclose(score_encoder_offsets(problem, found, WALK)[0], wins, atol=20.0, rtol=0.3)
     assert (max(wins) > encoder_offset.EVIDENCE_THRESHOLD_NATS) is (size > 0)
@@ -289,12 +289,12 @@ def test_a_change_is_worth_no_more_than_the_log_with_it(monkeypatch, world):
         size = (read - posed.evidence.encoders.values)[-1, 1]
         return 1e3 * np.hypot(1.0, (size - 0.03) / 5e-3)
 
-    monkeypatch.setattr(encoder_offset, "filter_roughly", lambda posed, warm: posed)
-    monkeypatch.setattr(encoder_offset, "sum_free_energy", find_cost)
+    monkeypatch.setattr(offset_changes, "filter_roughly", lambda posed, warm: posed)
+    monkeypatch.setattr(offset_changes, "sum_free_energy", find_cost)
     for first in (0.0, 0.028, 0.032, 0.1):
-        found = encoder_offset._size_likeliest_change(problem, 1, None, {2.0: first}, grows=False)
+        found = offset_changes._size_likeliest_change(problem, 1, None, {2.0: first}, grows=False)
         assert found is None or found.nats - found.prior >= 1e3 - 1.0
-    near = encoder_offset._size_likeliest_change(problem, 1, None, {2.0: 0.028}, grows=False)
+    near = offset_changes._size_likeliest_change(problem, 1, None, {2.0: 0.028}, grows=False)
     assert near.fault.size == pytest.approx(0.03, abs=1e-3)
 
 

@@ -41,7 +41,7 @@ from ..measurements.track_curve import (
     interpolate_curve,
 )
 from ..noise.encoder_noise import MAX_MEMORY_S
-from .encoder_offset import RANDOM_WALKS, shape_change
+from .offset_changes import RANDOM_WALKS, shape_change
 from .threshold import EVIDENCE_THRESHOLD_NATS, MIN_DELAY_S, PRIOR_STD_RAD
 
 NO_ERRORS = (0.0, 1.0)

@@ -25,7 +25,7 @@ from ..inference.filter_log import filter_roughly
 from ..inference.filter_problem import FilterProblem
 from ..measurements.long_arrays import MIN_READINGS, find_finite_rows
 from ..noise.evidence_search import cut_problem
-from .encoder_offset import measure_free_energy, sum_free_energy
+from .offset_changes import measure_free_energy, sum_free_energy
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 JUMP_MEDIANS = 4.0

@@ -15,7 +15,7 @@ from ...errors import UsageError
 from ...motion import MAX_ORDER, PROCESS_UNITS
 from ...settings import EstimationSettings
 from ...types import Array, Capabilities, Estimate, Fault, Features, Finding
-from ..faults import encoder_offset
+from ..faults import encoder_offset, offset_changes
 from ..faults.screening import screen_measurements
 from ..faults.stray_images import StrayRun, find_stray_runs, list_possible_runs, remove_stray_runs
 from ..inference.filter_log import (
@@ -121,7 +121,7 @@ def build_filter_problem(
     problem = FilterProblem(evidence, timeline, start, precision, posture_prior=prior)
     walks = encoder_offset.choose_preset_walks(settings.bias, evidence)
     if walks is not None:
-        problem = encoder_offset.with_drift(problem, walks)
+        problem = offset_changes.with_drift(problem, walks)
     if settings.motion != "auto":
         problem = with_named_motion(problem, settings)
     elif settings.process is None:  # it is a white acceleration
