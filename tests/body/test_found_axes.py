@@ -18,7 +18,6 @@ from bodylog.errors import ModelError
 from bodylog.settings import FitSettings, Settings
 from bodylog.types import Series
 from tests.body.conftest import project
-from tests.seeds import seeds
 
 HOME = np.array([0.0, 0.3, 0.6])
 FAR = np.random.default_rng(4).uniform(-0.9, 0.9, (400, 3)) + HOME
@@ -37,7 +36,8 @@ def _errors(model, q=FAR):
     return float(np.sqrt(np.square(away).mean())), float((np.square(away) / variance).mean())
 
 
-@pytest.mark.parametrize("seed", seeds(1, 4))
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.soak
 def test_postures_never_seen_are_predicted_as_well_as_stated(explored, seed):
     plain, found = _with_axes(explored(seed, 0.003).features)
     models = [one.model.senses["effector"] for one in (plain, found)]
@@ -110,6 +110,7 @@ def test_joints_that_move_together_tell_no_axes(explored):
     assert type(found.model.senses["effector"]) is GP
 
 
+@pytest.mark.soak
 def test_a_marker_that_no_arm_carries_keeps_its_process(explored):
     run = explored(0, 0.003)
     pan, lift, elbow = run.angles.T

@@ -77,6 +77,7 @@ def test_board_that_moved_has_a_placement_in_each_log_and_the_zeros_stay_as_sure
     assert apart > 0.02  # the board's origin, in its link
 
 
+@pytest.mark.soak
 def test_camera_that_was_pushed_is_named_and_keeps_its_lens():
     push = make_transform(rotation_from_vector(np.array([0.0, 0.05, 0.02])), np.array([0.03, 0.0, 0.02]))
     found = fitted(pair(1, camera=push))

@@ -15,7 +15,6 @@ from bodylog.estimation import METHODS
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Finding
 from tests.body.changed_arms import explored_without_urdf, run
-from tests.seeds import first_of
 
 from .spoilt import spoil
 
@@ -133,7 +132,8 @@ def test_compare_times_only_warmed_up_runs(monkeypatch, robot):
         assert first[0] == then[0] and first[1] < then[1]
 
 
-@pytest.mark.parametrize("asked", first_of(1, ["kalman", "filter"]))
+@pytest.mark.parametrize("asked", ["kalman", "filter"])
+@pytest.mark.soak
 def test_a_camera_that_was_pushed_is_where_it_is_now_for_every_method(asked):
     """Found once, by the usual method, so that rows differ by their own; without effect where nothing moved."""
     learned, settings = explored_without_urdf(), Settings(estimate=EstimationSettings(method=asked))

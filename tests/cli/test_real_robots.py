@@ -5,8 +5,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.seeds import first_of
-
 PANDA_TAG = 'effector = {tag = 30, dictionary = "4x4_100"}'
 """A tag of the board in the Panda's images; to guess one takes longer than all else."""
 
@@ -51,7 +49,8 @@ def test_fit_explains_why_a_given_urdf_did_not_help(real, tmp_path, run_cli, cap
     assert run_cli(*typed, "--no-urdf") == 65
     assert "record more poses, or leave out --no-urdf" in capsys.readouterr().err
 
-@pytest.mark.parametrize("episode", first_of(1, [0, 1]))
+@pytest.mark.parametrize("episode", [0, 1])
+@pytest.mark.soak
 def test_encoders_that_count_do_not_jump_where_they_step(real, tmp_path, run_cli, capsys, episode) -> None:
     log, angles = f"{real / 'so101'}#{episode}", tmp_path / "robot.toml"
     assert run_cli("estimate", log, "-o", tmp_path / "out.mcap") == 0

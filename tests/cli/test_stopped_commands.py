@@ -13,6 +13,8 @@ from pathlib import Path
 import bodylog_cli
 import pytest
 
+from tests.seeds import first_of
+
 COMMAND = (sys.executable, "-m", "bodylog_cli")
 
 
@@ -60,7 +62,7 @@ def test_stopped_command_leaves_no_partial_output(tmp_path, robot, number):
     assert list(tmp_path.iterdir()) == [out] and out.read_bytes() == b"of an earlier run"
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", first_of(1, [signal.SIGTERM, signal.SIGINT]))
 def test_stopped_batch_ends_its_workers_without_traceback(tmp_path, robot, number):
     typed = ("batch", robot / "reach.mcap", robot / "explore.mcap", "--body", robot / "body.npz", "--jobs", 2)
     with _started(_command(*typed, "-o", tmp_path)) as process:
@@ -118,7 +120,7 @@ bodylog_cli.main()
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", first_of(1, [signal.SIGINT, signal.SIGTERM]))
 def test_command_inside_c_code_stops_in_time(tmp_path, robot, number):
     words = ("estimate", robot / "reach.mcap", "--body", robot / "body.npz", "-o", tmp_path / "out.mcap")
     with _started([sys.executable, "-c", IN_C, *map(str, words)]) as process:

@@ -16,7 +16,6 @@ from bodylog.types import Features, Series
 from tests.body.kinematic_arms import given
 from tests.body.tracked_arms import measure_points, points_series
 from tests.kinematics.robots import JOINTS
-from tests.seeds import first_of
 
 LATE_S = 0.04
 NOISE_M = 3e-4
@@ -62,7 +61,8 @@ def test_each_log_has_its_own_delay():
     assert measure_tracker_delays([replace(late, tracks={"tracker/ball": hidden})], Settings(), given(), ["tracker"]) == [{}]
 
 
-@pytest.mark.parametrize("seed", first_of(1, [11, 14]))
+@pytest.mark.parametrize("seed", [11, 14])
+@pytest.mark.soak
 def test_without_a_urdf_a_delay_is_found_within_its_error_bar(seed, monkeypatch):
     """A process of the points' slopes found 12 ± 2 ms with the first seed."""
     for late in (LATE_S, 0.0):
@@ -81,6 +81,7 @@ def test_without_motion_or_points_no_delay_is_measured():
 
 
 @pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.soak
 def test_without_a_urdf_error_bars_hold_beyond_the_explored_path(seed, monkeypatch):
     """Another log goes where the process errs by millimetres for seconds: no error of encoders, and no noise of one axis."""
     monkeypatch.setattr(f"{__name__}.LATE_S", 0.0)

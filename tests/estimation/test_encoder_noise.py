@@ -51,6 +51,7 @@ def test_noise_and_motion_are_separated(noise, process, jitter):
     assert np.exp(np.mean([np.log(f[1]) for f in found])) == pytest.approx(process, rel=0.35)
 
 
+@pytest.mark.soak
 def test_noise_and_motion_are_separated_at_1000_hz():
     t = np.arange(0.0, 20.0, 0.001)
     found = np.array([likeliest(t, white(seed, 4e-4, 0.01, t)) for seed in range(3)])

@@ -206,7 +206,8 @@ def test_step_after_a_silence_of_all_encoders_is_named(world, seed, size, silenc
     assert error(found, drawn, since=8.0 + silence) < 0.006
 
 
-@pytest.mark.parametrize("seed", seeds(1, 4))
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", range(4))
 def test_large_step_in_a_gap_of_precise_encoders_is_a_step_from_the_first_reading_on(world, seed):
     """A filter shows it late, and a parabola that was followed too far found no size: a drift."""
     drawn = world(seed, duration=12.0, encoder_std=0.003, camera_hz=20.0)
@@ -294,11 +295,14 @@ def test_a_change_is_worth_no_more_than_the_log_with_it(monkeypatch, world):
     for first in (0.0, 0.028, 0.032, 0.1):
         found = offset_changes._size_likeliest_change(problem, 1, None, {2.0: first}, grows=False)
         assert found is None or found.nats - found.prior >= 1e3 - 1.0
-    near = offset_changes._size_likeliest_change(problem, 1, None, {2.0: 0.028}, grows=False)
-    assert near.fault.size == pytest.approx(0.03, abs=1e-3)
+    # from the others a parabola leads too far, and the search goes back
+    for first in (0.02, 0.028, 0.04, 0.05):
+        near = offset_changes._size_likeliest_change(problem, 1, None, {2.0: first}, grows=False)
+        assert near.fault.size == pytest.approx(0.03, abs=1e-3)
 
 
-@pytest.mark.parametrize("method", first_of(1, ["filter", "smoother"]))
+@pytest.mark.parametrize("method", ["filter", "smoother"])
+@pytest.mark.soak
 def test_a_drift_of_hundreds_of_times_the_noise_is_named(method):
     """Innovations are cut at 4 σ, so that the first score shows an offset smaller than a fault."""
     quiet = logs.drawn(

@@ -209,6 +209,7 @@ def test_encoders_that_jump_together_where_joints_slip_are_known_to_their_jumps(
     assert max(errors) < 0.04 and 0.4 < np.median(spreads) < 1.6
 
 
+@pytest.mark.soak
 def test_images_that_no_encoder_explains_are_distrusted_and_said_to_be_wrong():
     how = resting.Drawn("sines", noise=1e-3, encoder_hz=100.0, camera_hz=20.0, pixel=0.3, slip=0.02)
     for seed in (700, 701):

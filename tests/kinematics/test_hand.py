@@ -48,7 +48,8 @@ def test_the_noise_of_a_joint_that_stood_still_is_no_error_of_images(known):
     np.testing.assert_array_less(np.abs(model.printed - without.printed), 0.5 * std + 1e-9)
 
 
-@pytest.mark.parametrize("seed", seeds(1, 8))
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.soak
 def test_a_weight_at_the_camera_is_a_payload_and_no_moved_camera(known, seed):
     for payload in (0.0, 0.01):
         features, truth = camera_arms.run(60 + seed, payload=payload)
