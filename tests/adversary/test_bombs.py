@@ -8,7 +8,7 @@ from . import worker
 from .bombs import BOMBS, SECRET
 from .cases import _wrong
 
-LONG = {"hdf5 endless stream", "csv commas", "csv full"}
+LONG = {"hdf5 giant chunk", "hdf5 endless stream", "csv commas", "csv full", "yaml values"}
 """Those that take longest, each of a kind of which another is tried always."""
 
 

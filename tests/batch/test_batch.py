@@ -198,6 +198,7 @@ def _killed_and_resumed(tmp_path, mixed, robot, run_cli, waits):
         assert _tree(out) == whole
 
 
+@pytest.mark.soak
 def test_killed_worker_is_replaced_and_its_log_finished(tmp_path, mixed, robot):
     command = [sys.executable, "-m", "bodylog_cli", "batch", str(mixed), "-o", str(tmp_path), "--jobs", "2"]
     process = subprocess.Popen([*command, "--body", str(robot / "body.npz")], stderr=subprocess.DEVNULL)

@@ -173,6 +173,7 @@ def test_markers_without_a_urdf_have_lengths_of_their_own():
     assert near / far > 1.5
 
 
+@pytest.mark.soak
 def test_no_camera_is_moved_that_a_track_without_axes_sees(on_axes):
     """Its Gaussian process cannot follow, and would hold the angles where they were."""
     features = run(60, camera=PUSHES[0])

@@ -108,6 +108,7 @@ def test_joints_are_those_named_in_that_order_and_frames_every_nth(tmp_path, cap
     assert body["senses"]["effector"]["samples"] == 80
 
 
+@pytest.mark.soak
 def test_fit_update_equals_learning_from_all_logs(tmp_path, capsys, run_cli, arm, arm_body):
     """In the mean; how sure each is differs, as a body keeps less of a log than the log itself."""
     from bodylog.body.storage import load_body

@@ -36,6 +36,7 @@ def test_a_body_that_knows_nothing_is_refused(real, tmp_path, run_cli, capsys) -
     assert not body.exists()
 
 
+@pytest.mark.soak
 def test_fit_explains_why_a_given_urdf_did_not_help(real, tmp_path, run_cli, capsys) -> None:
     panda, other = real / "panda", tmp_path / "other.urdf"
     other.write_text((panda / "panda.urdf").read_text().replace("0 -0.316 0", "0 -3.16 0"))

@@ -190,6 +190,7 @@ def test_command_stops_in_time_at_any_moment(tmp_path, robot, name):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT])
+@pytest.mark.soak
 def test_stopped_reproduction_does_not_wait_for_its_runs(tmp_path, number):
     pytest.importorskip("pybullet", reason="PyBullet is not installed: pip install 'bodylog[sim]'")
     typed = ("reproduce", "E2", "--seeds", 2, "--jobs", 2)

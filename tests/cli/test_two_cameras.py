@@ -161,6 +161,7 @@ def test_features_of_two_cameras_are_enough_with_the_same_config(tmp_path, capsy
     assert "side/effector" in found["health"] and found["scores"] == kept  # features have no true poses beside them
 
 
+@pytest.mark.soak
 def test_turning_head_is_learned_and_estimated_as_a_joint(tmp_path, capsys, run_cli):
     for scenario, name, seed, seconds in (("babble", "explore", 1, 25), ("reach", "reach", 11, 6)):
         where = ("-o", tmp_path / f"{name}.mcap", "--size", "160x120", "--turning")

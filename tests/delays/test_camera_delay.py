@@ -36,6 +36,7 @@ def off(model, seed=9):
     return float(np.sqrt(np.mean(np.square(model.senses["effector"].predict(truth)[0] - other.pixels[: len(truth)]))))
 
 
+@pytest.mark.soak
 def test_learn_does_not_change_a_sound_exploration():
     features, found = explored(0)
     plain = body.learn_body([features], Settings(), {"version": "0"})

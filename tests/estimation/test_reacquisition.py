@@ -65,7 +65,8 @@ def test_lost_belief_recovers_at_the_first_reading(world, seed, method):
     assert all("pan, lift, elbow until 11.000 s" in text for text in lost)
 
 
-@pytest.mark.parametrize("seed", seeds(1, 3))
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.soak
 def test_smoothed_path_recovers_after_a_silence(world, seed):
     drawn = world(seed, duration=15.0)
     rmse, nees, faults, _ = judged(muted(drawn.features, 6.0, 11.0), drawn, 11.0, method="smoother")
@@ -113,6 +114,7 @@ def test_smoother_bridges_a_silence_in_which_the_filter_takes_another_posture(wo
     assert rmse < 0.01 and nees < 2.5 and not lost
 
 
+@pytest.mark.soak
 def test_smoother_by_images_alone_draws_lines_over_its_belief(world):
     """Two numbers for three joints: tangents were sure of a wrong posture, with NEES of 14 to 2,400."""
     nees = []

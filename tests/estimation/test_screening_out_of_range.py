@@ -63,6 +63,7 @@ def test_range_warning_names_a_joint_one_turn_off(drawn):
     assert text.startswith(f"joints: {drawn.features.joints.names[1]} reads ") and "+1 whole turns off" in text
 
 
+@pytest.mark.soak
 def test_range_warning_names_a_joint_outside_its_explored_range(drawn):
     (text,) = range_texts(drawn, lambda x: x + np.array([0.0, 0.0, 3.0]))
     assert text.startswith(f"joints: {drawn.features.joints.names[2]} reads ") and "beyond that" in text
