@@ -38,7 +38,7 @@ def main() -> None:
 
 def _robot(work: Path) -> None:
     _body(work, "320x240")
-    for name, seconds in (("reach", 60), ("tiny", 2)):
+    for name, seconds in (("reach", 60), ("tiny", 4)):
         _quiet("record", "reach", "-o", work / f"{name}.mcap", "--duration", seconds, "--size", "320x240")
 
 
@@ -130,7 +130,7 @@ def _kinds(work: Path) -> None:
 
 
 def _tiny(work: Path, counts: tuple[int, ...]) -> None:
-    print("\ntiny logs (2 s), s per log")
+    print("\ntiny logs (4 s), s per log")
     print(f"  one estimate and report in a warm process {_estimate(work, 'tiny'):.3f}")
     for count in counts:
         logs = _copies(work, "tiny", count)

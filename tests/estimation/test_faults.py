@@ -432,6 +432,28 @@ def test_a_jump_that_hides_in_a_gap_is_found_by_the_jump_that_undoes_it(world, m
     assert np.sqrt(np.mean((found.joints.values - drawn.truth.values) ** 2)) < 0.004
 
 
+@pytest.mark.parametrize(("resumed", "images", "faults"), [(11.75, 2, 1), (11.0, 8, 2)])
+def test_two_images_show_no_jump_in_a_gap(world, resumed, images, faults):
+    """Such as two of something else, at the end of a log; here they are where a jump would put them."""
+
+    def pause(t, y):
+        y[t >= 7.0] -= 0.2
+        y[(t >= resumed - 0.1) & (t < resumed)] = np.nan
+
+    drawn = world(1, duration=12.0, encoder_std=0.002, camera_hz=8.0)
+    track = drawn.features.tracks["effector"]
+    late = track.t >= resumed
+    angles = np.column_stack([np.interp(track.t[late], drawn.truth.t, one) for one in drawn.truth.values.T])
+    angles[:, drawn.truth.names.index("pan")] -= 0.2
+    values = track.values.copy()
+    values[late] = drawn.body.senses["effector"].predict(angles)[0]
+    assert np.count_nonzero(late) == images
+    features = replace(drawn.features, tracks={"effector": replace(track, values=values)})
+    spoilt = spoil(replace(drawn, features=features), pause)
+    found = screen_measurements(spoilt, drawn.body, EstimationSettings())
+    assert found.faults[0].since == pytest.approx(7.0, abs=0.03) and len(found.faults) == faults
+
+
 @pytest.mark.parametrize("seed", seeds(1, 2))
 def test_images_of_something_else_do_not_choose_the_true_stretch(world, seed):
     drawn = world(seed, duration=12.0, encoder_std=0.002, camera_hz=20.0)

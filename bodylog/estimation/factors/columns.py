@@ -46,14 +46,16 @@ class Path:
 
     def measure_levers(self, hand: Hand) -> Array:
         """The levers of a hand along the path, as `Hand` has them: once for all columns of a load."""
-        levers = self._levers_by_hand.get(id(hand))
-        if levers is None:
-            levers = self._levers_by_hand[id(hand)] = hand.measure_levers(self.angles)
+        for known, levers in self._levers_of_hands:
+            if known is hand:
+                return levers
+        levers = hand.measure_levers(self.angles)
+        self._levers_of_hands.append((hand, levers))
         return levers
 
     @cached_property
-    def _levers_by_hand(self) -> dict[int, Array]:
-        return {}
+    def _levers_of_hands(self) -> list[tuple[Hand, Array]]:
+        return []
 
 
 @dataclass(frozen=True)

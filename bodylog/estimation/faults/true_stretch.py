@@ -112,13 +112,14 @@ def _find_longest_gaps(
 
 def _compare_misfits(encoders: Encoders, mended: Encoders, images: Sequence[Sighting]) -> float:
     """Nats by which images fit mended readings better than the readings, by the median of each
-    sense's images at which the two differ.
+    sense's images at which the two differ; none by fewer than IMAGES_OF_LOG, of which one may be of
+    something else.
     """
     nats = 0.0
     pairs = zip(_measure_misfits(encoders, images), _measure_misfits(mended, images), strict=True)
     for misfits, fewer in pairs:
         differ = misfits != fewer
-        if differ.any():
+        if np.count_nonzero(differ) >= IMAGES_OF_LOG:
             nats += IMAGES_OF_LOG * float(np.median((misfits - fewer)[differ]))
     return nats
 
