@@ -36,9 +36,9 @@ class FaultForm(NamedTuple):
     """One kind of fault of one sense.
 
     words: the sentence after the sensor's name, with {size}, {since} (a span) and {at} ·
-    words_unsized: where the size is unknown, None: as `words` · unit of its score where no fault is found, "" for
-    that of its sensor · scored: as 0 where it is not found · offset: of an encoder · needs_images:
-    only they show it · by_body: only the learned body shows it.
+    words_unsized: where the size is unknown, None: as `words` · unit of its score where no fault is
+    found, "" for that of its sensor · scored: as 0 where it is not found · offset: of an encoder ·
+    needs_images: only they show it · by_body: only the learned body shows it.
     """
 
     words: str

@@ -317,9 +317,10 @@ class LiveEstimator:
         noise_model.check_typed_variances(
             settings, body.joints, [name for name in body.senses if name != "encoders"]
         )
-        self._noise = noise = noise_model.with_typed_noise(
+        noise = noise_model.with_typed_noise(
             carry_noise_model(body, learned), settings, body.joints
         )
+        self._noise = noise
         self._stated = noise.stated_covariance(np.ones((len(body.joints),) * 2))
         self._inputs = LiveInputs(body, settings, to_angles)
         self._correlations = {

@@ -45,7 +45,8 @@ def vector_from_rotation(rotation: Array) -> Array:
     lower = np.array([r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]])
     matrix = np.empty((4, 4))
     matrix[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
-    matrix[:3, 3] = matrix[3, :3] = lower
+    matrix[:3, 3] = lower
+    matrix[3, :3] = lower
     matrix[3, 3] = np.trace(r)
     quaternion = np.linalg.eigh(matrix)[1][:, -1]
     vector = quaternion[:3] * np.sign(quaternion[3] or 1.0)
@@ -95,7 +96,8 @@ def rotation_from_z(axis: Array) -> Array:
 def make_transform(rotation: Array, place: Array) -> Array:
     """The homogeneous matrix (4,4) of a rotation (3,3) and a translation (3,)."""
     result = np.eye(4)
-    result[:3, :3], result[:3, 3] = rotation, place
+    result[:3, :3] = rotation
+    result[:3, 3] = place
     return result
 
 

@@ -45,7 +45,7 @@ class Path:
         )
 
     def measure_levers(self, hand: Hand) -> Array:
-        """The levers of a hand along the path, as `Hand` has them: once for all columns of a load."""
+        """The levers of a hand along the path, as of `Hand`: once for all columns of a load."""
         for known, levers in self._levers_of_hands:
             if known is hand:
                 return levers

@@ -158,8 +158,8 @@ def count_groups(loads: Sequence[Column]) -> int:
 
 def _bend_by_levers(hand: Hand, body: BodyModel, known: Array) -> Iterator[Payload]:
     """Yield, for each direction in which a weight may pull, how all joints that carry the hand sink
-    together, and how each does more than that; where it is known which way that is, those that stood
-    still as well.
+    together, and how each does more than that; where it is known which way that is, also those
+    that stood still.
     """
     still = _measure_still_levers(body, known) if hand.is_upright else {}
     pulls = [UPRIGHT] if hand.is_upright else PULLS
@@ -200,7 +200,7 @@ def _bend_linearly(known: Array) -> Iterator[PostureLoad]:
 
 
 def refine_loads(columns: Sequence[Column], sizes: Array, turning: Array) -> tuple[Column, ...]:
-    """The columns, of these sizes (C,), with what a load needs for angles, but not to be found.
+    """The columns, of these sizes (C,), and those that a load needs for angles, but not to be found.
 
     A posture's load goes to the second order in joints that turn (M,) bool. One that pulls the hand
     any way has one direction for all joints, and more of it for each joint and each link; and the

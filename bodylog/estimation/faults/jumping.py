@@ -94,8 +94,8 @@ def average_between_slips(t: Array, y: Array) -> Array:
 
 
 IMAGES_BESIDE_SHIFT = 3
-"""Images before a shift, and after it, whose medians tell whether the joint slipped: one of three
-may be of something else."""
+"""Images whose medians show whether a joint slipped, before a shift and after it, or whether an
+encoder jumped in a gap: one of three may be of something else."""
 MOST_NATS_OF_IMAGE = 5.0
 """Nats that an image on either side tells of a shift at most: a single one of something else is
 less than EVIDENCE_THRESHOLD_NATS."""

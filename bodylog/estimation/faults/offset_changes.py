@@ -1,5 +1,5 @@
-"""Offsets of one encoder as hypotheses of the whole filter: a random walk, a step, from which on all
-readings are off by a constant, or a steady drift.
+"""Offsets of one encoder as hypotheses of the whole filter: a random walk, a step, from which on
+all readings are off by a constant, or a steady drift.
 
 Time and size b of a step or drift are those of greatest evidence. A size that is N(0, P²) a priori,
 P being PRIOR_STD_RAD, with standard error σ, and a time at any of N readings after the start, cost

@@ -12,7 +12,7 @@ import numpy as np
 from ...types import Array, Fault, FaultKind
 from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Encoders, Sighting
-from .jumping import index_resumed_readings
+from .jumping import IMAGES_BESIDE_SHIFT, index_resumed_readings
 from .threshold import EVIDENCE_THRESHOLD_NATS
 
 IMAGES_OF_LOG = 3
@@ -112,14 +112,13 @@ def _find_longest_gaps(
 
 def _compare_misfits(encoders: Encoders, mended: Encoders, images: Sequence[Sighting]) -> float:
     """Nats by which images fit mended readings better than the readings, by the median of each
-    sense's images at which the two differ; none by fewer than IMAGES_OF_LOG, of which one may be of
-    something else.
+    sense's images at which the two differ; none by fewer than IMAGES_BESIDE_SHIFT.
     """
     nats = 0.0
     pairs = zip(_measure_misfits(encoders, images), _measure_misfits(mended, images), strict=True)
     for misfits, fewer in pairs:
         differ = misfits != fewer
-        if np.count_nonzero(differ) >= IMAGES_OF_LOG:
+        if np.count_nonzero(differ) >= IMAGES_BESIDE_SHIFT:
             nats += IMAGES_OF_LOG * float(np.median((misfits - fewer)[differ]))
     return nats
 

@@ -320,7 +320,8 @@ def _find_breaks(t: Array, y: Array) -> Array:
     fresh = np.zeros(len(y), bool)
     at = np.flatnonzero(_find_far_bends(np.abs(np.diff(steps))))
     at = at[~_find_lasting_motion(steps, at)]
-    fresh[at + 1] = fresh[at + 2] = True
+    fresh[at + 1] = True
+    fresh[at + 2] = True
     fresh[1:] |= np.diff(t) > GAP_STEPS * measure_median_step(t)
     return fresh
 
