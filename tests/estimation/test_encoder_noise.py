@@ -51,6 +51,27 @@ def test_noise_and_motion_are_separated(noise, process, jitter):
     assert np.exp(np.mean([np.log(f[1]) for f in found])) == pytest.approx(process, rel=0.35)
 
 
+def test_bursts_differ_from_motion_that_lasts():
+    t = np.arange(0.0, 60.0, 0.01)
+    rng = np.random.default_rng(0)
+    noise = rng.normal(0.0, 1e-3, len(t))
+    lasting = white(0, 1e-6, 0.1, t)
+    reaches = noise + 0.4 * np.clip(t - 20.0, 0.0, 1.0) - 0.4 * np.clip(t - 40.0, 0.0, 1.0)
+    glitches = noise.copy()
+    glitches[::500] += 3.0
+    columns = np.stack([lasting, reaches, glitches, np.zeros(len(t))], axis=1)
+    encoders = Encoders(t, columns, np.arange(len(t)))
+    for order in (2, 3):
+        factors = encoder_noise.measure_burst_factors(encoders, order)
+        np.testing.assert_allclose(factors, [1.0, factors[1], 1.0, 1.0], rtol=0.2)
+        assert factors[1] > 5.0
+    few = Encoders(t[:1], columns[:1], np.zeros(1, int))
+    assert (encoder_noise.measure_burst_factors(few, 2) == 1.0).all()
+    # stamps a year apart take no room
+    apart = Encoders(t + 3e7 * (t > 30.0), columns, np.arange(len(t)))
+    assert encoder_noise.measure_burst_factors(apart, 2)[1] > 5.0
+
+
 @pytest.mark.soak
 def test_noise_and_motion_are_separated_at_1000_hz():
     t = np.arange(0.0, 20.0, 0.001)

@@ -23,6 +23,8 @@ from bodylog.estimation.noise.correlated_noise import ErrorCorrelation, LastFram
 from bodylog.settings import EstimationSettings, Settings
 from bodylog.types import Estimate, Features, Series
 from tests.estimation.conftest import WHITE_MOTIONS, Explored, discretised
+from tests.estimation.resting import Drawn
+from tests.estimation.resting import drawn as draw_resting_arm
 from tests.seeds import seeds
 
 MODEL = EstimationSettings(precision="model", bias="off")
@@ -232,6 +234,18 @@ def test_motion_learned_from_a_log_is_used_live(world):
     )
     last = step(LiveEstimator(drawn.body, MODEL, learned=batch.settings), late)[-1]
     np.testing.assert_allclose(last.x, batch.joints.values[-1], atol=1e-9, rtol=0)
+
+
+def test_joints_whose_encoders_are_silent_move_as_fast_live_as_in_the_log():
+    sound = draw_resting_arm(3, Drawn("reach", noise=1e-3))
+    values = sound.features.joints.values.copy()
+    values[400:, 1] = np.nan
+    features = replace(sound.features, joints=replace(sound.features.joints, values=values))
+    batch = estimate_from_features(features, sound.body, EstimationSettings(bias="off"))
+    settings = json.loads(json.dumps(batch.settings))
+    assert max(settings["bursts"]) > 2.0
+    messages = messages_of(features, sound.body)
+    assert_same(step(LiveEstimator(sound.body, MODEL, learned=settings), messages), batch)
 
 
 @pytest.mark.parametrize(

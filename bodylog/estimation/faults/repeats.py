@@ -29,6 +29,10 @@ from .threshold import EVIDENCE_THRESHOLD_NATS
 
 MAX_REPEAT_SHARE = 0.02
 """Largest share of repeats of a noisy encoder; one that repeats more often counts in steps."""
+MOTION_STEP = 0.125
+TRIED_MOTIONS = np.arange(-25, 26) * MOTION_STEP
+"""rad: motions, up to half a turn, from the nearest of which Gauss and Newton's steps begin. From
+none, they do not find one of .7 rad past a fold of the image."""
 
 
 class RepeatedReadings(NamedTuple):
@@ -77,45 +81,53 @@ def _measure_joint_motion_nats(
     place = np.stack([np.median(y[p] - known[p], axis=0) for p in parts]) + at
     noise = np.stack([1.6 * var[p].mean(axis=0) / len(p) for p in parts]) + model
     noise += np.square(jac) @ encoders.variance
+    # a constant offset is not motion
+    constant = ((place - at) / noise).sum(axis=0) / (1.0 / noise).sum(axis=0)
+    still = float(_sum_squared_misfits(place - at - constant, noise).sum())
+    if still - len(parts) <= EVIDENCE_THRESHOLD_NATS:
+        return 0.0
     found = [_explain_by_joint_motion(sighting, place, noise, middle, k) for k in range(x.shape[1])]
-    gain, left, apart = found[joint]
-    others = [nats for k, (nats, *_) in enumerate(found) if k != joint]
+    gains = [still - left for left, _ in found]
+    gain = gains.pop(joint)
+    left, apart = found[joint]
     least = max(
         OFFSET_STD,
         2.0 * find_reading_step(encoders.values[np.isfinite(encoders.values[:, joint]), joint]),
     )
     # better than rest, and better than motion of any other joint
-    won = min(gain - len(parts), gain - max(others, default=0.0))
+    won = min(gain - len(parts), gain - max(gains, default=0.0))
     return won if left < 0.2 * gain + len(parts) and apart > least else 0.0
 
 
 def _explain_by_joint_motion(
     sighting: Sighting, place: Array, noise: Array, x: Array, joint: int
-) -> tuple[float, float, float]:
-    """Nats that motion of one joint explains of positions
-    (P,D) at postures x (P,M), nats left, and its range (rad).
+) -> tuple[float, float]:
+    """Nats that motion of one joint leaves of positions (P,D) at postures x (P,M), and its range
+    (rad).
     """
     own = np.arange(x.shape[1]) == joint
-    moved = np.zeros(len(x))
-    none = sighting.model.predict(x)[0]
+    tried = x + TRIED_MOTIONS[:, None, None] * own
+    places = sighting.model.predict(tried.reshape(-1, x.shape[1]))[0]
+    misfits = _sum_squared_misfits(place - places.reshape(len(tried), *place.shape), noise)
+    moved = TRIED_MOTIONS[misfits.argmin(axis=0)]
     for _ in range(4):
         mean, jac, _ = sighting.model.predict(x + np.outer(moved, own))
         slope = jac[:, :, joint]
         off = place - mean
         stiff = (slope * slope / noise).sum(axis=1)
-        moved += np.divide(
+        step = np.divide(
             (slope * off / noise).sum(axis=1), stiff, out=np.zeros_like(stiff), where=stiff > 0.0
         )
-        moved = np.clip(moved, -1.0, 1.0)
-    left = _sum_squared_misfit(place - sighting.model.predict(x + np.outer(moved, own))[0], noise)
-    # a constant offset is not motion
-    constant = ((place - none) / noise).sum(axis=0) / (1.0 / noise).sum(axis=0)
-    return _sum_squared_misfit(place - none - constant, noise) - left, left, float(np.ptp(moved))
+        # no farther than to the next one tried
+        moved = moved + np.clip(step, -MOTION_STEP, MOTION_STEP)
+    mean = sighting.model.predict(x + np.outer(moved, own))[0]
+    left = float(_sum_squared_misfits(place - mean, noise).sum())
+    return left, float(np.ptp(moved))
 
 
-def _sum_squared_misfit(off: Array, noise: Array) -> float:
-    """Half the squared residuals off (P,D) over their variances."""
-    return float(0.5 * (np.square(off) / noise).sum())
+def _sum_squared_misfits(off: Array, noise: Array) -> Array:
+    """Half the squared residuals off (…,P,D) over their variances (P,D), of each part (…,P)."""
+    return np.asarray(0.5 * (np.square(off) / noise).sum(axis=-1))
 
 
 def detect_frozen_camera(evidence: Evidence, body: BodyModel) -> Evidence:

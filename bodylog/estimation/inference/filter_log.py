@@ -15,6 +15,7 @@ import numpy as np
 from ...types import Array
 from ..measurements.long_arrays import find_finite_rows
 from ..noise.correlated_noise import LastFrame, PendingFrame
+from ..noise.encoder_noise import measure_burst_factors
 from ..noise.posture_prior import build_stationary_motion
 from .filter_pass import (
     CONVERGED_MOVE,
@@ -112,7 +113,7 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
     confirmed = confirmed and not lost
     if confirmed and not _has_long_silence(problem, t[-1:]):
         return replace(problem, resets=resets)
-    problem = _with_stationary_motion(problem)
+    problem = _with_silent_motion(problem)
     path = _step_through_log(problem, False, ROUGHLY_CONVERGED_MOVE)
     stepwise = (
         not confirmed
@@ -124,7 +125,7 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
     if problem.precision.learned is None:  # noise is not to be learned from the log
         return problem
     precision = replace(problem.precision, moments=path.moments)
-    return _with_stationary_motion(replace(problem, precision=precision))
+    return _with_silent_motion(replace(problem, precision=precision))
 
 
 def loses_encoder(problem: FilterProblem, solution: Solution) -> bool:
@@ -166,12 +167,18 @@ def _stack_resets(lost: dict[float, Array]) -> tuple[Array, Array] | None:
     return (np.array(list(lost)), np.array(list(lost.values()))) if lost else None
 
 
-def _with_stationary_motion(problem: FilterProblem) -> FilterProblem:
-    """The problem with the stationary motion of joints whose encoders are silent for long."""
+def _with_silent_motion(problem: FilterProblem) -> FilterProblem:
+    """The problem with the motion of joints whose encoders are silent for long: a stationary one
+    where images leave them open, and else one that may be as fast as any in the log.
+    """
+    precision = problem.precision
+    encoders = problem.evidence.encoders
+    if precision.learned is not None and encoders is not None:
+        bursts = measure_burst_factors(encoders, precision.order)
+        precision = replace(precision, burst_factor=bursts)
     models = {sighting.name: sighting.model for sighting in problem.evidence.sightings}
-    return replace(
-        problem, stationary=build_stationary_motion(models, problem.start, problem.precision)
-    )
+    stationary = build_stationary_motion(models, problem.start, precision)
+    return replace(problem, precision=precision, stationary=stationary)
 
 
 def filter_sequentially(problem: FilterProblem, whole: bool = False) -> Solution:

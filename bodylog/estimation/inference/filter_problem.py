@@ -12,7 +12,7 @@ from ..measurements.timeline import Timeline, list_track_sets
 from ..noise.noise_model import NoiseModel
 from ..noise.posture_prior import PosturePrior
 from .filter_pass import GATE_SIGMA, FilterDynamics, FilterReadings
-from .reacquisition import extend_open_silence, find_joints_left_open
+from .reacquisition import extend_open_silence, find_joints_left_open, find_silent_joints
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,27 +70,28 @@ class FilterProblem:
 
     @property
     def process_factor(self) -> Array | None:
-        """Factor on the process variance (E,M), or None: fewer
-        tracks are in view, or a smoother is beside a silence.
+        """Factor on the process variance (E,M), or None: fewer tracks are in view, an encoder is
+        silent, or a smoother is beside a silence that images leave open.
 
-        Beside a silence it is that of the silent joints, as this determines how well rates and
+        Beside such a silence it is that of the silent joints, as this determines how well rates and
         accelerations are known at both ends; a smoother's own is that of least error in the angles.
         """
-        fewer = self.precision.process_by_view
-        usual = self.precision.process
+        precision = self.precision
+        usual = precision.process
+        factor = None
+        if precision.process_by_view:
+            views, which = list_track_sets(self.evidence.sightings, self.timeline.t)
+            fewer = precision.process_by_view
+            factor = np.stack([fewer.get(view, usual) / usual for view in views])[which]
         held = self.left_open
-        if (
-            self.stationary is not None
-            and held is not None
-            and self.precision.filter_process is not None
-        ):
-            return np.where(
-                extend_open_silence(self.timeline.t, held), self.stationary.process / usual, 1.0
-            )
-        if not fewer:
-            return None
-        views, which = list_track_sets(self.evidence.sightings, self.timeline.t)
-        return np.stack([fewer.get(view, usual) / usual for view in views])[which]
+        if held is None or self.stationary is None or self.evidence.encoders is None:
+            return factor
+        silent = find_silent_joints(self.timeline.t, self.evidence.encoders)
+        faster = precision.silent_process / usual
+        if precision.filter_process is None:
+            return np.where(silent, faster, 1.0 if factor is None else factor)
+        beside = extend_open_silence(self.timeline.t, held)
+        return np.where(beside, self.stationary.process / usual, np.where(silent, faster, 1.0))
 
 
 def lay_out_readings(problem: FilterProblem, held: Array | None = None) -> FilterReadings:

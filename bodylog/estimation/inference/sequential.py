@@ -274,8 +274,8 @@ def linearise_over_belief(sight: PendingFrame, x: Array, cov: Array, count: floa
 class State:
     """After an instant t (s; −∞ before the first): belief z (K,), p (K,K).
 
-    confirmed_t (M) s: time at which each encoder last confirmed the belief, −∞ for never · seen:
-    last frame of each track. Of this instant: nats · encoder_d (M) and errors of tracks, in
+    confirmed_t, read_t (M) s: times at which each encoder last confirmed the belief, and was last
+    read, −∞ for never · seen: last frame of each track. Of this instant: nats · encoder_d (M) and errors of tracks, in
     standard deviations · lost (M,) bool: joints re-initialised · held (M,) bool: joints silent for
     long before it · point (M,) rad of its tangents · lines: the tracks' lines if held joints were
     hardly determined.
@@ -285,6 +285,7 @@ class State:
     z: Array
     p: Array
     confirmed_t: Sequence[float]
+    read_t: Sequence[float]
     seen: Mapping[Any, PendingFrame] = field(default_factory=dict)
     nats: float = 0.0
     encoder_d: Sequence[float] = ()
@@ -311,7 +312,8 @@ class SequentialFilter:
 
     def build_first_state(self, start: Array) -> State:
         """The state before any measurement, at the angles `start` (M,) rad."""
-        return State(-math.inf, *build_state_prior(start, self._dynamics), [-math.inf] * len(start))
+        never = [-math.inf] * len(start)
+        return State(-math.inf, *build_state_prior(start, self._dynamics), never, never)
 
     def filter_instant(
         self,
@@ -333,7 +335,8 @@ class SequentialFilter:
         held = None
         numbers = 0
         lost = None
-        confirmed: Iterable[bool] = [not math.isnan(reading) for reading in readings]
+        read = [not math.isnan(reading) for reading in readings]
+        confirmed: Iterable[bool] = read
         if not t - min(confirmed_t) <= LONG_SILENCE_S:
             ages = t - np.array(confirmed_t)
             numbers = sum(
@@ -356,7 +359,8 @@ class SequentialFilter:
         if self._posture is not None and dt > 0.0:
             readings, var = self._posture.add_pseudo_readings(np.array(readings), np.array(var), dt)
         step = partial(step, readings, var, lost=lost, held=held)
-        after = State(t, before.z, before.p, [], before.seen, lost=lost, held=held)
+        read_t = [t if now else last for now, last in zip(read, before.read_t, strict=True)]
+        after = State(t, before.z, before.p, [], read_t, before.seen, lost=lost, held=held)
         belief = step()
         if frames:
             adrift = numbers > 0 and held is not None

@@ -33,7 +33,8 @@ class NoiseModel:
     these are not all · filter_process (M,): of a filter, where a smoother's differs ·
     evidence_process (M,): before `with_memory_bound` · learned: from encoders, for white
     acceleration and white jerk · motion: name of the joints' motion model · moments (O,M): mean
-    squares of the angles, from their explored mean, and of their derivatives, if one is silent.
+    squares of the angles, from their explored mean, and of their derivatives, if one is silent ·
+    burst_factor (M,): process variance of a joint's fast motion over its usual one, then too.
     """
 
     encoder: Array
@@ -48,6 +49,14 @@ class NoiseModel:
     learned: tuple[LearnedEncoderNoise, LearnedEncoderNoise] | None = None
     motion: str = WHITE_ACCELERATION
     moments: Array | None = None
+    burst_factor: Array | float = 1.0
+
+    @property
+    def silent_process(self) -> Array:
+        """Process variances (M,) of joints whose encoders are silent: they may move as fast as any
+        joint does. Images reject a motion that is faster than its process variance allows.
+        """
+        return np.asarray(np.maximum(self.process, np.max(self.process * self.burst_factor)))
 
     @property
     def order(self) -> int:
@@ -69,6 +78,7 @@ class NoiseModel:
             numbers["likeliest"] = self.filter_process.tolist()
         if self.moments is not None:
             numbers["moments"] = self.moments.tolist()
+            numbers["bursts"] = np.broadcast_to(self.burst_factor, self.process.shape).tolist()
         if self.process_by_view:
             numbers["process_in_view"] = {
                 " ".join(view) or "none": [float(v) for v in process]
@@ -179,9 +189,20 @@ def carry_noise_model(body: BodyModel, found: Mapping[str, Any] | None) -> Noise
     moments = None
     if "moments" in found:
         moments = _parse_positive_array(found, "moments", (order, *shape))
-    scale = dict(found.get("scale", {}))
-    near = dict(found.get("near", {}))
-    return NoiseModel(encoder, process, None, scale, near, stated, motion=motion, moments=moments)
+    bursts: Array | float = 1.0
+    if "bursts" in found:
+        bursts = _parse_positive_array(found, "bursts", shape)
+    return NoiseModel(
+        encoder,
+        process,
+        None,
+        dict(found.get("scale", {})),
+        dict(found.get("near", {})),
+        stated,
+        motion=motion,
+        moments=moments,
+        burst_factor=bursts,
+    )
 
 
 def require_motion_model(name: object, where: str, *others: str) -> None:
