@@ -109,10 +109,14 @@ def find_open_joints(ages: Array, numbers: Array | int) -> Array:
 
 
 def find_silent_joints(t: Array, encoders: Encoders) -> Array:
-    """Joints (E,M) bool whose encoders, read before,
-    have been silent for long at times t (E,) s.
+    """Joints (E,M) bool whose encoders, read before, have been silent for long at times t (E,) s.
+
+    Those of which faulty readings were removed are known to be silent from the first of them on.
     """
-    return _measure_reading_ages(t, encoders) > LONG_SILENCE_S
+    ages = _measure_reading_ages(t, encoders)
+    removed = np.isfinite(encoders.as_read.values) & ~np.isfinite(encoders.values)
+    gaps = np.where(removed.any(axis=0), ages + _measure_times_to_reading(t, encoders), ages)
+    return np.asarray(gaps > LONG_SILENCE_S)
 
 
 def find_joints_left_open(t: Array, evidence: Evidence) -> Array:
@@ -153,6 +157,12 @@ def _measure_reading_ages(t: Array, encoders: Encoders) -> Array:
         ],
         axis=1,
     )
+
+
+def _measure_times_to_reading(t: Array, encoders: Encoders) -> Array:
+    """Times (E,M) s to each encoder's next reading, at t (E,) s or later; ∞ after the last."""
+    known = [np.append(encoders.t[np.isfinite(column)], np.inf) for column in encoders.values.T]
+    return np.stack([times[np.searchsorted(times, t)] - t for times in known], axis=1)
 
 
 def _measure_time_since_last(known: Array, t: Array) -> Array:
