@@ -327,6 +327,21 @@ def test_images_show_a_frozen_encoder_whose_joint_moves_past_a_fold_of_the_image
     assert_frozen_encoder_is_separated(drawn(31, Drawn("reach", 1.5e-3, noise)), 1)
 
 
+@pytest.mark.parametrize("gaps", [0, 2])
+@pytest.mark.parametrize("joint", first_of(1, [0, 1, 2]))
+@pytest.mark.parametrize("method", ["filter", "smoother"])
+def test_joints_that_rested_move_while_their_encoders_are_silent(method, joint, gaps):
+    """The first reach of pan and elbow is in a gap of all encoders, or begins where its encoder freezes."""
+    sound = drawn(41, Drawn("reach", 1.5e-3, 1e-3, gaps=gaps))
+    name = sound.features.joints.names[joint]
+    features = spoil(sound, lambda t, y: np.copyto(y, y[np.searchsorted(t, 4.0)], where=t >= 4.0), name)
+    found = estimate_from_features(features, sound.body, EstimationSettings(method=method))
+    assert [(f.name, f.kind) for f in found.faults] == [(name, "frozen")]
+    error, nees = judged(sound, found.joints, found.cov)
+    assert error < 0.01  # up to 0.035 rad by the joint's own process variance
+    assert nees < 2.0  # and 1350
+
+
 @pytest.mark.parametrize("joint", ["pan", "lift", "elbow"])
 def test_constant_offset_is_found_over_the_whole_log(world, joint):
     drawn = world(0, duration=16.0, encoder_std=0.01)

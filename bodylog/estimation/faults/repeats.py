@@ -18,7 +18,7 @@ import numpy as np
 
 from ...body_model import BodyModel
 from ...types import Array, Fault, FaultKind
-from ..inference.reacquisition import LONG_SILENCE_S
+from ..inference.reacquisition import LONG_SILENCE_S, measure_reading_gaps
 from ..inference.tangents import OFFSET_STD
 from ..measurements.long_arrays import find_finite_rows
 from ..measurements.records import Encoders, Evidence, Sighting
@@ -68,6 +68,8 @@ def _measure_joint_motion_nats(
     much unexplained, or is less than the encoder's step.
     """
     rows = find_finite_rows(sighting.values) & (sighting.t > begin) & (sighting.t <= end)
+    # in a gap of the readings postures are unknown
+    rows &= (measure_reading_gaps(sighting.t, encoders) <= LONG_SILENCE_S).all(axis=1)
     parts = split_stretch(sighting.t[rows])
     if len(parts) < 2:
         return 0.0

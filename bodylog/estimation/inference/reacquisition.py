@@ -115,8 +115,8 @@ def find_silent_joints(t: Array, encoders: Encoders) -> Array:
     """
     ages = _measure_reading_ages(t, encoders)
     removed = np.isfinite(encoders.as_read.values) & ~np.isfinite(encoders.values)
-    gaps = np.where(removed.any(axis=0), ages + _measure_times_to_reading(t, encoders), ages)
-    return np.asarray(gaps > LONG_SILENCE_S)
+    known = np.where(removed.any(axis=0), measure_reading_gaps(t, encoders), ages)
+    return np.asarray(known > LONG_SILENCE_S)
 
 
 def find_joints_left_open(t: Array, evidence: Evidence) -> Array:
@@ -159,10 +159,14 @@ def _measure_reading_ages(t: Array, encoders: Encoders) -> Array:
     )
 
 
-def _measure_times_to_reading(t: Array, encoders: Encoders) -> Array:
-    """Times (E,M) s to each encoder's next reading, at t (E,) s or later; ∞ after the last."""
+def measure_reading_gaps(t: Array, encoders: Encoders) -> Array:
+    """Times (E,M) s between each encoder's readings before and from t (E,) s on; −∞ before the
+    first, ∞ after the last.
+    """
     known = [np.append(encoders.t[np.isfinite(column)], np.inf) for column in encoders.values.T]
-    return np.stack([times[np.searchsorted(times, t)] - t for times in known], axis=1)
+    ahead = np.stack([times[np.searchsorted(times, t)] - t for times in known], axis=1)
+    ages = _measure_reading_ages(t, encoders)
+    return np.add(ages, ahead, where=np.isfinite(ages), out=ages)
 
 
 def _measure_time_since_last(known: Array, t: Array) -> Array:

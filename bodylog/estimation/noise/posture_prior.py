@@ -11,6 +11,11 @@ from ...types import Array
 from ..measurements.records import Evidence
 from .noise_model import NoiseModel
 
+HARDLY_MOVED_SHARE = 0.01
+"""Share of the fastest joint's process variance, that of a tenth of its accelerations, below which
+a joint hardly moved. Of joints that took part in sines, reaches and babble none has less than 3 %.
+"""
+
 
 @dataclass(frozen=True, eq=False)
 class PosturePrior:
@@ -91,11 +96,16 @@ def build_stationary_motion(
     var = np.stack([np.square(std), *rest])
     if precision.moments is not None:
         var = np.concatenate([np.maximum(var[:1], precision.moments[:1]), precision.moments[1:]])
+    # a joint that hardly moved before tells nothing of how it moves in a silence
+    fastest = precision.silent_process
+    hardly = precision.process < HARDLY_MOVED_SHARE * fastest
+    var[1:] = np.where(hardly, var[1:].max(axis=1, keepdims=True), var[1:])
+    process = np.where(hardly, fastest, precision.process)
     if order == 3:
         # a flat spectrum up to some frequency has the
         # narrowest angles for its rates and accelerations
         var[0] = np.maximum(var[0], 9.0 / 5.0 * var[1] ** 2 / var[2])
-    return Stationary(mean, var, precision.process)
+    return Stationary(mean, var, process)
 
 
 def _measure_sample_statistics(models: Mapping[str, ForwardModel]) -> tuple[Array, Array] | None:
