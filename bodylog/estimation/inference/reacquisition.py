@@ -166,7 +166,7 @@ def measure_reading_gaps(t: Array, encoders: Encoders) -> Array:
     known = [np.append(encoders.t[np.isfinite(column)], np.inf) for column in encoders.values.T]
     ahead = np.stack([times[np.searchsorted(times, t)] - t for times in known], axis=1)
     ages = _measure_reading_ages(t, encoders)
-    return np.add(ages, ahead, where=np.isfinite(ages), out=ages)
+    return np.asarray(np.add(ages, ahead, where=np.isfinite(ages), out=ages))
 
 
 def _measure_time_since_last(known: Array, t: Array) -> Array:
