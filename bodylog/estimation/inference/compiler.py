@@ -37,6 +37,13 @@ def output_array(axes: int) -> Any:
     return types.Array(types.float64, axes, "C")
 
 
+def record_of(kind: type, *fields: Any) -> Any:
+    """The type of a record, a NamedTuple, with fields of these types."""
+    if len(set(fields)) == 1:
+        return types.NamedUniTuple(fields[0], len(fields), kind)  # type: ignore[no-untyped-call]
+    return types.NamedTuple(fields, kind)  # type: ignore[no-untyped-call]
+
+
 def compile_inner(function: Function) -> Function:
     """Compile a function that kernels call, with them; it must not allocate arrays."""
     compiled: Function = njit(**INNER_OPTIONS)(function)

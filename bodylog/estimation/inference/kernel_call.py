@@ -39,14 +39,26 @@ def bind_kernel_call(function: str, **values: Any) -> Callable[[], None]:
     kernel = load_kernel(function)
     kinds = kernel.nopython_signatures[0].args
     names = kernel.py_func.__code__.co_varnames[: len(kinds)]
-    assert values.keys() == set(names), values.keys() ^ set(names)
-    arguments = []
-    for name, kind in zip(names, kinds, strict=True):
-        value = values[name]
-        axes = getattr(kind, "ndim", 0)
-        if axes:
-            dtype = np.dtype(str(kind.dtype))
-            value = np.empty((0,) * axes, dtype) if value is None else value
-            assert value.ndim == axes and value.dtype == dtype and value.flags.c_contiguous, name
-        arguments.append(value)
-    return partial(kernel, *arguments)
+    left = dict(values)
+    arguments = [_take_argument(name, kind, left) for name, kind in zip(names, kinds, strict=True)]
+    assert not left, left.keys()
+    # without a search for the signature that fits: there is one
+    return partial(kernel.get_overload(kernel.signatures[0]), *arguments)
+
+
+def _take_argument(name: str, kind: Any, values: dict[str, Any]) -> Any:
+    """An argument of a kernel's type, out of the values: a record takes one for each field."""
+    if hasattr(kind, "instance_class"):
+        fields = zip(kind.fields, kind, strict=True)
+        return kind.instance_class(*[_take_argument(*field, values) for field in fields])
+    value = values.pop(name)
+    axes = getattr(kind, "ndim", 0)
+    if not axes:
+        return value
+    dtype = np.dtype(str(kind.dtype))
+    value = np.empty((0,) * axes, dtype) if value is None else value
+    assert value.ndim == axes and value.dtype == dtype and value.flags.c_contiguous, name
+    if not kind.mutable:
+        value = value.view()
+        value.flags.writeable = False
+    return value

@@ -10,6 +10,7 @@ All of it stands in this file, because the cache of machine code notices changes
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from .compiler import (
     input_flags,
     number,
     output_array,
+    record_of,
     whole,
 )
 
@@ -29,6 +31,80 @@ READINGS_AT_ONCE = 16
 """Variances, in units of the noise, of which one logarithm is taken."""
 NOISE_SHARES = np.array([[1 / 20, 1 / 8, 1 / 6], [1 / 8, 1 / 3, 1 / 2], [1 / 6, 1 / 2, 1.0]])
 """1/((2p−1−i−j) (p−1−i)! (p−1−j)!) of order p = 3; those of order 2 are its lower right part."""
+
+
+class ReadingArrays(NamedTuple):
+    """The readings of all instants, and how joints move before them: those of `FilterReadings`."""
+
+    dt: Array
+    encoders: Array
+    encoder_var: Array
+    y: Array
+    jac: Array
+    var: Array
+    reset: Array
+    process_factor: Array
+    move: Array
+    shift: Array
+    noise: Array
+
+
+class MotionArrays(NamedTuple):
+    """process, drift, counted (M,) of `FilterDynamics` and the variances restart (O,) of a joint
+    that restarts.
+    """
+
+    process: Array
+    drift: Array
+    counted: Array
+    restart: Array
+
+
+class OutlierLimits(NamedTuple):
+    """Gate in standard deviations; cost of an outlier there and, far off, beside it (nats)."""
+
+    gate: float
+    outlier_cost: float
+    flat: float
+
+
+class TraceArrays(NamedTuple):
+    """What is kept of each instant: the arrays of `FilterTrace`."""
+
+    prior: Array
+    prior_cov: Array
+    z: Array
+    cov: Array
+    end_p: Array
+    nats: Array
+    encoder_d: Array
+    p: Array
+    information: Array
+    gains: Array
+    weights: Array
+    marks: Array
+
+
+class Workspace(NamedTuple):
+    """Room for an instant, of S states a joint and of T tracks with D rows.
+
+    growth (O,O), motion (S,S), old (S,): of the motion · encoder_noise (M,), seen
+    (T,D), track_noise (T,D), sees (T,): its readings · projected (D,K+1), cross (D,D), off (D,),
+    system (D,D): of one track · read_by_encoder (K+1,): of one encoder.
+    """
+
+    growth: Array
+    motion: Array
+    old: Array
+    encoder_noise: Array
+    seen: Array
+    track_noise: Array
+    sees: Array
+    projected: Array
+    cross: Array
+    off: Array
+    system: Array
+    read_by_encoder: Array
 
 
 # Motion of joints: white noise in their highest derivative, as in motion.py, or a motion of their
@@ -98,41 +174,35 @@ def mirror_upper_triangle(square: Array) -> None:
 
 @compile_inner
 def move_belief(
-    belief: Array,
-    i: int,
-    dt: float,
-    density: Array,
-    drift: Array,
-    move: Array,
-    shift: Array,
-    noise: Array,
-    growth: Array,
-    motion: Array,
-    old: Array,
+    belief: Array, i: int, readings: ReadingArrays, model: MotionArrays, room: Workspace
 ) -> None:
-    """Move the belief by dt with process noise (M,) and the walk (M,) of offsets, or by a joint's
-    own motion, shift and noise.
-
-    growth (O,O), motion (S,S), old (S,): room.
+    """Move the belief to instant i with process noise and the walk of offsets, or by a joint's own
+    motion, shift and noise.
     """
+    dt = readings.dt[i]
     states = len(belief)
-    joints = len(density)
-    order = len(growth)
+    joints = len(model.process)
+    order = len(model.restart)
+    growth = room.growth
+    motion = room.motion
     integrate_noise(dt, order, growth)
     for j in range(joints):
-        own = choose_motion(move, i, j, dt, order, motion)
-        move_joint(belief, j, joints, motion, old)
-        for r in range(len(old)):
+        density = model.process[j]
+        if readings.process_factor.size > 0:
+            density *= readings.process_factor[i, j]
+        own = choose_motion(readings.move, i, j, dt, order, motion)
+        move_joint(belief, j, joints, motion, room.old)
+        for r in range(len(motion)):
             at = r * joints + j
             if own:
-                belief[at, states] += shift[i, r, j]
-            for q in range(len(old)):
+                belief[at, states] += readings.shift[i, r, j]
+            for q in range(len(motion)):
                 if own:
-                    belief[at, q * joints + j] += noise[i, r, q, j]
+                    belief[at, q * joints + j] += readings.noise[i, r, q, j]
                 elif r < order and q < order:
-                    belief[at, q * joints + j] += density[j] * growth[r, q]
+                    belief[at, q * joints + j] += density * growth[r, q]
                 elif r == q:
-                    belief[at, at] += drift[j] * dt
+                    belief[at, at] += model.drift[j] * dt
     mirror_upper_triangle(belief)
 
 
@@ -186,22 +256,15 @@ def compute_innovation_nats(innovation: float, weight: float) -> float:
 
 @compile_inner
 def keep_reading(
-    projected: Array,
-    weight: float,
-    noise: float,
-    i: int,
-    reading: int,
-    information: Array,
-    gains: Array,
-    weights: Array,
+    projected: Array, weight: float, noise: float, i: int, reading: int, trace: TraceArrays
 ) -> None:
     """Keep what a smoother needs of a reading: information, and weight and gain."""
-    if information.size > 0:
-        information[i, reading] = 1.0 / noise
-    if weights.size > 0:
-        weights[i, reading] = weight
+    if trace.information.size > 0:
+        trace.information[i, reading] = 1.0 / noise
+    if trace.weights.size > 0:
+        trace.weights[i, reading] = weight
         for a in range(len(projected) - 1):
-            gains[i, reading, a] = projected[a] * weight
+            trace.gains[i, reading, a] = projected[a] * weight
 
 
 @compile_inner
@@ -256,27 +319,19 @@ def square_innovation(
 
 @compile_inner
 def gate_track(
-    projected: Array,
-    cross: Array,
-    limits: tuple[float, float, float],
-    noise: Array,
-    off: Array,
-    system: Array,
+    projected: Array, cross: Array, limits: OutlierLimits, noise: Array, off: Array, system: Array
 ) -> float:
-    """Inflate the noise (D,) of a track's rows that are outliers; the nats that these cost.
-
-    limits: gate in standard deviations; cost of an outlier there and, far off, beside it (nats).
-    """
-    gate, cost, flat = limits
+    """Inflate the noise (D,) of a track's rows that are outliers; the nats that these cost."""
     square, size = square_innovation(projected, cross, noise, off, system)
-    over = square / (gate * gate)
+    over = square / (limits.gate * limits.gate)
     if not over > 1.0:
         return 0.0
     for d in range(len(noise)):
         noise[d] += (cross[d, d] + noise[d]) * (over * over - 1.0)
     inflated, wide_size = square_innovation(projected, cross, noise, off, system)
     half_log = 0.5 * math.log(wide_size / size)
-    return cost + flat * (1.0 - 1.0 / over) - 0.5 * inflated - half_log
+    beyond = limits.flat * (1.0 - 1.0 / over)
+    return limits.outlier_cost + beyond - 0.5 * inflated - half_log
 
 
 @compile_inner
@@ -293,19 +348,14 @@ def eliminate_row(projected: Array, cross: Array, d: int, weight: float) -> None
 
 @compile_inner
 def gate_encoder(
-    belief: Array,
-    reading: float,
-    j: int,
-    offset: int,
-    limits: tuple[float, float, float],
-    noise: float,
+    belief: Array, reading: float, j: int, offset: int, limits: OutlierLimits, noise: float
 ) -> tuple[float, float, float]:
     """The innovation of a reading in standard deviations; its noise, inflated if it is an outlier,
     and the nats that this costs.
 
     offset: state of the encoder's offset, or −1.
     """
-    gate, cost, flat = limits
+    cost = limits.outlier_cost
     innovation = reading - belief[j, -1]
     total = belief[j, j] + noise
     if offset >= 0:
@@ -313,10 +363,10 @@ def gate_encoder(
         innovation -= belief[offset, -1]
     total = max(noise, total)  # rounding after a reading far surer than the belief
     deviation = innovation / math.sqrt(total)
-    over = deviation * deviation / (gate * gate)
+    over = deviation * deviation / (limits.gate * limits.gate)
     if not over > 1.0:
         return deviation, noise, 0.0
-    nats = cost + flat * (1.0 - 1.0 / over) - cost / over - math.log(over)
+    nats = cost + limits.flat * (1.0 - 1.0 / over) - cost / over - math.log(over)
     return deviation, noise + total * (over * over - 1.0), nats
 
 
@@ -382,147 +432,174 @@ def keep_rows(belief: Array, i: int, joints: int, p: Array) -> None:
             p[i, r, b] = belief[a, b]
 
 
+# The filter.
+
+
+@compile_inner
+def restart_joints(belief: Array, i: int, readings: ReadingArrays, variances: Array) -> None:
+    """Give the joints that restart at instant i the prior variances (O,)."""
+    joints = readings.encoders.shape[1]
+    for j in range(joints if readings.reset.size > 0 else 0):
+        if readings.reset[i, j]:
+            restart_joint(belief, j, joints, variances, readings.dt[i], readings.encoders[i, j])
+
+
+@compile_inner
+def find_offset_state(model: MotionArrays, j: int) -> int:
+    """State of an encoder's offset, or −1."""
+    return len(model.restart) * len(model.process) + j if len(model.drift) > 0 else -1
+
+
+@compile_inner
+def gate_readings(
+    belief: Array,
+    i: int,
+    readings: ReadingArrays,
+    model: MotionArrays,
+    limits: OutlierLimits,
+    room: Workspace,
+    trace: TraceArrays,
+) -> None:
+    """Take the readings of instant i and their noise, inflated where they are outliers of the
+    belief before it.
+    """
+    for j in range(len(model.process)):
+        trace.encoder_d[i, j] = math.nan
+        room.encoder_noise[j] = readings.encoder_var[i, j]
+        if model.counted[j] and not math.isnan(readings.encoders[i, j]):
+            trace.encoder_d[i, j], room.encoder_noise[j], more = gate_encoder(
+                belief,
+                readings.encoders[i, j],
+                j,
+                find_offset_state(model, j),
+                limits,
+                readings.encoder_var[i, j],
+            )
+            trace.nats[i] += more
+    for track in range(len(room.sees)):
+        seen = room.seen[track]
+        noise = room.track_noise[track]
+        room.sees[track] = take_track(readings.y, readings.var, i, track, seen, noise)
+        if room.sees[track]:
+            project_track(belief, readings.jac, seen, i, track, room.projected, room.cross)
+            trace.nats[i] += gate_track(
+                room.projected, room.cross, limits, noise, room.off, room.system
+            )
+
+
+@compile_inner
+def condition_on_tracks(
+    belief: Array, i: int, readings: ReadingArrays, room: Workspace, trace: TraceArrays
+) -> None:
+    """Condition the belief on the tracks' rows at instant i."""
+    tracks, rows = room.seen.shape
+    joints = readings.encoders.shape[1]
+    for track in range(tracks):
+        if not room.sees[track]:
+            continue
+        seen = room.seen[track]
+        project_track(belief, readings.jac, seen, i, track, room.projected, room.cross)
+        for d in range(rows):
+            if math.isnan(seen[d]):
+                continue
+            projected = room.projected[d]
+            noise = room.track_noise[track, d]
+            weight = 1.0 / (room.cross[d, d] + noise)
+            eliminate_row(room.projected, room.cross, d, weight)
+            trace.nats[i] += compute_innovation_nats(projected[-1], weight)
+            condition_belief(belief, projected, weight)
+            keep_reading(projected, weight, noise, i, joints + track * rows + d, trace)
+
+
+@compile_inner
+def condition_on_encoders(
+    belief: Array,
+    i: int,
+    readings: ReadingArrays,
+    model: MotionArrays,
+    room: Workspace,
+    trace: TraceArrays,
+) -> None:
+    """Condition the belief on the encoders' readings at instant i."""
+    projected = room.read_by_encoder
+    for j in range(len(model.process)):
+        reading = readings.encoders[i, j]
+        if math.isnan(reading):
+            continue
+        noise = room.encoder_noise[j]
+        offset = find_offset_state(model, j)
+        weight = project_encoder(belief, reading, j, offset, noise, projected)
+        if model.counted[j]:
+            trace.nats[i] += compute_innovation_nats(projected[-1], weight)
+        condition_belief(belief, projected, weight)
+        keep_reading(projected, weight, noise, i, j, trace)
+
+
 @declare_kernel(
-    # dt, encoders, encoder_var, y, jac, var, reset, process_factor, move, shift, noise
-    *(input_array(axes) for axes in (1, 2, 2, 3, 4, 3)),
-    input_flags(2),
-    *(input_array(axes) for axes in (2, 4, 3, 4)),
-    # process, drift, counted, restart
-    input_array(1),
-    input_array(1),
-    input_flags(1),
-    input_array(1),
-    # gate, outlier_cost, flat, block, start_z, start_p
-    number,
-    number,
-    number,
+    record_of(
+        ReadingArrays,
+        *(input_array(axes) for axes in (1, 2, 2, 3, 4, 3)),
+        input_flags(2),
+        *(input_array(axes) for axes in (2, 4, 3, 4)),
+    ),
+    record_of(MotionArrays, input_array(1), input_array(1), input_flags(1), input_array(1)),
+    record_of(OutlierLimits, number, number, number),
+    # block, start_z, start_p
     whole,
     input_array(1),
     input_array(2),
-    # prior, prior_cov, z, cov, end_p, nats, encoder_d, p, information, gains, weights, marks
-    *(output_array(axes) for axes in (2, 3, 2, 3, 2, 1, 2, 3, 2, 3, 2, 3)),
+    record_of(TraceArrays, *(output_array(n) for n in (2, 3, 2, 3, 2, 1, 2, 3, 2, 3, 2, 3))),
 )
 def filter_instants(
-    dt: Array,
-    encoders: Array,
-    encoder_var: Array,
-    y: Array,
-    jac: Array,
-    var: Array,
-    reset: Array,
-    process_factor: Array,
-    move: Array,
-    shift: Array,
-    noise: Array,
-    process: Array,
-    drift: Array,
-    counted: Array,
-    restart: Array,
-    gate: float,
-    outlier_cost: float,
-    flat: float,
+    readings: ReadingArrays,
+    model: MotionArrays,
+    limits: OutlierLimits,
     block: int,
     start_z: Array,
     start_p: Array,
-    prior: Array,
-    prior_cov: Array,
-    z: Array,
-    cov: Array,
-    end_p: Array,
-    nats: Array,
-    encoder_d: Array,
-    p: Array,
-    information: Array,
-    gains: Array,
-    weights: Array,
-    marks: Array,
+    trace: TraceArrays,
 ) -> None:
-    """Filter a log, one instant after the other."""
-    joints = encoders.shape[1]
-    tracks, rows = y.shape[1:]
+    """Filter a log, one instant after the other, and mark the belief before each block of them."""
+    joints = len(model.process)
+    order = len(model.restart)
     states = len(start_z)
-    order = len(restart)
-    limits = gate, outlier_cost, flat
-    density = np.empty(joints)
-    growth = np.empty((order, order))
-    motion = np.empty((states // joints, states // joints))
-    old = np.empty(states // joints)
-    encoder_noise = np.empty(joints)
-    read_by_encoder = np.empty(states + 1)
-    seen = np.empty((tracks, rows))
-    track_noise = np.empty((tracks, rows))
-    sees = np.empty(tracks, np.bool_)
-    projected = np.empty((rows, states + 1))
-    cross = np.empty((rows, rows))
-    off = np.empty(rows)
-    system = np.empty((rows, rows))
+    own = states // joints
+    tracks, rows = readings.y.shape[1:]
+    room = Workspace(
+        np.empty((order, order)),
+        np.empty((own, own)),
+        np.empty(own),
+        np.empty(joints),
+        np.empty((tracks, rows)),
+        np.empty((tracks, rows)),
+        np.empty(tracks, np.bool_),
+        np.empty((rows, states + 1)),
+        np.empty((rows, rows)),
+        np.empty(rows),
+        np.empty((rows, rows)),
+        np.empty(states + 1),
+    )
     belief = np.empty((states, states + 1))
     belief[:, :states] = start_p
     belief[:, states] = start_z
-    for i in range(len(dt)):
-        if marks.size > 0 and i % block == 0:
-            marks[i // block] = belief
-        for j in range(joints):
-            density[j] = process[j]
-            if process_factor.size > 0:
-                density[j] *= process_factor[i, j]
-        move_belief(belief, i, dt[i], density, drift, move, shift, noise, growth, motion, old)
-        for j in range(joints if reset.size > 0 else 0):
-            if reset[i, j]:
-                restart_joint(belief, j, joints, restart, dt[i], encoders[i, j])
-        keep_means(belief, i, prior)
-        keep_covariances(belief, i, joints, joints, prior_cov)
-        information[i] = 0.0
-        weights[i] = 0.0
-        nats[i] = 0.0
-        for j in range(joints):
-            encoder_d[i, j] = math.nan
-            encoder_noise[j] = encoder_var[i, j]
-            if counted[j] and not math.isnan(encoders[i, j]):
-                offset = order * joints + j if len(drift) > 0 else -1
-                encoder_d[i, j], encoder_noise[j], more = gate_encoder(
-                    belief, encoders[i, j], j, offset, limits, encoder_var[i, j]
-                )
-                nats[i] += more
-        for track in range(tracks):
-            sees[track] = take_track(y, var, i, track, seen[track], track_noise[track])
-            if sees[track]:
-                project_track(belief, jac, seen[track], i, track, projected, cross)
-                nats[i] += gate_track(projected, cross, limits, track_noise[track], off, system)
-        for track in range(tracks):
-            if not sees[track]:
-                continue
-            project_track(belief, jac, seen[track], i, track, projected, cross)
-            for d in range(rows):
-                if math.isnan(seen[track, d]):
-                    continue
-                own_noise = track_noise[track, d]
-                weight = 1.0 / (cross[d, d] + own_noise)
-                eliminate_row(projected, cross, d, weight)
-                nats[i] += compute_innovation_nats(projected[d, states], weight)
-                condition_belief(belief, projected[d], weight)
-                reading = joints + track * rows + d
-                keep_reading(
-                    projected[d], weight, own_noise, i, reading, information, gains, weights
-                )
-        for j in range(joints):
-            if math.isnan(encoders[i, j]):
-                continue
-            offset = order * joints + j if len(drift) > 0 else -1
-            weight = project_encoder(
-                belief, encoders[i, j], j, offset, encoder_noise[j], read_by_encoder
-            )
-            if counted[j]:
-                nats[i] += compute_innovation_nats(read_by_encoder[states], weight)
-            condition_belief(belief, read_by_encoder, weight)
-            keep_reading(
-                read_by_encoder, weight, encoder_noise[j], i, j, information, gains, weights
-            )
-        keep_means(belief, i, z)
-        keep_covariances(belief, i, joints, order * joints, cov)
-        if p.size > 0:
-            keep_rows(belief, i, joints, p)
-    end_p[:] = belief[:, :states]
+    for i in range(len(readings.dt)):
+        if trace.marks.size > 0 and i % block == 0:
+            trace.marks[i // block] = belief
+        move_belief(belief, i, readings, model, room)
+        restart_joints(belief, i, readings, model.restart)
+        keep_means(belief, i, trace.prior)
+        keep_covariances(belief, i, joints, joints, trace.prior_cov)
+        trace.information[i] = 0.0
+        trace.weights[i] = 0.0
+        trace.nats[i] = 0.0
+        gate_readings(belief, i, readings, model, limits, room, trace)
+        condition_on_tracks(belief, i, readings, room, trace)
+        condition_on_encoders(belief, i, readings, model, room, trace)
+        keep_means(belief, i, trace.z)
+        keep_covariances(belief, i, joints, order * joints, trace.cov)
+        if trace.p.size > 0:
+            keep_rows(belief, i, joints, trace.p)
+    trace.end_p[:] = belief[:, :states]
 
 
 # Back over the log: the adjoint λ (K,) of the means and, in Bryson–Frazier form, the information W
@@ -836,7 +913,10 @@ def weigh_noise_ratios(
     for r in range(len(ratio)):
         x0 = x1 = x2 = 0.0
         p00 = p01 = p02 = p11 = p12 = p22 = 0.0
-        squares[r] = logs[r] = lag[r] = before = 0.0
+        squares[r] = 0.0
+        logs[r] = 0.0
+        lag[r] = 0.0
+        before = 0.0
         product = 1.0
         for i in range(len(dt)):
             if fresh[i]:
