@@ -439,13 +439,12 @@ class LiveEstimator:
         sequential = SequentialFilter(dynamics, posture)
         var = noise.encoder.tolist()
         nothing = [np.nan] * len(names)
-        faster = noise.silent_process / noise.process
 
         def filter_instant(before: State, at: LiveInstant) -> State:
             readings = nothing if at.angles is None else at.angles.tolist()
             ages = [at.t - t for t in before.read_t]
             silent = [LONG_SILENCE_S < age < inf for age in ages]
-            factor = np.where(silent, faster, 1.0) if any(silent) else None
+            factor = np.where(silent, noise.burst_factor, 1.0) if any(silent) else None
             return sequential.filter_instant(before, at.t, readings, var, at.frames, factor)
 
         return ReplayBuffer(sequential.build_first_state(x), self._lag, filter_instant)

@@ -169,12 +169,17 @@ def _stack_resets(lost: dict[float, Array]) -> tuple[Array, Array] | None:
 
 def _with_silent_motion(problem: FilterProblem) -> FilterProblem:
     """The problem with the motion of joints whose encoders are silent for long: a stationary one
-    where images leave them open, and else one that may be as fast as any in the log.
+    where images leave them open, and else one as fast as their bursts.
+
+    A joint whose encoder froze or died may be as fast as any joint: what it did before is all that
+    its encoder shows of it.
     """
     precision = problem.precision
     encoders = problem.evidence.encoders
     if precision.learned is not None and encoders is not None:
         bursts = measure_burst_factors(encoders, precision.order)
+        fastest = (precision.process * bursts).max() / precision.process
+        bursts = np.where(problem.evidence.stopped_encoders, fastest, bursts)
         precision = replace(precision, burst_factor=bursts)
     models = {sighting.name: sighting.model for sighting in problem.evidence.sightings}
     stationary = build_stationary_motion(models, problem.start, precision)

@@ -86,8 +86,9 @@ class FilterProblem:
         held = self.left_open
         if held is None or self.stationary is None or self.evidence.encoders is None:
             return factor
-        silent = find_silent_joints(self.timeline.t, self.evidence.encoders)
-        faster = precision.silent_process / usual
+        silent = find_silent_joints(self.timeline.t, self.evidence)
+        # images reject a motion that is faster than its process variance allows
+        faster = precision.burst_factor
         if precision.filter_process is None:
             return np.where(silent, faster, 1.0 if factor is None else factor)
         beside = extend_open_silence(self.timeline.t, held)

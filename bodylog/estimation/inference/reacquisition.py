@@ -108,15 +108,15 @@ def find_open_joints(ages: Array, numbers: Array | int) -> Array:
     return np.asarray(silent & (numbers <= silent.sum(axis=-1))[..., None])
 
 
-def find_silent_joints(t: Array, encoders: Encoders) -> Array:
+def find_silent_joints(t: Array, evidence: Evidence) -> Array:
     """Joints (E,M) bool whose encoders, read before, have been silent for long at times t (E,) s.
 
-    Those of which faulty readings were removed are known to be silent from the first of them on.
+    Of an encoder that froze or died it is known from its last sound reading on.
     """
-    ages = _measure_reading_ages(t, encoders)
-    removed = np.isfinite(encoders.as_read.values) & ~np.isfinite(encoders.values)
-    known = np.where(removed.any(axis=0), measure_reading_gaps(t, encoders), ages)
-    return np.asarray(known > LONG_SILENCE_S)
+    assert evidence.encoders is not None
+    ages = _measure_reading_ages(t, evidence.encoders)
+    gaps = measure_reading_gaps(t, evidence.encoders)
+    return np.where(evidence.stopped_encoders, gaps, ages) > LONG_SILENCE_S
 
 
 def find_joints_left_open(t: Array, evidence: Evidence) -> Array:

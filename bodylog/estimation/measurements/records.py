@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...body_model import BodyModel, ForwardModel
-from ...types import TRACK_AXES, Array, Fault, Features, Finding, Health, Hypothesis
+from ...types import TRACK_AXES, Array, Fault, FaultKind, Features, Finding, Health, Hypothesis
 from ..noise.quantisation import compute_quantisation_variance
 from .long_arrays import estimate_noise_variance, index_true_rows
 
@@ -206,6 +206,18 @@ class Evidence:
     unit: str = "rad"
     rad_per_unit: float = 1.0
     worn: Array = field(default_factory=lambda: np.empty(0))
+
+    @property
+    def stopped_encoders(self) -> Array:
+        """Encoders (M,) bool that froze or died."""
+        kinds = (FaultKind.FROZEN, FaultKind.DEAD)
+        names = {
+            name
+            for fault in self.faults
+            if fault.sense == "encoders" and fault.kind in kinds
+            for name in fault.names
+        }
+        return np.isin(self.joints, list(names))
 
 
 class Measured(NamedTuple):

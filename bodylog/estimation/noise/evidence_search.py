@@ -155,7 +155,7 @@ def with_preferred_order(problem: FilterProblem) -> FilterProblem:
     ):
         return problem
     lasting = bool(find_joints_left_open(problem.timeline.t, problem.evidence).any())
-    if not lasting and find_silent_joints(problem.timeline.t, encoders).any():
+    if not lasting and find_silent_joints(problem.timeline.t, problem.evidence).any():
         return problem
     white, jerk = learned
     nats = jerk.evidence - white.evidence

@@ -52,13 +52,6 @@ class NoiseModel:
     burst_factor: Array | float = 1.0
 
     @property
-    def silent_process(self) -> Array:
-        """Process variances (M,) of joints whose encoders are silent: they may move as fast as any
-        joint does. Images reject a motion that is faster than its process variance allows.
-        """
-        return np.asarray(np.maximum(self.process, np.max(self.process * self.burst_factor)))
-
-    @property
     def order(self) -> int:
         """Order of the motion model."""
         return MOTION_MODELS[self.motion].order

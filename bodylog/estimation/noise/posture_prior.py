@@ -11,9 +11,9 @@ from ...types import Array
 from ..measurements.records import Evidence
 from .noise_model import NoiseModel
 
-HARDLY_MOVED_SHARE = 0.01
-"""Share of the fastest joint's process variance, that of a tenth of its accelerations, below which
-a joint hardly moved. Of joints that took part in sines, reaches and babble none has less than 3 %.
+RARE_BURSTS = 100.0
+"""Process variance of fast motion over the usual one beyond which the usual one tells nothing of a
+silence: ten times the accelerations. Joints that took part in sines, reaches and babble have 30.
 """
 
 
@@ -96,16 +96,13 @@ def build_stationary_motion(
     var = np.stack([np.square(std), *rest])
     if precision.moments is not None:
         var = np.concatenate([np.maximum(var[:1], precision.moments[:1]), precision.moments[1:]])
-    # a joint that hardly moved before tells nothing of how it moves in a silence
-    fastest = precision.silent_process
-    hardly = precision.process < HARDLY_MOVED_SHARE * fastest
-    var[1:] = np.where(hardly, var[1:].max(axis=1, keepdims=True), var[1:])
-    process = np.where(hardly, fastest, precision.process)
+    bursts = np.where(precision.burst_factor > RARE_BURSTS, precision.burst_factor, 1.0)
+    var[1:] = np.minimum(bursts * var[1:], var[1:].max(axis=1, keepdims=True))
     if order == 3:
         # a flat spectrum up to some frequency has the
         # narrowest angles for its rates and accelerations
         var[0] = np.maximum(var[0], 9.0 / 5.0 * var[1] ** 2 / var[2])
-    return Stationary(mean, var, process)
+    return Stationary(mean, var, precision.process * bursts)
 
 
 def _measure_sample_statistics(models: Mapping[str, ForwardModel]) -> tuple[Array, Array] | None:
