@@ -266,6 +266,20 @@ def test_settings_keep_smooth_angles_and_widen_error_bars():
     assert any("err alike" in one.text for one in smooth.findings)
 
 
+@pytest.mark.parametrize(("seed", "joint"), [(45, 1), (41, 2)])
+@pytest.mark.parametrize("method", ["filter", "smoother"])
+def test_a_joint_whose_encoder_died_does_not_stick_at_its_last_reading(method, seed, joint):
+    """Its own readings, 20 a second and without noise, look like slips, and images show it elsewhere."""
+    sound = resting.drawn(seed, resting.Drawn("reach", 1.5e-3, encoder_hz=20.0))
+    values = sound.features.joints.values.copy()
+    values[sound.features.joints.t >= 4.0, joint] = np.nan
+    features = replace(sound.features, joints=replace(sound.features.joints, values=values))
+    found = estimate_from_features(features, sound.body, EstimationSettings(method=method))
+    error, nees = resting.judged(sound, found.joints, found.cov)
+    assert error < 0.01  # 0.075 and 0.25 rad
+    assert nees < 2.0
+
+
 def test_a_missing_reading_leaves_a_slip_open():
     t, _, values = drawn(3, joints=1)
     values[700:750] = np.nan

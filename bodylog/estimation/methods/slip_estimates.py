@@ -197,7 +197,8 @@ def estimate_stick_slip(
     problem: FilterProblem, beliefs: Beliefs, settings: EstimationSettings, rough: RoughMotion
 ) -> Estimate | None:
     """The estimate with joints that stick and slip, where it predicts images, or all
-    measurements, by EVIDENCE_THRESHOLD_NATS better than a smooth motion; else None.
+    measurements, by EVIDENCE_THRESHOLD_NATS better than a smooth motion, and images are where it
+    expects them; else None.
 
     Rates are those of the smooth motion.
     """
@@ -219,6 +220,9 @@ def estimate_stick_slip(
     if max(gains) <= EVIDENCE_THRESHOLD_NATS:
         return None
     found = follow_slips(problem, slips, scales, range(len(t)))
+    # a joint whose encoder died would stay at its last reading
+    if not _expects_images(FollowedSlips(problem, slips, scales, found)):
+        return None
     if settings.method == "smoother":
         found = smooth_slips(problem, slips, scales, found)
     z = beliefs.z.copy()
