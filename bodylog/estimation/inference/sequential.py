@@ -275,10 +275,10 @@ class State:
     """After an instant t (s; −∞ before the first): belief z (K,), p (K,K).
 
     confirmed_t, read_t (M) s: times at which each encoder last confirmed the belief, and was last
-    read, −∞ for never · seen: last frame of each track. Of this instant: nats · encoder_d (M) and errors of tracks, in
-    standard deviations · lost (M,) bool: joints re-initialised · held (M,) bool: joints silent for
-    long before it · point (M,) rad of its tangents · lines: the tracks' lines if held joints were
-    hardly determined.
+    read, −∞ for never · seen: last frame of each track. Of this instant: nats · encoder_d (M) and
+    errors of tracks, in standard deviations · lost (M,) bool: joints re-initialised · held (M,)
+    bool: joints silent for long before it · point (M,) rad of its tangents · lines: the tracks'
+    lines if held joints were hardly determined.
     """
 
     t: float

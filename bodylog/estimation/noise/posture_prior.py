@@ -13,7 +13,8 @@ from .noise_model import NoiseModel
 
 RARE_BURSTS = 100.0
 """Process variance of fast motion over the usual one beyond which the usual one tells nothing of a
-silence: ten times the accelerations. Joints that took part in sines, reaches and babble have 30.
+silence: ten times the accelerations. Of 120 logs of sines, reaches and babble in which all joints
+take part, none has a joint as slow beside the fastest; the most is 30.
 """
 
 
