@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 KERNELS := bodylog/estimation/inference/kernels.py
 
-.PHONY: demo demo-bare test tests test-all lint soak bench validation wheel docs site clean
+.PHONY: demo demo-bare test test-all lint soak bench validation wheel docs site clean
 
 # The kernels are compiled here, before tests run side by side.
 $(VENV)/installed: pyproject.toml $(KERNELS)
@@ -46,12 +46,8 @@ lint: $(VENV)/installed
 # Side by side, a worker with one thread of linear algebra per core: more of them would spin while they wait.
 # Compiled modules are kept, whatever the shell says: commands that tests run as processes start in two thirds of the time.
 # For a single test, or in a debugger: .venv/bin/pytest -k NAME
-# The type checker uses one core for most of its minute, so it runs beside the tests.
 test: $(VENV)/installed
-	$(MAKE) --jobs=2 wheel site
-	$(MAKE) --jobs=2 lint tests
-
-tests: $(VENV)/installed
+	$(MAKE) --jobs=2 lint wheel site
 	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --numprocesses auto --dist worksteal
 
 # The tests on every Python of pyproject.toml, and with the lowest version of every dependency; each must be installed.
