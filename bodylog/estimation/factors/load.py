@@ -200,7 +200,8 @@ def _bend_linearly(known: Array) -> Iterator[PostureLoad]:
 
 
 def refine_loads(columns: Sequence[Column], sizes: Array, turning: Array) -> tuple[Column, ...]:
-    """The columns, of these sizes (C,), and those that a load needs for angles, but not to be found.
+    """The columns, of these sizes (C,), and those that a load needs for angles, but not to be
+    found.
 
     A posture's load goes to the second order in joints that turn (M,) bool. One that pulls the hand
     any way has one direction for all joints, and more of it for each joint and each link; and the

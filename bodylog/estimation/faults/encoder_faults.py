@@ -26,7 +26,13 @@ from .jumping import (
     measure_slip_nats,
     unwrap_turns,
 )
-from .repeats import RepeatedReadings, find_final_silence, find_frozen_readings, measure_motion_nats
+from .repeats import (
+    RepeatedReadings,
+    find_final_silence,
+    find_frozen_readings,
+    measure_motion_nats,
+    select_images_beside_readings,
+)
 from .threshold import EVIDENCE_THRESHOLD_NATS
 from .true_stretch import refer_to_true_stretch
 
@@ -65,12 +71,13 @@ def detect_encoder_faults(evidence: Evidence, body: BodyModel) -> Evidence:
     in_units = read.with_corrected_readings(encoders.values / size)
     complete = reads_angles and np.isfinite(encoders.values).any(axis=0).all()
     images = [s for s in evidence.sightings if s.name != "touch"] if complete else []
+    beside = [select_images_beside_readings(in_units, one) for one in images]
     found = {
         name: _screen_encoder(
             name,
             encoders.t,
             y,
-            partial(measure_motion_nats, in_units, images, joint),
+            partial(measure_motion_nats, in_units, beside, joint),
             partial(_measure_slip_nats_of_angles, in_units, images, joint, size),
         )
         for joint, (name, y) in enumerate(zip(body.joints, encoders.values.T, strict=True))

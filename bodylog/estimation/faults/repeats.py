@@ -30,9 +30,9 @@ from .threshold import EVIDENCE_THRESHOLD_NATS
 MAX_REPEAT_SHARE = 0.02
 """Largest share of repeats of a noisy encoder; one that repeats more often counts in steps."""
 MOTION_STEP = 0.125
+"""rad: from one tried motion to the next, and Gauss and Newton's longest step from the nearest."""
 TRIED_MOTIONS = np.arange(-25, 26) * MOTION_STEP
-"""rad: motions, up to half a turn, from the nearest of which Gauss and Newton's steps begin. From
-none, they do not find one of .7 rad past a fold of the image."""
+"""rad: up to half a turn. Steps from no motion do not find one of 0.7 past a fold of the image."""
 
 
 class RepeatedReadings(NamedTuple):
@@ -44,6 +44,12 @@ class RepeatedReadings(NamedTuple):
     begin: int
     end: int
     nats: float
+
+
+def select_images_beside_readings(encoders: Encoders, sighting: Sighting) -> Sighting:
+    """The images at times when all encoders are read: in a long gap postures are unknown."""
+    gaps = measure_reading_gaps(sighting.t, encoders)
+    return sighting.select_rows(np.asarray((gaps <= LONG_SILENCE_S).all(axis=1)))
 
 
 def measure_motion_nats(
@@ -68,8 +74,6 @@ def _measure_joint_motion_nats(
     much unexplained, or is less than the encoder's step.
     """
     rows = find_finite_rows(sighting.values) & (sighting.t > begin) & (sighting.t <= end)
-    # in a gap of the readings postures are unknown
-    rows &= (measure_reading_gaps(sighting.t, encoders) <= LONG_SILENCE_S).all(axis=1)
     parts = split_stretch(sighting.t[rows])
     if len(parts) < 2:
         return 0.0

@@ -114,9 +114,11 @@ def find_silent_joints(t: Array, evidence: Evidence) -> Array:
     Of an encoder that froze or died it is known from its last sound reading on.
     """
     assert evidence.encoders is not None
-    ages = _measure_reading_ages(t, evidence.encoders)
-    gaps = measure_reading_gaps(t, evidence.encoders)
-    return np.where(evidence.stopped_encoders, gaps, ages) > LONG_SILENCE_S
+    silences = _measure_reading_ages(t, evidence.encoders)
+    stopped = evidence.stopped_encoders
+    if stopped.any():
+        silences = np.where(stopped, measure_reading_gaps(t, evidence.encoders), silences)
+    return np.asarray(silences > LONG_SILENCE_S)
 
 
 def find_joints_left_open(t: Array, evidence: Evidence) -> Array:
