@@ -121,9 +121,12 @@ def find_silent_joints(t: Array, evidence: Evidence) -> Array:
     return np.asarray(silences > LONG_SILENCE_S)
 
 
-def find_joints_left_open(t: Array, evidence: Evidence) -> Array:
+def find_joints_left_open(t: Array, evidence: Evidence, missing: int = 0) -> Array:
     """Silent joints (E,M) bool at times t (E,) s that images
     of the time before, with no more numbers, leave open.
+
+    missing: numbers by which they are too few, at least: with none, single postures may look the
+    same; with 1, a continuum does.
     """
     assert evidence.encoders is not None
     numbers = np.zeros(len(t))
@@ -131,7 +134,7 @@ def find_joints_left_open(t: Array, evidence: Evidence) -> Array:
         times = sighting.t[find_finite_rows(sighting.values)]
         recent = np.abs(_measure_time_since_last(times, t)) <= LONG_SILENCE_S
         numbers += sighting.values.shape[1] * recent
-    return find_open_joints(_measure_reading_ages(t, evidence.encoders), numbers)
+    return find_open_joints(_measure_reading_ages(t, evidence.encoders), numbers + missing)
 
 
 def extend_open_silence(t: Array, held: Array) -> Array:

@@ -11,12 +11,6 @@ from ...types import Array
 from ..measurements.records import Evidence
 from .noise_model import NoiseModel
 
-RARE_BURSTS = 100.0
-"""Process variance of fast motion over the usual one beyond which the usual one tells nothing of a
-silence: ten times the accelerations. Of 120 logs of sines, reaches and babble in which all joints
-take part, none has a joint as slow beside the fastest; the most is 30.
-"""
-
 
 @dataclass(frozen=True, eq=False)
 class PosturePrior:
@@ -97,7 +91,7 @@ def build_stationary_motion(
     var = np.stack([np.square(std), *rest])
     if precision.moments is not None:
         var = np.concatenate([np.maximum(var[:1], precision.moments[:1]), precision.moments[1:]])
-    bursts = np.where(precision.burst_factor > RARE_BURSTS, precision.burst_factor, 1.0)
+    bursts = precision.burst_factor
     var[1:] = np.minimum(bursts * var[1:], var[1:].max(axis=1, keepdims=True))
     if order == 3:
         # a flat spectrum up to some frequency has the
