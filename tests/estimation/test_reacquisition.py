@@ -11,9 +11,10 @@ from bodylog.estimation.inference import filter_log, sequential
 from bodylog.estimation.methods import filtering, smoother
 from bodylog.settings import EstimationSettings
 from bodylog.types import FaultKind
+from tests.estimation import resting
 from tests.estimation.conftest import Explored
 from tests.estimation.spoilt_logs import ALL, muted
-from tests.seeds import seeds
+from tests.seeds import first_of, seeds
 
 
 def shifted(features, size, rows, name):
@@ -112,6 +113,62 @@ def test_smoother_bridges_a_silence_in_which_the_filter_takes_another_posture(wo
     assert judged(features, drawn, 6.0, rate=25.0)[0] > 0.1
     rmse, nees, _, lost = judged(features, drawn, 6.0, method="smoother", rate=25.0)
     assert rmse < 0.01 and nees < 2.5 and not lost
+
+
+@pytest.mark.parametrize("seed", seeds(1, 6))
+def test_smoother_knows_that_two_long_silent_joints_may_have_another_posture(world, seed):
+    """Two numbers for two joints: a path begun without the images was sure of a mirrored posture, NEES 5,000 and 5,900."""
+    assert silent(world, seed, 8.0, "smoother", ("pan", "lift"))[1] < 6.0
+
+
+@pytest.mark.parametrize(
+    ("method", "names"),
+    first_of(
+        1,
+        [
+            ("smoother", ("pan", "lift")),
+            ("smoother", ("lift", "elbow")),
+            ("filter", ("pan", "lift")),
+            ("filter", ("lift", "elbow")),
+        ],
+    ),
+)
+def test_joints_that_first_reach_while_two_are_silent_are_followed(method, names):
+    """The process variance of a joint that rested so far would leave it behind, and its images outliers: NEES 60."""
+    nees = []
+    for seed in (42, 43, 44):
+        sound = resting.drawn(seed, resting.Drawn("reach", 1.5e-3, 1e-3, camera_hz=30.0))
+        found = estimate_from_features(
+            muted(sound.features, 4.0, 7.0, names), sound.body, EstimationSettings(method=method)
+        )
+        nees.append(resting.judged(sound, found.joints, found.cov)[1])
+    assert np.median(nees) < 1.5 and max(nees) < 3.0
+
+
+@pytest.mark.parametrize(
+    ("silence", "names", "warned"),
+    [
+        (7.0, ("pan", "lift"), True),
+        (7.0, ALL, True),
+        (4.0, ("pan", "lift"), False),
+        (7.0, ("lift",), False),
+    ],
+)
+def test_warning_names_joints_that_images_leave_open_for_long(world, silence, names, warned):
+    drawn = world(1, duration=14.0)
+    found = estimate_from_features(
+        muted(drawn.features, 5.0, 5.0 + silence, names), drawn.body, EstimationSettings()
+    )
+    texts = [one.text for one in found.findings if "other postures look the same" in one.text]
+    assert len(texts) == warned
+    assert all(f"encoders of {', '.join(names)} are silent from 5." in text for text in texts)
+
+
+def test_warning_names_joints_that_are_never_read_and_left_open(world):
+    drawn = world(1, duration=6.0, model=Explored())
+    settings = EstimationSettings(senses=("vision",))
+    found = estimate_from_features(drawn.features, drawn.body, settings)
+    assert any("pan, lift, elbow are silent in the whole log" in one.text for one in found.findings)
 
 
 @pytest.mark.soak

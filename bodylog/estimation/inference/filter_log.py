@@ -125,7 +125,7 @@ def find_initial_path(problem: FilterProblem, lost: bool = False) -> FilterProbl
         not confirmed
         or _has_long_silence(problem, t[:0])
         or len(path.adrift) > 0
-        or problem.is_undetermined
+        or problem.is_undetermined()
     )
     problem = replace(problem, path=(t, path.points), resets=path.resets, stepwise=stepwise)
     if problem.precision.learned is None:  # noise is not to be learned from the log

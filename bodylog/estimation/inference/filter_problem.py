@@ -51,13 +51,15 @@ class FilterProblem:
             self.stationary,
         )
 
-    @property
-    def is_undetermined(self) -> bool:
-        """Whether images give no more numbers than
-        there are joints whose encoders are never read.
+    def is_undetermined(self, missing: int = 0) -> bool:
+        """Whether images give no more numbers than there are joints whose encoders are never read.
+
+        missing: numbers by which they are too few, at least.
         """
+        if self.posture_prior is None:
+            return False
         numbers = sum(s.values.shape[1] for s in self.evidence.sightings if s.name != "touch")
-        return self.posture_prior is not None and numbers <= self.posture_prior.joints.sum()
+        return bool(numbers + missing <= self.posture_prior.joints.sum())
 
     @property
     def left_open(self) -> Array | None:

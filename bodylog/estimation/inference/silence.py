@@ -55,18 +55,18 @@ def smooth_across_silence(problem: FilterProblem) -> Smooth:
 
 
 def _find_open_instants(problem: FilterProblem) -> Array:
-    """Instants (E,) bool at which images leave joints open whose encoders are silent: for briefly,
-    or with a continuum of postures that look the same.
+    """Instants (E,) bool at which images leave joints open that are not read, with a continuum of
+    postures that look the same, or for briefly.
     """
     t = problem.timeline.t
+    alone = np.full(len(t), problem.is_undetermined(missing=1))
     held = problem.left_open
     if held is None:
-        return np.zeros(len(t), bool)
+        return alone
     undetermined = find_joints_left_open(t, problem.evidence, missing=1)
-    alone = np.asarray(held.any(axis=1))
-    for begin, end in _list_runs(alone):
-        if t[end - 1] - t[begin] > BRIEF_SILENCE_S and not undetermined[begin:end].any():
-            alone[begin:end] = False
+    for begin, end in _list_runs(np.asarray(held.any(axis=1))):
+        brief = t[end - 1] - t[begin] <= BRIEF_SILENCE_S
+        alone[begin:end] |= brief or undetermined[begin:end].any()
     return alone
 
 
@@ -81,7 +81,7 @@ def warn_of_open_silences(problem: FilterProblem) -> Iterator[Finding]:
     silent for longer than BRIEF_SILENCE_S.
     """
     names = problem.evidence.joints
-    if problem.posture_prior is not None and problem.is_undetermined:
+    if problem.posture_prior is not None and problem.is_undetermined():
         yield _warn_of_other_postures(names, problem.posture_prior.joints, "in the whole log")
     held = problem.left_open
     if held is None:
