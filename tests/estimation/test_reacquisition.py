@@ -171,6 +171,24 @@ def test_warning_names_joints_that_are_never_read_and_left_open(world):
     assert any("pan, lift, elbow are silent in the whole log" in one.text for one in found.findings)
 
 
+@pytest.mark.parametrize(
+    ("names", "settings"),
+    first_of(1, [(ALL, {"senses": ("vision",)}), (("pan", "lift"), {}), (("pan", "elbow"), {})]),
+)
+def test_error_bars_hold_where_joints_are_never_read(world, names, settings):
+    """A filter drew tangents of such joints, and took the noise from images that fit any posture: NEES up to 5,500."""
+    nees = []
+    for seed in range(4):
+        drawn = world(seed, duration=12.0, model=Explored())
+        joints = drawn.features.joints
+        start = tuple(drawn.truth.values[0, [drawn.truth.names.index(n) for n in drawn.body.joints]])
+        unread = np.where(np.isin(joints.names, names), np.nan, joints.values)
+        known = replace(drawn.features, joints=replace(joints, values=unread))
+        features = drawn.features if settings else known
+        nees.append(judged(features, drawn, 2.0, rate=25.0, start=start, **settings)[1])
+    assert np.median(nees) < 1.5 and max(nees) < 4.0
+
+
 @pytest.mark.soak
 def test_smoother_by_images_alone_draws_lines_over_its_belief(world):
     """Two numbers for three joints: tangents were sure of a wrong posture, with NEES of 14 to 2,400."""

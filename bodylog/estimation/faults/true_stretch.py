@@ -139,11 +139,14 @@ def compare_with_images(
 ) -> Iterator[tuple[Array, Array, Array]]:
     """Yield how far some of each sense's images are from where readings put them (F,D), the slopes
     by the angles (F,D,M), and the variance of images and body (F,D).
+
+    Readings put an image nowhere if a joint is never read.
     """
     for sighting in images:
-        known = np.flatnonzero(find_finite_rows(sighting.values))
+        angles = encoders.interpolate_at(sighting.t)
+        known = np.flatnonzero(find_finite_rows(sighting.values) & find_finite_rows(angles))
         if not len(known):
             continue
         rows = known[:: 1 + len(known) // MOST_IMAGES]
-        mean, slope, var = sighting.model.predict(encoders.interpolate_at(sighting.t[rows]))
+        mean, slope, var = sighting.model.predict(angles[rows])
         yield sighting.values[rows] - mean, slope, sighting.var[rows] + var

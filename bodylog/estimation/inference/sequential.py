@@ -163,6 +163,11 @@ have NEES 7.5, 3.4, 1.6, 1.6 and errors of 0.20, 0.18, 0.18,
 """
 
 
+def _count_numbers_in_view(t: float, seen: Mapping[Any, PendingFrame]) -> int:
+    """The numbers that images gave shortly before t (s)."""
+    return sum(len(frame.value) for frame in seen.values() if t - frame.t <= LONG_SILENCE_S)
+
+
 def standardise_innovations(x: Array, cov: Array, sights: Sequence[PendingFrame]) -> list[Array]:
     """Innovations (D,) of each track in standard deviations,
     by angles x (M,) of cov (M,M) before the instant.
@@ -278,7 +283,7 @@ class State:
     read, −∞ for never · seen: last frame of each track. Of this instant: nats · encoder_d (M) and
     errors of tracks, in standard deviations · lost (M,) bool: joints re-initialised · held (M,)
     bool: joints silent for long before it · point (M,) rad of its tangents · lines: the tracks'
-    lines if held joints were hardly determined.
+    lines if images left joints open.
     """
 
     t: float
@@ -339,9 +344,7 @@ class SequentialFilter:
         confirmed: Iterable[bool] = read
         if not t - min(confirmed_t) <= LONG_SILENCE_S:
             ages = t - np.array(confirmed_t)
-            numbers = sum(
-                len(frame.value) for frame in before.seen.values() if t - frame.t <= LONG_SILENCE_S
-            )
+            numbers = _count_numbers_in_view(t, before.seen)
             left_open = find_open_joints(ages, numbers)
             held = left_open if left_open.any() else None
             prior = step([math.nan] * len(confirmed_t), var, held=held)
@@ -363,7 +366,9 @@ class SequentialFilter:
         after = State(t, before.z, before.p, [], read_t, before.seen, lost=lost, held=held)
         belief = step()
         if frames:
+            in_view = _count_numbers_in_view(t, {**before.seen, **frames})
             adrift = numbers > 0 and held is not None
+            adrift = adrift or in_view <= self._count_joints_never_read()
             belief = self._filter_frames(after, belief, frames, step, adrift)
         after.z = belief.z
         after.p = belief.p
@@ -376,6 +381,10 @@ class SequentialFilter:
             for sure, d, last in zip(confirmed, after.encoder_d, confirmed_t, strict=True)
         ]
         return after
+
+    def _count_joints_never_read(self) -> int:
+        """The number of joints without an encoder."""
+        return 0 if self._posture is None else int(self._posture.joints.sum())
 
     def _step_belief(
         self,

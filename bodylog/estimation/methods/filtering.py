@@ -198,6 +198,8 @@ def solve_with_offsets(
     solution = solve_or_fall_back(problem, warm)
     if settings.bias != "auto" or problem.evidence.encoders is None:
         return problem, solution
+    if problem.is_undetermined():  # images contradict no encoder
+        return problem, solution
     scored, suspected = encoder_offset.find_suspected_encoders(problem, solution)
     if not suspected.any():
         return scored, solution

@@ -443,13 +443,15 @@ def thin_encoder_readings(problem: FilterProblem) -> FilterProblem:
 
 
 def drop_undetermined_images(problem: FilterProblem) -> FilterProblem:
-    """The problem without images at times when no more numbers
-    than encoders are silent must determine these joints.
+    """The problem without images at times when no more numbers than encoders are silent, or never
+    read, must determine these joints.
     """
     undetermined = problem.left_open
-    if undetermined is None or not undetermined.any():
+    sure = np.full(len(problem.timeline.t), not problem.is_undetermined())
+    if undetermined is not None:
+        sure &= ~undetermined.any(axis=1)
+    if sure.all():
         return problem
-    sure = np.asarray(~undetermined.any(axis=1))
     pairs = zip(problem.evidence.sightings, problem.timeline.sightings, strict=True)
     sightings = [sighting.select_rows(sure[at]) for sighting, at in pairs]
     return _replace_measurements(problem, problem.evidence.encoders, sightings)
