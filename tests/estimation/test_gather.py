@@ -192,6 +192,11 @@ def test_silence_warning_names_gap_and_consequence(world, begin, end, text_part)
     assert text_part in text and "2 numbers per image do not determine 3 joints" in text
 
 
+def test_silence_warning_says_that_as_many_numbers_as_joints_may_fit_a_mirrored_posture(world):
+    (text,) = _quiet(world(0, duration=9.0), 4.0, 7.0, joints=(0, 1))
+    assert "2 numbers per image may fit a mirrored posture of 2 joints" in text
+
+
 def test_silence_warning_is_absent_for_short_or_covered_gaps(world):
     assert not _quiet(world(0, duration=9.0), 4.0, 4.9)
     assert not _quiet(world(0, duration=9.0), 4.0, 7.0, joints=(1,))

@@ -146,32 +146,6 @@ def test_joints_that_first_reach_while_two_are_silent_are_followed(method, names
 
 
 @pytest.mark.parametrize(
-    ("silence", "names", "warned"),
-    [
-        (7.0, ("pan", "lift"), True),
-        (7.0, ALL, True),
-        (4.0, ("pan", "lift"), False),
-        (7.0, ("lift",), False),
-    ],
-)
-def test_warning_names_joints_that_images_leave_open_for_long(world, silence, names, warned):
-    drawn = world(1, duration=14.0)
-    found = estimate_from_features(
-        muted(drawn.features, 5.0, 5.0 + silence, names), drawn.body, EstimationSettings()
-    )
-    texts = [one.text for one in found.findings if "other postures look the same" in one.text]
-    assert len(texts) == warned
-    assert all(f"encoders of {', '.join(names)} are silent from 5." in text for text in texts)
-
-
-def test_warning_names_joints_that_are_never_read_and_left_open(world):
-    drawn = world(1, duration=6.0, model=Explored())
-    settings = EstimationSettings(senses=("vision",))
-    found = estimate_from_features(drawn.features, drawn.body, settings)
-    assert any("pan, lift, elbow are silent in the whole log" in one.text for one in found.findings)
-
-
-@pytest.mark.parametrize(
     ("names", "settings"),
     first_of(1, [(ALL, {"senses": ("vision",)}), (("pan", "lift"), {}), (("pan", "elbow"), {})]),
 )

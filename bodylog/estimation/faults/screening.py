@@ -26,14 +26,14 @@ from .repeats import detect_frozen_camera
 
 def _warn_of_undetermined_joints(evidence: Evidence, poses: bool) -> Iterator[Finding]:
     """Yield warnings where images must determine joints that have no encoder readings, ever or
-    (unless still poses) for long, and give fewer numbers than there are such joints.
+    (unless still poses) for long, and give no more numbers than there are such joints.
     """
     names = evidence.joints
     encoders = evidence.encoders
     sightings = [sighting for sighting in evidence.sightings if sighting.name != "touch"]
     mute = list_unread_joints(evidence)
     seen = sum(sighting.values.shape[1] for sighting in sightings)
-    if 0 < seen < len(mute):
+    if 0 < seen <= len(mute):
         yield Finding(
             "warning",
             f"vision: {seen} numbers per image for {len(mute)} joints without an encoder "
@@ -50,16 +50,16 @@ def _warn_of_undetermined_joints(evidence: Evidence, poses: bool) -> Iterator[Fi
             tuple(_find_long_silence(frames, encoders.t[index_true_rows(np.isfinite(column))])), []
         ).append(name)
     for when, joints in groups.items():
-        if when and (len(joints) > seen or len(joints) == len(names)):
-            loose = (
-                f": {seen} numbers per image do not determine {len(joints)} joints, error bars "
-                "may be too small"
-            )
+        if when and (len(joints) >= seen or len(joints) == len(names)):
+            fit = "may fit a mirrored posture of" if len(joints) == seen else "do not determine"
+            loose = f": {seen} numbers per image {fit} {len(joints)} joints, error bars may be too small"
             text = (
                 f"encoders: {', '.join(joints)} silent from "
                 f"{list_in_words(when, ' times', ', from ')}"
             )
-            yield Finding("warning", f"{text}, while images continue{loose * (len(joints) > seen)}")
+            yield Finding(
+                "warning", f"{text}, while images continue{loose * (len(joints) >= seen)}"
+            )
 
 
 def _find_long_silence(frames: Array, known: Array) -> Iterator[str]:

@@ -14,8 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...types import Array, Finding
-from ...wording import list_in_words
+from ...types import Array
 from ..noise.correlated_noise import LastFrame, PendingFrame
 from .filter_log import filter_sequentially, group_frames_by_instant, write_track_lines
 from .filter_pass import MAX_SWEEPS, ROUGHLY_CONVERGED_MOVE, TraceDetail, filter_readings
@@ -74,39 +73,6 @@ def _list_runs(which: Array) -> list[tuple[int, int]]:
     """First and end index of each run of instants `which` (E,) bool."""
     edges = np.flatnonzero(np.diff(which, prepend=False, append=False))
     return [(int(begin), int(end)) for begin, end in edges.reshape(-1, 2)]
-
-
-def warn_of_open_silences(problem: FilterProblem) -> Iterator[Finding]:
-    """A warning of joints that images leave open, never read or
-    silent for longer than BRIEF_SILENCE_S.
-    """
-    names = problem.evidence.joints
-    if problem.posture_prior is not None and problem.is_undetermined():
-        yield _warn_of_other_postures(names, problem.posture_prior.joints, "in the whole log")
-    held = problem.left_open
-    if held is None:
-        return
-    t = problem.timeline.t
-    spans = [
-        (begin, end)
-        for begin, end in _list_runs(np.asarray(held.any(axis=1)))
-        if t[end - 1] - t[begin] > BRIEF_SILENCE_S
-    ]
-    if spans:
-        silent = np.any([held[begin:end].any(axis=0) for begin, end in spans], axis=0)
-        times = [f"from {t[begin]:.3f} to {t[end - 1]:.3f}" for begin, end in spans]
-        yield _warn_of_other_postures(names, silent, list_in_words(times, " times", unit=" s"))
-
-
-def _warn_of_other_postures(names: tuple[str, ...], silent: Array, when: str) -> Finding:
-    """The warning that images may show another posture of the `silent` joints (M,) bool."""
-    joints = ", ".join(names[j] for j in np.flatnonzero(silent))
-    text = (
-        f"belief: the encoders of {joints} are silent {when}, and images give no more numbers than "
-        "there are such joints, so other postures look the same; the error may be larger than its "
-        "error bars; a second camera or point separates them"
-    )
-    return Finding("warning", text)
 
 
 def _undo_resets(problem: FilterProblem, solution: Solution) -> Solution:

@@ -28,7 +28,6 @@ from ..inference.filter_log import (
 from ..inference.filter_pass import DidNotConverge
 from ..inference.filter_problem import FilterProblem
 from ..inference.reacquisition import warn_of_resets
-from ..inference.silence import warn_of_open_silences
 from ..inference.solution import Solution
 from ..measurements.gather import choose_initial_angles
 from ..measurements.timeline import build_timeline
@@ -245,15 +244,12 @@ def select_reported_states(z: Array, problem: FilterProblem) -> Array:
 
 
 def warn_of_lost_belief(problem: FilterProblem, solved: Solution) -> tuple[Finding, ...]:
-    """Warnings where the belief was reset, and where
-    images may have led it to another posture.
-    """
-    findings = tuple(warn_of_open_silences(problem))
+    """A warning where the belief was reset."""
     resets = solved.readings.reset
     if resets is None:
-        return findings
+        return ()
     names = problem.evidence.joints
-    return (*findings, *warn_of_resets(names, problem.timeline.t, resets))
+    return tuple(warn_of_resets(names, problem.timeline.t, resets))
 
 
 def read_offset_variance(problem: FilterProblem, solved: Solution) -> Array:
