@@ -40,7 +40,8 @@ def _restore_eliminated_blocks(
     before[:inner] -= np.matmul(between[:inner], right.transpose(0, 2, 1))
     after = -np.matmul(right, kept[1 : 1 + inner])
     after -= np.matmul(left[:inner].transpose(0, 2, 1), between[:inner])
-    upper[0::2], upper[1::2] = before, after
+    upper[0::2] = before
+    upper[1::2] = after
     diagonal[1::2] = odd - np.matmul(before.transpose(0, 2, 1), left)
     diagonal[1 : 2 * inner : 2] -= np.matmul(after, right.transpose(0, 2, 1))
     return diagonal, upper

@@ -87,12 +87,15 @@ class Stationary:
         order = len(var)
         rates = np.zeros((len(mean), len(var), len(var)))
         rates[:, range(order - 1), range(1, order)] = 1.0
-        self.mean, self.process, self._cov = mean, process, np.zeros((order, order, len(mean)))
+        self.mean = mean
+        self.process = process
+        self._cov = np.zeros((order, order, len(mean)))
         self._cov[range(order), range(order)] = var
         if order == 2:
             rates[:, 1] = -np.stack([var[1] / var[0], 0.5 * process / var[1]], axis=1)
         else:
-            self._cov[0, 2] = self._cov[2, 0] = -var[1]
+            self._cov[0, 2] = -var[1]
+            self._cov[2, 0] = -var[1]
             damping = 0.5 * process / (var[2] - var[1] ** 2 / var[0])
             rates[:, 2] = -np.stack([damping * var[1] / var[0], var[2] / var[1], damping], axis=1)
         self._poles, self._axes = np.linalg.eig(rates)

@@ -65,6 +65,7 @@ def ellipse_corners(centre: Array, cov: Array) -> Array:
         a = np.sqrt(cov[:, 0, 0])
         b = cov[:, 0, 1]
         c = cov[:, 1, 1]
-        lower[:, 0, 0], lower[:, 1, 0] = a, np.where(a > 0, b / a, 0.0)
+        lower[:, 0, 0] = a
+        lower[:, 1, 0] = np.where(a > 0, b / a, 0.0)
         lower[:, 1, 1] = np.sqrt(np.maximum(c - lower[:, 1, 0] ** 2, 0.0))
     return np.asarray(centre[:, None] + SIGMAS * circle @ lower.transpose(0, 2, 1))

@@ -134,7 +134,8 @@ def fit(
         markers = surface_body.without_surface(settings)
         if default_features.has_no_features(markers):
             return _fit_surface(logs, out, settings, test, leave_out)
-        settings = asked = markers
+        settings = markers
+        asked = settings
     if otherwise is not None and default_features.has_no_features(settings):
         return _fit_surface(logs, out, settings, test, leave_out, otherwise)
     if otherwise is not None:

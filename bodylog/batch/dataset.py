@@ -60,7 +60,8 @@ def chosen_episodes(
         return tuple(found)
     if all(number is None for number in numbers):
         return tuple(found[begin:end])
-    low, high = begin or 0, float("inf") if end is None else end
+    low = begin or 0
+    high = float("inf") if end is None else end
     chosen = tuple(
         log
         for log, number in zip(found, numbers, strict=True)

@@ -82,7 +82,8 @@ def write_skipped_row(job: Job) -> Row:
 def _attempt_job(job: Job) -> Row:
     key = None
     try:
-        key, before = resume.job_key(job), sigbus.zeroed_pages()
+        key = resume.job_key(job)
+        before = sigbus.zeroed_pages()
         done = TASKS[job.task](job)
         if sigbus.zeroed_pages() > before:
             raise LogError(f"{job.log}: part of it could not be read; check the disk it is on")

@@ -89,7 +89,8 @@ def read_header(path: Path, header_text: str) -> Header:
     header = _parse_header_json(path, header_text)
     try:
         joints = _check_joint_names(header["joints"])
-        noise, touch = _parse_noise(header["noise"]), _parse_touch_constants(header["touch"])
+        noise = _parse_noise(header["noise"])
+        touch = _parse_touch_constants(header["touch"])
         cells = {
             int(cell): _check_floats(f"cells.{cell}", place)
             for cell, place in header.get("cells", {}).items()

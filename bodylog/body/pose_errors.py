@@ -82,7 +82,8 @@ def _collect_pose_residuals(senses: Sequence[TrackSense], joints: int) -> _PoseR
         noise = found.gp.noise + found.used.floor
         mine = (at >= 0) & (found.variance <= SURE * noise).all(axis=1)
         columns = slice(ends[k], ends[k + 1])
-        r[at[mine], columns], var[at[mine], columns] = found.residual[mine], found.variance[mine]
+        r[at[mine], columns] = found.residual[mine]
+        var[at[mine], columns] = found.variance[mine]
         jac[at[mine], columns] = found.gp.means(found.used.x)[1][mine]
     seen = np.isfinite(var).any(axis=1)
     return _PoseResiduals(r[seen], jac[seen], var[seen])

@@ -126,7 +126,8 @@ def _runs_with_motion(
     speeds = np.array([_joint_steps(joints, t - late_s) for late_s in LATENESS_S])
     changes = np.isfinite(seen.block_change) & (seen.block_change >= SAME_GREY)
     changes &= ~_inside_runs(runs, len(t))
-    usual = least = 0.0
+    usual = 0.0
+    least = 0.0
     if changes.sum() >= LEAST_CHANGES:
         usual, least = np.quantile(speeds[0][changes], [SLOW_SHARE, SLOWEST_SHARE]).tolist()
     noises = seen.repeats.noise

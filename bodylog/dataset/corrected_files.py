@@ -162,7 +162,8 @@ def _repeated_frames(
 def _edits(
     known: DatasetLayout, kept: Sequence[Remedy], films: Films, every: int, marks: bool
 ) -> Iterator[Edit]:
-    offset = source_offset = 0
+    offset = 0
+    source_offset = 0
     cameras = [name for name, one in known.features.items() if one.get("dtype") in _IMAGES]
     for new, one in enumerate(kept):
         rows = sum(end - first for first, end in _where(known, one.number))

@@ -120,7 +120,8 @@ def _leaves_stored_range(own: Mapping[str, Any], stored: Mapping[str, Any]) -> b
 
 def _column_span(own: Mapping[str, Any]) -> Array:
     """Range of each column, and at least 1e-3 of its size."""
-    low, high = np.asarray(own["min"], float), np.asarray(own["max"], float)
+    low = np.asarray(own["min"], float)
+    high = np.asarray(own["max"], float)
     return np.asarray(np.maximum(high - low, 1e-3 * np.maximum(np.abs(low), np.abs(high))) + 1e-9)
 
 

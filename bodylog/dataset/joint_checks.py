@@ -141,7 +141,8 @@ def _describe_standstill(
     if joints.t[last] - joints.t[first] < SHORTEST_STUCK_S:
         return ""
     y = joints.values[:, number]
-    low, high = float(np.nanmin(y)), float(np.nanmax(y))
+    low = float(np.nanmin(y))
+    high = float(np.nanmax(y))
     inside = min(y[first] - low, high - y[first]) > EDGE_SHARE * (high - low)
     crossed = float(np.ptp(wanted[first : last + 1]))
     if not inside or crossed < ACTION_SHARE * float(np.ptp(wanted)):

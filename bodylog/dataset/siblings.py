@@ -66,7 +66,8 @@ def pool_values(values: Array, std: Array) -> PooledFigure:
     """
     if len(values) == 1:
         return PooledFigure(float(values[0]), float(std[0]), 0.0)
-    low, high = 0.0, float(np.ptp(values)) ** 2
+    low = 0.0
+    high = float(np.ptp(values)) ** 2
     if _weighted_squared_errors(values, std, low)[0] <= len(values) - 1:
         high = 0.0
     for _ in range(_ROUNDS):
@@ -222,7 +223,8 @@ def _compare_with_others(
     plain, squares, _ = _leave_each_out(y, np.ones(len(rest)))
     scatter = np.sqrt(squares / freedom * (1.0 + 1.0 / count))
     scale = np.sqrt(scatter**2 + own2)
-    student, normal = float(-stdtrit(freedom, tail)), float(-ndtri(tail))
+    student = float(-stdtrit(freedom, tail))
+    normal = float(-ndtri(tail))
     usual = np.sqrt((student * scatter) ** 2 + normal**2 * own2) / scale
     mean = np.where(unstated, plain, mean)
     z = np.abs(y - mean) / np.where(unstated, scale, spread)

@@ -178,7 +178,8 @@ def _measure_move(one: Array | None, other: Array | None) -> Array:
     )
     miss = np.linalg.norm((back - begin).reshape(-1, 2), axis=1)
     again = (seen.ravel() == 1) & (returned.ravel() == 1) & (miss < RETURN_PX)
-    start, end = begin.reshape(-1, 2)[again], there.reshape(-1, 2)[again]
+    start = begin.reshape(-1, 2)[again]
+    end = there.reshape(-1, 2)[again]
     if len(start) < LEAST_AGREEING:
         return unknown
     matrix, agree = cv2.estimateAffinePartial2D(

@@ -63,7 +63,8 @@ def _withheld_log_density(estimate: Estimate, name: str, seen: Series, body: Bod
         mean = known.values[rows[same]]
         cov = estimate.predicted_cov[name][rows[same]]
     else:
-        values, (mean, cov) = seen.values, _predict_by_angles(estimate, name, seen, body)
+        values = seen.values
+        mean, cov = _predict_by_angles(estimate, name, seen, body)
     apart = values - mean
     squares = np.einsum("fd,fd->f", apart, np.linalg.solve(cov, apart[..., None])[..., 0])
     return np.asarray(-0.5 * (squares + np.linalg.slogdet(2.0 * np.pi * cov)[1]))

@@ -286,7 +286,8 @@ def _update_with_readings(
     """One update with all readings of an instant, the
     camera linearised at (Q,M) rad; its evidence (Q,) nats.
     """
-    joints, (count, size) = inputs.encoders.shape[1], z.shape
+    joints = inputs.encoders.shape[1]
+    count, size = z.shape
     use = np.flatnonzero(np.isfinite(inputs.encoders[k]))
     h = [np.tile(np.eye(size)[use], (count, 1, 1))]
     y = [np.tile(inputs.encoders[k, use], (count, 1))]

@@ -239,7 +239,8 @@ def _felt_hand(features: Features, t: Array) -> tuple[Array, Array]:
     fresh = t - features.hand.t[rows] < MAX_HAND_AGE_S
     for pair in features.synchrony:
         now = _times_during_touch(features, pair, t) & fresh
-        hand[now], delay[now] = features.hand.values[rows[now]], pair.delay
+        hand[now] = features.hand.values[rows[now]]
+        delay[now] = pair.delay
     return hand, delay
 
 

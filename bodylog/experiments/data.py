@@ -72,7 +72,8 @@ def _learned_map_panels(known: ExplorationSamples) -> list[dict[str, Any]]:
     from ..body.gp.fit import samples_without_noise, train_gp
 
     gp = train_gp(samples_without_noise(known.x, known.y), ("u", "v"), "px")
-    low, high = known.x.min(axis=0), known.x.max(axis=0)
+    low = known.x.min(axis=0)
+    high = known.x.max(axis=0)
     across = np.linspace(low[0] - 0.2, high[0] + 0.2, 80)
     means = dict[str, Array]()
     spreads = dict[str, Array]()
@@ -81,7 +82,8 @@ def _learned_map_panels(known: ExplorationSamples) -> list[dict[str, Any]]:
             np.column_stack([across, np.full(80, second), np.full(80, known.home[2])])
         )
         name = f"shoulder 2 = {second:.2f} rad"
-        means[name], spreads[name] = mean[:, 0], np.sqrt(variance[:, 0])
+        means[name] = mean[:, 0]
+        spreads[name] = np.sqrt(variance[:, 0])
     return [
         build_panel("learned horizontal place, mean", "px", across, means, "3b", "shoulder 1, rad"),
         build_panel("its standard deviation", "px", across, spreads, "3b", "shoulder 1, rad"),

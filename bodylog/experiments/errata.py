@@ -37,7 +37,9 @@ def grow_belief(encoders: Array, as_printed: bool) -> float:
     """log₁₀ of the largest belief (rad) in 60 s of Algorithm
     1 on encoders, with μ̇ = μ + λe_x or μ̇ = λe_x.
     """
-    x = mu = s = encoders[0]
+    x = encoders[0]
+    mu = x
+    s = x
     ex = np.zeros(3)
     ep = np.zeros(3)
     most = 0.0

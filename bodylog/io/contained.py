@@ -15,7 +15,8 @@ def is_inside(path: Path, folder: Path) -> bool:
     to `blobs` beside `snapshots`: these count as inside.
     """
     try:
-        behind, home = path.resolve(), folder.resolve()
+        behind = path.resolve()
+        home = folder.resolve()
     except (OSError, RuntimeError, ValueError):
         return False
     homes = [home]

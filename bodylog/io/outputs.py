@@ -62,7 +62,8 @@ class _Place:
     """An output's location on disk."""
 
     def __init__(self, output: Output) -> None:
-        self._output, self._real = output, _paths_behind(output.path)
+        self._output = output
+        self._real = _paths_behind(output.path)
         self._key = path_identity(self._real)
         self._above = {
             found

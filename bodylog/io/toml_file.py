@@ -46,7 +46,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def _longest_key(content: str) -> int:
     """An upper bound of the parts of the longest dotted key: it counts strings and comments too."""
-    longest = parts = 0
+    longest = 0
+    parts = 0
     dotted = False
     for found in _TOKEN.finditer(content):
         token = found[0]

@@ -32,7 +32,8 @@ def project_points(points: Array, numbers: Array) -> tuple[Array, Array, Array]:
 def project_with_slopes(points: Array, numbers: Array) -> tuple[Array, Array]:
     """Project points (…,3) m: image (…,2) px · derivative by point (…,2,3)."""
     depth = np.maximum(points[..., 2], NEAREST)
-    x, y = points[..., 0] / depth, points[..., 1] / depth
+    x = points[..., 0] / depth
+    y = points[..., 1] / depth
     focal = np.exp(numbers[0]) * np.array([1.0, np.exp(numbers[1])])
     square = x * x + y * y
     bend = 1.0 + square * (numbers[4] + numbers[5] * square)
@@ -43,7 +44,8 @@ def project_with_slopes(points: Array, numbers: Array) -> tuple[Array, Array]:
     # d(x bend, y bend) / d(x, y) = bend I + rise [x y]ᵀ[x y]
     by_point = np.empty((*x.shape, 2, 3))
     by_point[..., 0, 0] = bend + rise * x * x
-    by_point[..., 0, 1] = by_point[..., 1, 0] = rise * x * y
+    by_point[..., 0, 1] = rise * x * y
+    by_point[..., 1, 0] = by_point[..., 0, 1]
     by_point[..., 1, 1] = bend + rise * y * y
     along = (bend + rise * square) * (points[..., 2] > NEAREST)
     by_point[..., 0, 2] = -along * x
@@ -64,7 +66,8 @@ def _by_lens(plain: Array, square: Array, bend: Array, focal: Array) -> Array:
     result = np.zeros((*plain.shape[:-1], 2, 6))
     result[..., 0] = focal * plain * bend[..., None]
     result[..., 1, 1] = result[..., 1, 0]
-    result[..., 0, 2] = result[..., 1, 3] = 1.0
+    result[..., 0, 2] = 1.0
+    result[..., 1, 3] = 1.0
     result[..., 4] = focal * plain * square[..., None]
     result[..., 5] = result[..., 4] * square[..., None]
     return result

@@ -36,7 +36,8 @@ class Chain:
         place = np.broadcast_to(self.fixed[0, :3, 3], (len(q), 3))
         axes, origins, strides = np.empty((3, len(q), len(self.column), 3))
         for k, slides in enumerate(self.slides):
-            axes[:, k], origins[:, k] = rotation[:, :, 2], place
+            axes[:, k] = rotation[:, :, 2]
+            origins[:, k] = place
             if slides:
                 place = place + rotation[:, :, 2] * angle[:, k, None]
             else:
@@ -168,7 +169,8 @@ def cross_products(a: Array, b: Array) -> Array:
     """Cross products (…,3); np.cross takes five times as long on few rows."""
     result = np.empty(np.broadcast_shapes(a.shape, b.shape))
     for k in range(3):
-        i, j = (k + 1) % 3, (k + 2) % 3
+        i = (k + 1) % 3
+        j = (k + 2) % 3
         result[..., k] = a[..., i] * b[..., j] - a[..., j] * b[..., i]
     return result
 
@@ -177,7 +179,8 @@ def _turn_about_z(rotation: Array, angle: Array) -> Array:
     """rotation (N,3,3) · Rz(angle (N,))."""
     cos = np.cos(angle)[:, None]
     sin = np.sin(angle)[:, None]
-    x, y = rotation[:, :, 0], rotation[:, :, 1]
+    x = rotation[:, :, 0]
+    y = rotation[:, :, 1]
     result = np.empty(rotation.shape)
     result[:, :, 0] = cos * x + sin * y
     result[:, :, 1] = cos * y - sin * x

@@ -131,7 +131,8 @@ def _design_row(
     ):
         slope[column] += scale * (g[2] if slides else g[1] * x - g[0] * y)
         g = _derivative_before_pose(after, (c * g[0] + s * g[1], c * g[1] - s * g[0], g[2]))
-    (a, b, e), (ix, iy, iz) = row, arm
+    a, b, e = row
+    ix, iy, iz = arm
     by_turn = _row_times_matrix(known.turn, iy * e - iz * b, iz * a - ix * e, ix * b - iy * a)
     by_marker = () if known.marker is None else _row_times_matrix(known.marker, *g)
     return (*row, *by_turn, *by_lens, *g, *by_marker, *slope)
@@ -175,7 +176,8 @@ def project_point(px: float, py: float, pz: float, lens: list[float]) -> Project
     """`camera.project_points` for one point."""
     depth = max(pz, NEAREST)
     far = pz > NEAREST
-    x, y = px / depth, py / depth
+    x = px / depth
+    y = py / depth
     fu = exp(lens[0])
     fv = fu * exp(lens[1])
     square = x * x + y * y
@@ -189,7 +191,8 @@ def project_point(px: float, py: float, pz: float, lens: list[float]) -> Project
         (fu * xx * one, fu * xy * one, -fu * (xx * x + xy * y) * one if far else 0.0),
         (fv * xy * one, fv * yy * one, -fv * (xy * x + yy * y) * one if far else 0.0),
     )
-    u, v = fu * x * bend, fv * y * bend
+    u = fu * x * bend
+    v = fv * y * bend
     ku = fu * x * square
     kv = fv * y * square
     by_lens = (u, 0.0, 1.0, 0.0, ku, ku * square), (v, v, 0.0, 1.0, kv, kv * square)

@@ -69,7 +69,8 @@ def _landmark_bodies(space: Space, camera_link: str) -> Iterator[LandmarkBody]:
             if uppermost[link] == group or uppermost[parent] == group:
                 origins.append(_link_origin(space, group, link))
         places = np.array(origins or [np.zeros(3)])
-        low, high = places.min(axis=0), places.max(axis=0)
+        low = places.min(axis=0)
+        high = places.max(axis=0)
         size = 0.5 * float(np.linalg.norm(high - low)) + BODY_RADIUS_M
         base = group == groups[0]
         yield LandmarkBody(

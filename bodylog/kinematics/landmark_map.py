@@ -67,7 +67,8 @@ def nearest_views(known: LandmarkMap, by_place: Array) -> tuple[Array, Array]:
     first = order[np.unique(known.view_of[order], return_index=True)[1]]
     views = np.full(known.count, -1)
     facing = np.full(known.count, -1.0)
-    views[known.view_of[first]], facing[known.view_of[first]] = first, cosine[first]
+    views[known.view_of[first]] = first
+    facing[known.view_of[first]] = cosine[first]
     return views, facing
 
 

@@ -4,7 +4,7 @@ unknown, seen by one camera while the joints move.
 Landmark j lies at the unknown place X_j of link l(j). A
 row of sightings at image time t in image row v shows it at
 
-    (u, v) = π(lens, camera · FK_l(q(t − τ + ρ (v/H − ½)) + δ) · X_j)
+    u, v = π(lens, camera · FK_l(q(t − τ + ρ (v/H − ½)) + δ) · X_j)
 
 with the camera's delay τ of that log, its row time ρ (s from the first to the last row of an image,
 H px high), and the joints' zeros δ. The unknowns that landmarks share are the rig's θ, then one
@@ -274,7 +274,8 @@ def _predict_images(
         turned = (linked @ anchor[:3, :3].T + anchor[:3, 3]) @ turn.T
         seen_at, by_point, by_lens = project_points(turned + pose[:3], theta[6:12])
         to_link = by_point @ (turn @ anchor[:3, :3])
-        image[at], depth[at] = seen_at, turned[:, 2] + pose[2]
+        image[at] = seen_at
+        depth[at] = turned[:, 2] + pose[2]
         by_place[at] = to_link @ poses.rotation
         by_joints[at] = to_link @ chain.slopes(poses, linked[:, None])[:, 0]
         by_shared[at, :, :3] = by_point

@@ -13,7 +13,8 @@ from .camera import project_points, scale_points
 from .chain import Chain
 from .rotations import cross_product_matrix, left_jacobian, make_transform, rotation_from_vector
 
-IMAGES, SPACE = 0, 1
+IMAGES = 0
+SPACE = 1
 """Kinds of measurements, each with one noise: px² in images, mm² of points in space."""
 
 

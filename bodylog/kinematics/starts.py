@@ -95,7 +95,8 @@ def _place_camera(
             valid = np.isfinite(one.image[:, 0]).all(axis=1)
             points.append((arm.rotation @ place + arm.place)[valid])
             images.append(one.image[valid, 0])
-        there, seen = np.concatenate(points), np.concatenate(images)
+        there = np.concatenate(points)
+        seen = np.concatenate(images)
         pose = (
             align_points(there, seen / MM_PER_M)
             if camera.tracks_space
@@ -122,7 +123,8 @@ def align_points(points: Array, seen: Array) -> Array | None:
     weight = np.ones((len(points), 1))
     for _ in range(5):  # downweight false points
         share = weight / weight.sum()
-        middle, there = (share * points).sum(axis=0), (share * seen).sum(axis=0)
+        middle = (share * points).sum(axis=0)
+        there = (share * seen).sum(axis=0)
         turn = nearest_rotation((share * (seen - there)).T @ (points - middle))
         size = np.linalg.norm(seen - there - (points - middle) @ turn.T, axis=1)
         far = size / max(3.0 * float(np.median(size)), 1e-12)

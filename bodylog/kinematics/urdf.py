@@ -104,10 +104,13 @@ def parse_xml_root(xml: str, source: str) -> "Element":
         open_.pop()
         builder.end(tag)
 
-    builder, parser, open_ = TreeBuilder(), expat.ParserCreate("utf-8"), list[str]()
+    builder = TreeBuilder()
+    parser = expat.ParserCreate("utf-8")
+    open_ = list[str]()
     parser.StartElementHandler = begin
     parser.EndElementHandler = end
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    parser.StartDoctypeDeclHandler = refuse
+    parser.EntityDeclHandler = refuse
     try:
         parser.Parse(xml.encode("utf-8", "replace"), True)
     except expat.ExpatError as problem:

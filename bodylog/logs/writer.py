@@ -32,7 +32,8 @@ class Writer:
 
     def __init__(self, path: str | Path) -> None:
         """The output file; it appears when the `with` block ends."""
-        self._path, self._open = Path(path), ExitStack()
+        self._path = Path(path)
+        self._open = ExitStack()
         self._chunks: Chunks | None = None
         self._channels: dict[tuple[str, str, bytes], int] = {}
         self._counts: dict[int, int] = {}

@@ -352,7 +352,8 @@ def signal_of_poses(
     signal = role_values.signal_of_arrays(blocks)
     if not len(signal.rows):
         return signal._replace(rejected=Counter(signal.rejected) + rejected)
-    place, turn = signal.values[:, :3], signal.values[:, 3:]
+    place = signal.values[:, :3]
+    turn = signal.values[:, 3:]
     sound = sound_poses(place, turn)
     rejected["a pose beyond 50 m, or a quaternion whose length is not 1"] += int((~sound).sum())
     stamps = None if signal.stamp_ns is None else signal.stamp_ns[sound]

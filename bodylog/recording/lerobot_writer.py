@@ -22,7 +22,9 @@ from ..settings import Settings
 from ..types import Array, Finding
 from .dataset_rows import DatasetCamera, DatasetRows, Feature, read_dataset_rows
 
-V3, V21 = FORMS = "lerobot", "lerobot-2.1"
+V3 = "lerobot"
+V21 = "lerobot-2.1"
+FORMS = (V3, V21)
 STAMP = ".stamp_ns"
 _TOLERANCE = 1e-4
 """s: LeRobot rejects images that are further from frame_index / fps."""

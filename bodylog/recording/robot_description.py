@@ -148,10 +148,8 @@ def _transforms_by_child(columns: TopicColumns) -> dict[str, tuple[str, Array]]:
         for row in values:
             for parent, child, (x, y, z, *quaternion) in zip(parents, children, row, strict=True):
                 pose = np.eye(4)
-                pose[:3, :3], pose[:3, 3] = (
-                    _rotation_from_quaternion(np.array(quaternion)),
-                    (x, y, z),
-                )
+                pose[:3, :3] = _rotation_from_quaternion(np.array(quaternion))
+                pose[:3, 3] = (x, y, z)
                 if np.isfinite(pose).all():
                     found[str(child).lstrip("/")] = str(parent).lstrip("/"), pose
     return found

@@ -181,7 +181,8 @@ def unwrap_angles(values: Array, turn: float | None = _TURN) -> tuple[Array, int
     unwrapped. `turn`: one turn in the values' unit.
     """
     values, beyond = reject_impossible(values)
-    values, turns = values.copy(), np.zeros(values.shape[1], int)
+    values = values.copy()
+    turns = np.zeros(values.shape[1], int)
     whole = turn or _TURN
     for column in range(0 if turn is None else values.shape[1]):
         known = np.flatnonzero(np.isfinite(values[:, column]))
@@ -215,7 +216,8 @@ def signal_of_arrays(found: Sequence[Block]) -> RoleSignal:
         rejected["empty array"] = widths[0]
     names = tuple(str(cell) for cell in range(width))
     if good and all(np.isnan(values).all() for _, _, values in good):
-        rejected["no number in it"], good = sum(len(rows) for rows, _, _ in good), []
+        rejected["no number in it"] = sum(len(rows) for rows, _, _ in good)
+        good = []
     return _join_blocks([(r, s) for r, s, _ in good], [v for _, _, v in good], names, rejected)
 
 

@@ -180,7 +180,8 @@ def _write_images(
     about {camera's topic without /image…: metadata}.
     """
     channels: dict[Kind, int] = {}
-    count = early = 0
+    count = 0
+    early = 0
     for image in found:
         if progress is not None:
             progress(1)

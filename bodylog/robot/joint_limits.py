@@ -59,7 +59,8 @@ def limit_findings(
                 f"{since:.3f} s"
             )
             # single wild readings decide nothing about units
-            typical[name], ranges[name] = float(np.quantile(beyond, 0.99)), own.upper - own.lower
+            typical[name] = float(np.quantile(beyond, 0.99))
+            ranges[name] = own.upper - own.lower
     turned = any(typical[name] > tau and limits[name].unit == "rad" for name in texts)
     other = turned or 2 * len(texts) > max(len(excess), 2)
     foreign = [text for name, text in texts.items() if other or typical[name] > ranges[name]]

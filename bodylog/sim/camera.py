@@ -131,7 +131,8 @@ def _window_of_sphere(
     half = radius * np.sqrt(np.array([x**2, y**2]) + flat) / flat
     low = np.floor(camera.focal * (middle - half) + camera.centre).astype(int) - 1
     high = np.ceil(camera.focal * (middle + half) + camera.centre).astype(int) + 2
-    low, high = np.maximum(low, 0), np.minimum(high, [camera.width, camera.height])
+    low = np.maximum(low, 0)
+    high = np.minimum(high, [camera.width, camera.height])
     area = np.pi * radius**2 * np.sqrt(x**2 + y**2 + flat) / flat**1.5 * camera.focal**2
     return (slice(low[1], high[1]), slice(low[0], high[0])), float(area)
 

@@ -55,7 +55,8 @@ def threshold_crossings(t: Array, signal: Array) -> tuple[float, float]:
     """
     over = signal.max(axis=1) - THRESHOLD
     touched = np.flatnonzero(over > 0)
-    first, last = touched[0], touched[-1]
+    first = touched[0]
+    last = touched[-1]
     onset = np.interp(0.0, over[first - 1 : first + 1], t[first - 1 : first + 1])
     offset = np.interp(0.0, over[last : last + 2][::-1], t[last : last + 2][::-1])
     return float(onset), float(offset)

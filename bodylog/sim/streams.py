@@ -195,7 +195,8 @@ def _events_of_contact(stage: Stage, contact: Contact, base: Array) -> Iterator[
     stamp = START_NS + round(onset * 1e9)
     touch = messages.touch_message(stamp, offset - onset, cells, float(signal.max()))
     yield Item(START_NS + round(offset * 1e9) + 3_000_000, stamp, "/truth/touch", touch)
-    begin, end = contact.onset + contact.delay, contact.onset + contact.length + contact.delay
+    begin = contact.onset + contact.delay
+    end = contact.onset + contact.length + contact.delay
     places = seen_hand(stage, np.array([begin, end]))
     views = stage.seen_from(begin), stage.seen_from(end)
     pixels = [

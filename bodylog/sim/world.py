@@ -138,7 +138,8 @@ def quaternion_from_matrix(rotation: Array) -> Array:
     r = rotation
     k = np.zeros((4, 4))
     k[:3, :3] = r + r.T - np.trace(r) * np.eye(3)
-    k[3, :3] = k[:3, 3] = [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
+    k[3, :3] = [r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]]
+    k[:3, 3] = k[3, :3]
     k[3, 3] = np.trace(r)
     vector = np.linalg.eigh(k)[1][:, -1]
     return np.asarray(vector * np.sign(vector[3]))
@@ -177,10 +178,13 @@ def _projection_matrix(camera: PinholeCamera) -> list[float]:
     Of rows alone the centre lies `below` their middle.
     """
     matrix = np.zeros((4, 4))
-    matrix[0, 0], matrix[1, 1] = 2 * camera.focal / camera.width, 2 * camera.focal / camera.height
+    matrix[0, 0] = 2 * camera.focal / camera.width
+    matrix[1, 1] = 2 * camera.focal / camera.height
     below = camera.centre[1] - (camera.height - 1) / 2
-    matrix[0, 2], matrix[1, 2] = 1 / camera.width, (1 + 2 * below) / camera.height
-    matrix[2, 2], matrix[2, 3] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
+    matrix[0, 2] = 1 / camera.width
+    matrix[1, 2] = (1 + 2 * below) / camera.height
+    matrix[2, 2] = -(FAR + NEAR) / (FAR - NEAR)
+    matrix[2, 3] = -2 * FAR * NEAR / (FAR - NEAR)
     matrix[3, 2] = -1.0
     return [float(value) for value in matrix.T.ravel()]
 

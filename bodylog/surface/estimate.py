@@ -430,7 +430,8 @@ def _landmark_belief(model: "LandmarkModel", camera: SurfaceCamera) -> "Landmark
     rest = np.delete(np.arange(len(camera.unknowns) + 1), delay)
     mean = np.zeros(len(rest) + 1)
     covariance = np.zeros((len(rest) + 1, len(rest) + 1))
-    mean[rest], mean[delay] = camera.unknowns, float(camera.delays.mean())
+    mean[rest] = camera.unknowns
+    mean[delay] = float(camera.delays.mean())
     covariance[np.ix_(rest, rest)] = camera.covariance
     covariance[delay, delay] = DELAY_STD_S**2
     return LandmarkBelief(mean, covariance)

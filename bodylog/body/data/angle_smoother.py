@@ -130,7 +130,8 @@ def fit_white_motion(
     best = float(
         grid[int(np.argmax([_profile_evidence(systems, order, unit, r)[0] for r in grid]))]
     )
-    low, high = max(best - _STRIDE, _STIFFEST[order]), best + _STRIDE
+    low = max(best - _STRIDE, _STIFFEST[order])
+    high = best + _STRIDE
     found = minimize_scalar(
         lambda r: -_profile_evidence(systems, order, unit, r)[0],
         bounds=(low, high),
@@ -181,7 +182,8 @@ def covariance_between_times(
     parts = []
     for start in range(0, len(at), _CHUNK):
         stop = min(start + _CHUNK, len(at))
-        low, high = max(left[start] - reach, 0), min(left[stop - 1] + 2 + reach, len(signal.t))
+        low = max(left[start] - reach, 0)
+        high = min(left[stop - 1] + 2 + reach, len(signal.t))
         first, last = np.searchsorted(left, [low, high - 1])
         right = np.zeros((high - low, order, last - first))
         columns = np.arange(last - first)

@@ -55,7 +55,8 @@ def _hold_out_exact(
     variance = np.empty(len(y))
     for rows in blocks:
         inner = np.linalg.inv(inverse[:, rows].T @ inverse[:, rows])
-        residual[rows], variance[rows] = inner @ whole.alpha[rows], np.diag(inner)
+        residual[rows] = inner @ whole.alpha[rows]
+        variance[rows] = np.diag(inner)
     return residual, variance
 
 

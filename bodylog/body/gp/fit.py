@@ -56,7 +56,8 @@ class Coupling:
         """The covariance between some of `count` samples, in ascending order."""
         place = np.full(count, -1)
         place[chosen] = np.arange(len(chosen))
-        i, j = place[self.i], place[self.j]
+        i = place[self.i]
+        j = place[self.j]
         kept = (i >= 0) & (j >= 0)
         return Coupling(i[kept], j[kept], self.joint[kept], self.value[kept])
 

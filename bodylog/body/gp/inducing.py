@@ -193,6 +193,7 @@ def noise_of_rows(spread: Spread, rows: Array) -> Spread:
     """The noise of some rows."""
     place = np.full(len(spread.diagonal), -1)
     place[rows] = np.arange(len(rows))
-    i, j = place[spread.i], place[spread.j]
+    i = place[spread.i]
+    j = place[spread.j]
     kept = (i >= 0) & (j >= 0)
     return Spread(spread.diagonal[rows], i[kept], j[kept], spread.value[kept], spread.share)

@@ -264,7 +264,8 @@ class _Single:
                 sums[outputs:linear].reshape(outputs, inputs, -1)
                 - sums[:outputs, None] * tilt[:, block]
             )
-            value[block], slope[block] = sums[:outputs].T + self.mean, np.moveaxis(leans, -1, 0)
+            value[block] = sums[:outputs].T + self.mean
+            slope[block] = np.moveaxis(leans, -1, 0)
             if left is not None:
                 left[block] = self.amplitude - np.einsum("rn,rn->n", sums[linear:], sums[linear:])
         return value, slope
@@ -306,8 +307,10 @@ def se_kernel(a: Array, b: Array, amplitude: float) -> Array:
     half_a = np.square(a).sum(axis=1)
     half_b = np.square(b).sum(axis=1)
     left, right = (np.ones((len(part), part.shape[1] + 2)) for part in (a, b))
-    left[:, :-2], left[:, -1] = a, -0.5 * half_a
-    right[:, :-2], right[:, -2] = b, -0.5 * half_b
+    left[:, :-2] = a
+    left[:, -1] = -0.5 * half_a
+    right[:, :-2] = b
+    right[:, -2] = -0.5 * half_b
     exponent = left @ right.T
     np.minimum(exponent, 0.0, out=exponent)
     np.exp(exponent, out=exponent)

@@ -76,7 +76,8 @@ def thin_rows(data: ResidualRows, count: int) -> ResidualRows:
 def _climb_evidence(first: Array, data: ResidualRows, prior: Prior) -> Hyper:
     inputs = data.x.shape[1]
     terms = _kernel_terms(data.x)
-    low, high = np.array([-10.0, *[-5.0] * inputs, -23.0]), np.array([16.0, *[10.0] * inputs, 6.0])
+    low = np.array([-10.0, *[-5.0] * inputs, -23.0])
+    high = np.array([16.0, *[10.0] * inputs, 6.0])
     first = np.clip(first, low, high)
     curvature = _fisher_information(first, data.x, data.residual.shape[1], data.spread, prior)
     return hyper_from_theta(

@@ -163,7 +163,8 @@ def _board_sightings(
     for log, (t, places, variance) in enumerate(shown):
         mine = np.flatnonzero(whole.log == log)
         at = np.searchsorted(t, whole.t[mine])
-        image[mine], floor[mine] = places[at], variance[at]
+        image[mine] = places[at]
+        floor[mine] = variance[at]
     return ThingSightings(whole, image, floor, np.array(list(points.values())), tuple(points))
 
 

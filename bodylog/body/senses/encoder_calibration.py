@@ -104,7 +104,8 @@ def _fit_polynomial(x: Array, y: Array, block: Array) -> tuple[Array, float, int
     from numpy.polynomial import Chebyshev
     from numpy.polynomial import Polynomial as Power
 
-    low, high = float(x.min()), float(x.max())
+    low = float(x.min())
+    high = float(x.max())
     base = np.polynomial.chebyshev.chebvander((2 * x - low - high) / (high - low), _DEGREE)
     rows = [block == b for b in np.unique(block)]
     gram = np.array([base[r].T @ base[r] for r in rows])

@@ -911,8 +911,15 @@ def weigh_noise_ratios(
     derivative.
     """
     for r in range(len(ratio)):
-        x0 = x1 = x2 = 0.0
-        p00 = p01 = p02 = p11 = p12 = p22 = 0.0
+        x0 = 0.0
+        x1 = 0.0
+        x2 = 0.0
+        p00 = 0.0
+        p01 = 0.0
+        p02 = 0.0
+        p11 = 0.0
+        p12 = 0.0
+        p22 = 0.0
         squares[r] = 0.0
         logs[r] = 0.0
         lag[r] = 0.0
@@ -926,7 +933,9 @@ def weigh_noise_ratios(
                 p00 = vague
                 p11 = vague / (usual * usual)
                 p22 = p11 / (usual * usual) if order == 3 else 0.0
-                p01 = p02 = p12 = 0.0
+                p01 = 0.0
+                p02 = 0.0
+                p12 = 0.0
             else:
                 step = dt[i]
                 half = 0.5 * step * step

@@ -189,7 +189,8 @@ def find_tangent_point(
     The search starts at the angles x (M,) before the instant;
     `step` gives the belief by all encoder readings and lines.
     """
-    taken = last = np.zeros(len(x))
+    taken = np.zeros(len(x))
+    last = taken
     least = math.inf
     best = None
     for _ in range(MAX_SWEEPS):

@@ -52,7 +52,8 @@ def _check_topics_and_span(
             )
         if start is None and end is None:
             return None
-        first, last = 0.0 if start is None else start, math.inf if end is None else end
+        first = 0.0 if start is None else start
+        last = math.inf if end is None else end
         if not first <= last:
             raise UsageError(f"{path}: start {first:g} s is not before end {last:g} s")
         return log.start_ns + round(

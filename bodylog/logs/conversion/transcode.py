@@ -202,7 +202,8 @@ def _copy_batch_messages(batch: Batch, carrier: _Carrier, writer: McapRecordWrit
     channel = np.full(count, carrier.channel)
     sequence, publish_ns = _sequence_and_publish_times(batch, carrier)
     if carrier.convert is None:
-        data, offset, length = *gather_pieces(batch.data, batch.offset, batch.length), batch.length
+        data, offset = gather_pieces(batch.data, batch.offset, batch.length)
+        length = batch.length
     else:
         data, offset, length = _convert_payloads(batch, carrier, channel, writer)
     carrier.carried += count

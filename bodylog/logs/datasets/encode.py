@@ -82,7 +82,8 @@ def _write_encoded_video(
         )
         stream.width, stream.height = size
         stream.pix_fmt = how.pixels
-        stream.time_base = stream.codec_context.time_base = Fraction(1, _TICKS)
+        stream.time_base = Fraction(1, _TICKS)
+        stream.codec_context.time_base = Fraction(1, _TICKS)
         try:
             with without_real_time():
                 stream.codec_context.open()
@@ -90,7 +91,8 @@ def _write_encoded_video(
                 frame = av.VideoFrame.from_ndarray(
                     _fit_image_size(image, size, path), format="bgr24"
                 )
-                frame.pts, frame.time_base = at, Fraction(1, _TICKS)
+                frame.pts = at
+                frame.time_base = Fraction(1, _TICKS)
                 container.mux(stream.encode(frame))
             container.mux(stream.encode())
         except av.error.FFmpegError as problem:

@@ -397,7 +397,8 @@ def _frames_of_rows(
     # rows may be fewer than the video's frames: half a frame is less than half a row then
     margin = 0.5 * min(1.0 / fps, float(np.median(steps)) if len(steps) else np.inf)
     later = begin_s if begin_s > margin and part.start + begin_s < film.t[-1:].sum() else 0.0
-    start, end = part.start + later, part.end
+    start = part.start + later
+    end = part.end
     if later and len(shown):
         end = start + float(shown[-1]) + margin
         end = end if part.end is None else min(end, part.end)

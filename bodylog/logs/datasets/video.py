@@ -59,7 +59,8 @@ def survey_video(path: Path, limits: Input) -> Video:
     mpx = limits.max_image_mpx
     check_samples(path, limits)
     with _open_video_stream(path) as (container, stream):
-        width, height = stream.codec_context.width, stream.codec_context.height
+        width = stream.codec_context.width
+        height = stream.codec_context.height
         if not 0 < width * height <= mpx * 1e6:
             raise LogError(
                 f"{path}: images of {width} x {height}; set [input] max_image_mpx to read "
@@ -243,7 +244,8 @@ def check_samples(path: Path, limits: Input) -> None:
     with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         if data[4:8] not in (b"ftyp", b"moov", b"mdat", b"free", b"wide", b"skip"):
             return
-        samples = parts = 0
+        samples = 0
+        parts = 0
         for boxes, (kind, start, end) in enumerate(_iterate_boxes(data, 0, len(data), 0)):
             if kind in (b"stsz", b"stz2") and end - start >= 12:
                 samples += struct.unpack_from(">I", data, start + 8)[0]

@@ -129,7 +129,9 @@ class _Decoder:
         self.known: list[Template] = []
         self.log_ns: list[Array] = []
         self.pieces: dict[Any, list[tuple[Array, list[Any]]]] = {}
-        self.seen = self.fast = self.fallback = 0
+        self.seen = 0
+        self.fast = 0
+        self.fallback = 0
         self.rejected: Counter[str] = Counter()
 
     def feed(self, batch: Batch) -> None:

@@ -39,7 +39,8 @@ class CdrCursor:
         """Start at the payload's first field; FormatError when it is not plain CDR."""
         self.definition = definition
         self.payload = payload
-        self.origin = self.pos = 0 if ros1 else 4
+        self.origin = 0 if ros1 else 4
+        self.pos = self.origin
         self.constants: list[tuple[int, int]] = [] if ros1 else [(0, 2)]
         self.big, self.largest = (False, 1) if ros1 else _cdr_kind(definition.root, payload)
         self.ros1 = ros1

@@ -254,7 +254,8 @@ def _check_idl(body: str, root: str) -> None:
     long for: nested brackets, many sizes or texts.
     """
     bare = _COMMENTS.sub(" ", _QUOTED.sub(" ", body))
-    depth = deepest = 0
+    depth = 0
+    deepest = 0
     for sign in re.findall(r"[<(\[>)\]]", bare):
         depth = max(0, depth + (1 if sign in _OPENS else -1))
         deepest = max(deepest, depth)

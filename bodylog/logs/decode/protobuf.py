@@ -58,7 +58,8 @@ class ProtobufLayout:
         value = walk.message(0, len(payload), root, 0)
         self._items = [list(follow(value, steps, list_plain_items)) for steps in paths]
         layout = MessageLayout(len(payload), tuple(walk.constants + walk.pinned), ())
-        self.width, self._template = len(payload), make_template(layout, payload, walk.high)
+        self.width = len(payload)
+        self._template = make_template(layout, payload, walk.high)
 
     def values(
         self, batch: Batch, index: Array, single: Sequence[int | None]
@@ -274,7 +275,8 @@ def _iterate_wire_records(data: Any) -> Iterator[tuple[int, Any]]:
 
 def read_varint(data: memoryview, pos: int) -> tuple[int, int]:
     """The number at byte `pos` and where it ends; FormatError when it is broken."""
-    value = shift = 0
+    value = 0
+    shift = 0
     while pos < len(data) and shift < 64:
         byte = data[pos]
         value |= (byte & 0x7F) << shift

@@ -70,7 +70,8 @@ def merge_payloads(parts: Sequence[tuple[Array, Payloads]], count: int) -> Paylo
     length = np.zeros(count, np.int64)
     start = 0
     for index, part in parts:
-        offset[index], length[index] = part.offset + start, part.length
+        offset[index] = part.offset + start
+        length[index] = part.length
         start += part.data.size
     data = np.concatenate([part.data for _, part in parts]) if parts else np.zeros(0, np.uint8)
     return Payloads(data, offset, length)

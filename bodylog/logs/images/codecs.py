@@ -110,7 +110,8 @@ def _silent_stderr() -> Iterator[None]:
     """Suppress libjpeg's messages on damaged images, which it writes to standard error itself."""
     with _STDERR, ExitStack() as after:
         try:
-            kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+            kept = os.dup(2)
+            nowhere = os.open(os.devnull, os.O_WRONLY)
         except OSError:  # there is no standard error
             yield
             return
@@ -147,7 +148,8 @@ def _shrink_image(image: Array, k: int) -> Array:
     """
     import cv2
 
-    height, width = max(1, image.shape[0] // k), max(1, image.shape[1] // k)
+    height = max(1, image.shape[0] // k)
+    width = max(1, image.shape[1] // k)
     return np.asarray(
         cv2.resize(image[: k * height, : k * width], (width, height), interpolation=cv2.INTER_AREA)
     )

@@ -251,7 +251,8 @@ def _check_index_target(
 
 
 def _check_summary_group(data: memoryview, fields: dict[str, Any], say: Say) -> None:
-    start, end = fields["group_start"], fields["group_start"] + fields["group_length"]
+    start = fields["group_start"]
+    end = fields["group_start"] + fields["group_length"]
     if start == end:
         return
     try:

@@ -137,7 +137,8 @@ def encode_chunk_head(
 def message_index(number: int, log_ns: Array, offset: Array) -> bytes:
     """Log times of one channel's messages and their offsets in the chunk."""
     pairs = np.empty((len(log_ns), 2), "<u8")
-    pairs[:, 0], pairs[:, 1] = log_ns, offset
+    pairs[:, 0] = log_ns
+    pairs[:, 1] = offset
     return encode_record(
         op.MESSAGE_INDEX, struct.pack("<HI", number, pairs.nbytes), pairs.tobytes()
     )
@@ -186,9 +187,12 @@ def encode_messages(table: MessageTable) -> tuple[Array, Array]:
     size = table.length + MESSAGE_HEAD
     start = np.cumsum(size) - size
     head = np.zeros(len(size), _MESSAGE)
-    head["opcode"], head["size"] = op.MESSAGE, size - 9
-    head["channel"], head["sequence"] = table.channel, table.sequence
-    head["log_ns"], head["publish_ns"] = table.log_ns, table.publish_ns
+    head["opcode"] = op.MESSAGE
+    head["size"] = size - 9
+    head["channel"] = table.channel
+    head["sequence"] = table.sequence
+    head["log_ns"] = table.log_ns
+    head["publish_ns"] = table.publish_ns
     out = np.empty(int(size.sum()), np.uint8)
     _byte_windows(out, MESSAGE_HEAD)[start] = head.view(f"V{MESSAGE_HEAD}")
     edges = np.cumsum([0, *(data.size for data in table.data)])

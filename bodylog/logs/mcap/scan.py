@@ -191,7 +191,8 @@ class _LooseRun:
         self._flush()
         if self._end > self._start:
             self._survey.parts.append(LooseRecords(self._start, self._end))
-        self._start = self._end = following
+        self._start = following
+        self._end = following
 
     def credible(self, at: int, length: int) -> bool:
         """Whether a message outside chunks in a chunked file

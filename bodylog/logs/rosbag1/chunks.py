@@ -178,7 +178,8 @@ def _same_headers(content: Array, at: Array, size: int) -> tuple[Array, Array] |
         for name, width in _VARY
     )
     same = np.ones(size, bool)
-    same[conn : conn + 4] = same[time : time + 8] = False
+    same[conn : conn + 4] = False
+    same[time : time + 8] = False
     if (headers[:, same] != headers[0, same]).any():
         return None
     seconds = np.ascontiguousarray(headers[:, time : time + 8]).view("<u4").astype(np.int64)
@@ -197,7 +198,8 @@ def _records_fill_gaps(content: Array, starts: Array, ends: Array) -> bool:
     view = content.data
     try:
         for i in np.flatnonzero(lows < highs):
-            at, end = int(lows[i]), int(highs[i])
+            at = int(lows[i])
+            end = int(highs[i])
             while at < end:
                 record = record_at(view, at, end)
                 if record.op == MESSAGE:

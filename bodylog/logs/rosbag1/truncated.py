@@ -48,7 +48,8 @@ def cut_at(data: memoryview, at: int) -> Cut | None:
         stored = compression in STORED
         if record.op != CHUNK or ((length or stored) and length <= len(data) - start):
             return None
-        whole, packed = record.number(b"size"), data[start:]
+        whole = record.number(b"size")
+        packed = data[start:]
         lacks = length - len(packed) if stored and length == whole else None
         return Cut(
             compression, packed, min(whole or _ALWAYS, max(_ALWAYS, _RATIO * len(packed))), lacks

@@ -56,7 +56,8 @@ class Rosbag2Log:
                 f"{path}: none of its files can be read: {self._diagnostics.findings[-1].text}"
             )
         self.topics: tuple[Topic, ...] = topics.all()
-        self.start_ns, self.end_ns = min(times, default=0), max(times, default=0)
+        self.start_ns = min(times, default=0)
+        self.end_ns = max(times, default=0)
 
     @property
     def findings(self) -> tuple[Finding, ...]:

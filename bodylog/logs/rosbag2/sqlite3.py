@@ -100,7 +100,8 @@ class MessageRows:
                 for row in self._store.execute(query, (low,)):
                     _require_rising_rowid(row, low)
                     yield from self._one(row, low)
-                    low, last_ns = row[0], row[2]
+                    low = row[0]
+                    last_ns = row[2]
                 return
             except DAMAGE as problem:
                 raise_if_interrupted(problem)

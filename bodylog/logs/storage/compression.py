@@ -31,7 +31,8 @@ class Allowance:
         """Start the count for the log at `path`."""
         self._path = path
         self._limits = limits
-        self._packed = self._unpacked = 0
+        self._packed = 0
+        self._unpacked = 0
 
     def single(self, packed: int) -> int:
         """The bytes that a chunk or message of `packed` bytes may expand to."""

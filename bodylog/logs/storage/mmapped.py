@@ -52,7 +52,8 @@ def advise_sequential(data: memoryview, start: int, end: int, alone: bool = Fals
     these bytes are requested: readahead would load some megabytes beyond them.
     """
     ensure_local(data, start, end)
-    low, high = start // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
+    low = start // _PAGE * _PAGE
+    high = min(-(-end // _PAGE) * _PAGE, len(data))
     if _ADVICE and high > low and isinstance(data.obj, mmap.mmap):
         data.obj.madvise(mmap.MADV_WILLNEED if alone else mmap.MADV_SEQUENTIAL, low, high - low)
 
@@ -77,7 +78,8 @@ def drop_pages(data: memoryview, start: int, end: int) -> None:
     file, and those well before; access maps them again.
     """
     behind = max(_AROUND, _BEHIND * (end - start))
-    low, high = max(0, start - behind) // _PAGE * _PAGE, min(-(-end // _PAGE) * _PAGE, len(data))
+    low = max(0, start - behind) // _PAGE * _PAGE
+    high = min(-(-end // _PAGE) * _PAGE, len(data))
     if _ADVICE and high > low and type(data.obj) is mmap.mmap:
         data.obj.madvise(mmap.MADV_DONTNEED, low, high - low)
         data.obj.madvise(mmap.MADV_RANDOM, low, high - low)

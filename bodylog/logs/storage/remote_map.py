@@ -34,7 +34,8 @@ class RemoteMap(mmap.mmap):
                 if block not in self.present
             ]
             for first, last in _consecutive_runs(wanted):
-                low, high = first * _BLOCK, min((last + 1) * _BLOCK, len(self))
+                low = first * _BLOCK
+                high = min((last + 1) * _BLOCK, len(self))
                 data = self.remote(low, high)
                 if len(data) != high - low:
                     raise OSError(f"{len(data)} bytes arrived where {high - low} were asked for")
@@ -43,7 +44,8 @@ class RemoteMap(mmap.mmap):
 
 
 def _consecutive_runs(blocks: list[int]) -> Iterator[tuple[int, int]]:
-    first = last = None
+    first = None
+    last = None
     for block in blocks:
         if first is None or last is None or block != last + 1:
             if first is not None and last is not None:

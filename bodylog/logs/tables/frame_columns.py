@@ -157,7 +157,8 @@ def _rotations_about_axis(axis: str, angle: Array) -> Array:
     j = (k + 2) % 3
     found = np.zeros((len(angle), 3, 3))
     found[:, k, k] = 1.0
-    found[:, i, i] = found[:, j, j] = np.cos(angle)
+    found[:, i, i] = np.cos(angle)
+    found[:, j, j] = np.cos(angle)
     found[:, j, i] = np.sin(angle)
     found[:, i, j] = -np.sin(angle)
     return found

@@ -96,7 +96,11 @@ def _read_column_chunk(path: Path, data: mmap.mmap, column: Any) -> tuple[Parque
     if column.has_dictionary_page and 0 < column.dictionary_page_offset < start:
         start = column.dictionary_page_offset
     end = min(start + column.total_compressed_size, len(data))
-    values = unpacked = largest = dictionary = count = 0
+    values = 0
+    unpacked = 0
+    largest = 0
+    dictionary = 0
+    count = 0
     repeats = False
     at = start
     while 0 <= at < end and values < column.num_values:

@@ -49,7 +49,8 @@ class PoseLog:
         with source.open("rb") as stream:
             self.format = table_format(path, stream.read(4)) or "csv"
         table = read_table_file(source, self.format, limits)
-        self._strict, self._findings = strict, list[Finding]()
+        self._strict = strict
+        self._findings = list[Finding]()
         self._mpx = limits.max_image_mpx
         found = assign_column_roles(table, str(path))
         self._add("info", *found.notes)
@@ -84,7 +85,8 @@ class PoseLog:
                 for (k, files), name in cameras
             ),
         )
-        self.start_ns, self.end_ns = int(self._ns.min()), int(self._ns.max())
+        self.start_ns = int(self._ns.min())
+        self.end_ns = int(self._ns.max())
 
     @property
     def findings(self) -> tuple[Finding, ...]:

@@ -76,12 +76,12 @@ def enlarge_blobs(blobs: Array, scale: Array) -> Array:
     by = scale.reshape(-1, *[1] * (blobs.ndim - 2)).astype(np.float64)
     whole = blobs.copy()
     # pixel k of a shrunk picture is the mean of those from scale k to scale (k + 1) - 1
-    whole[..., U], whole[..., V] = (
-        by * blobs[..., U] + (by - 1) / 2,
-        by * blobs[..., V] + (by - 1) / 2,
-    )
-    whole[..., STD_U], whole[..., STD_V] = by * blobs[..., STD_U], by * blobs[..., STD_V]
-    whole[..., MASS], whole[..., STRENGTH] = by**2 * blobs[..., MASS], by**2 * blobs[..., STRENGTH]
+    whole[..., U] = by * blobs[..., U] + (by - 1) / 2
+    whole[..., V] = by * blobs[..., V] + (by - 1) / 2
+    whole[..., STD_U] = by * blobs[..., STD_U]
+    whole[..., STD_V] = by * blobs[..., STD_V]
+    whole[..., MASS] = by**2 * blobs[..., MASS]
+    whole[..., STRENGTH] = by**2 * blobs[..., STRENGTH]
     return whole
 
 

@@ -126,7 +126,8 @@ def _every_nth_pixel(image: Array, step: int) -> Array:
     """Every step-th pixel of every step-th row: (H/step,W/step,3),
     or (H/step,W/step) of four bytes, the last idle.
     """
-    height, width = max(1, image.shape[0] // step), image.shape[1] // step
+    height = max(1, image.shape[0] // step)
+    width = image.shape[1] // step
     if step == 1 or not image.flags.c_contiguous:
         return image[::step, ::step][:height, :width]
     # four bytes at a time is a third of the work; a further

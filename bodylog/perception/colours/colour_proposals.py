@@ -73,5 +73,6 @@ def range_around_hue(hue: int) -> HsvRange:
 
 def name_of_middle_hue(colour: HsvRange) -> str:
     """The name of a range's middle hue."""
-    low, high = colour.parts[0][0], colour.parts[-1][1]
+    low = colour.parts[0][0]
+    high = colour.parts[-1][1]
     return nearest_hue_name((low[0] + ((high[0] - low[0]) % 180) / 2) % 180)

@@ -90,7 +90,8 @@ def covered_hue_names(colour: HsvRange) -> set[str]:
     """The names of the hues in a range: those whose
     middle lies in it, and the one nearest its own middle.
     """
-    low, high = colour.parts[0][0][0], colour.parts[-1][1][0]
+    low = colour.parts[0][0][0]
+    high = colour.parts[-1][1][0]
     span = (high - low) % 180
     return {nearest_hue_name(_middle_hue(low, high))} | {
         name for name in _NAMED if (_middle_hue(*_NAMED[name]) - low) % 180 <= span

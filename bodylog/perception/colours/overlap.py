@@ -231,6 +231,7 @@ def _radii_of_edges(image: Array, centre: Array, radius: float, reach: float) ->
     below = share[:, first:] < 0.5
     k = below.argmax(axis=1) + first
     rows = np.arange(_RAYS)
-    high, low = share[rows, k - 1], share[rows, k]
+    high = share[rows, k - 1]
+    low = share[rows, k]
     edge = out[k - 1] + _STEP * np.clip((high - 0.5) / np.maximum(high - low, 1e-6), 0, 1)
     return np.where(below.any(axis=1) & (np.sqrt(square) > _CONTRAST), edge, np.nan)

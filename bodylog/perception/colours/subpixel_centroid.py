@@ -187,7 +187,8 @@ def _fit_shading(
     `rounding` (K,) is the variance of mixing from whole grey levels alone.
     """
     n = inner.sum(axis=(1, 2), dtype=np.float64)
-    columns, rows = inner.sum(axis=1, dtype=np.float64), inner.sum(axis=2, dtype=np.float64)
+    columns = inner.sum(axis=1, dtype=np.float64)
+    rows = inner.sum(axis=2, dtype=np.float64)
     mid_x = columns @ x[1] / n
     mid_y = rows @ x[1] / n
     mean = np.einsum("kij,kij->k", mixing, inner) / n

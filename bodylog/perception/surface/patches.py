@@ -99,7 +99,8 @@ def match_templates(image: Array, templates: Array, uv: Array, reach_px: int) ->
         if best < LEAST_ALIKE or row in (0, 2 * reach_px) or column in (0, 2 * reach_px):
             continue
         beside = correlation.item(row, column - 1), correlation.item(row, column + 1)
-        above, below = correlation.item(row - 1, column), correlation.item(row + 1, column)
+        above = correlation.item(row - 1, column)
+        below = correlation.item(row + 1, column)
         found[number] = (
             column + left + half + _vertex(beside[0], best, beside[1]),
             row + top + half + _vertex(above, best, below),

@@ -91,7 +91,8 @@ def _reach_within_image(gray: Array, quads: Array, reach: Array) -> Array:
 
 
 def _refine_quads_once(gray: Array, quads: Array, cell: Array, reach: Array) -> Refined:
-    start, end = quads, np.roll(quads, -1, axis=1)
+    start = quads
+    end = np.roll(quads, -1, axis=1)
     along = end - start
     length = np.maximum(np.linalg.norm(along, axis=2), 1e-6)
     along = along / length[..., None]

@@ -41,7 +41,8 @@ def find_quads(gray: Array, shortest: float) -> Array:
 
 def _signed_area(quads: Array) -> Array:
     """Signed areas (M,), positive where clockwise as seen (v is down)."""
-    u, v = quads[..., 0], quads[..., 1]
+    u = quads[..., 0]
+    v = quads[..., 1]
     return np.asarray((u * np.roll(v, -1, axis=1) - v * np.roll(u, -1, axis=1)).sum(axis=1) / 2)
 
 
@@ -84,7 +85,8 @@ def sample_gray(gray: Array, points: Array) -> Array:
     if not points.size:
         return np.empty(points.shape[:-1])
     flat = points.reshape(-1, points.shape[-2], 2).astype(np.float32)
-    u, v = flat[..., 0], flat[..., 1]
+    u = flat[..., 0]
+    v = flat[..., 1]
     # OpenCV takes no more rows at once
     parts = [slice(start, start + _ROWS) for start in range(0, len(flat), _ROWS)]
     levels = [

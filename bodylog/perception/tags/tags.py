@@ -70,7 +70,8 @@ class TagTracker:
             for feature, source in self._features.items():
                 if (points := _points_of_tag(found, source)) is not None:
                     columns = [at[name] for name in track_names(feature, source)]
-                    values[row, columns], reasons[row] = points, ""
+                    values[row, columns] = points
+                    reasons[row] = ""
         return Tracked(tuple(names), values, reasons)
 
     def _found(self, gray: Array) -> search.Tags:

@@ -130,7 +130,8 @@ def _group_presses(presses: Sequence[_Press], columns: int | None) -> list[list[
 def _are_neighbours(cell: int, other: int, columns: int | None) -> bool:
     if columns is None:
         return abs(cell - other) <= _NEIGHBOUR
-    (row, column), (other_row, other_column) = divmod(cell, columns), divmod(other, columns)
+    row, column = divmod(cell, columns)
+    other_row, other_column = divmod(other, columns)
     return max(abs(row - other_row), abs(column - other_column)) <= _NEIGHBOUR
 
 

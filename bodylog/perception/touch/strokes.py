@@ -101,7 +101,8 @@ def _choose_cuts(t: Array, place: Array) -> list[int]:
     for end, errors in enumerate(_squared_errors_by_end(t, place, longest), _FEWEST):
         total = cost[end : end + len(errors)] + errors
         best = int(total.argmin())
-        cost[longest + end], came[end] = total[best] + price, end - longest + best
+        cost[longest + end] = total[best] + price
+        came[end] = end - longest + best
     edges = [count]
     while edges[-1]:
         edges.append(int(came[edges[-1]]))
@@ -172,7 +173,8 @@ def _contact_times(pieces: Sequence[_PathPiece]) -> list[tuple[float, float]]:
 
 def _peaks_beside_valley(speeds: Sequence[float], valley: int) -> tuple[int, int]:
     """The pieces of highest speed on either side of a valley."""
-    before = after = valley
+    before = valley
+    after = before
     while before > 0 and speeds[before - 1] >= speeds[before]:
         before -= 1
     while after + 1 < len(speeds) and speeds[after + 1] >= speeds[after]:
@@ -186,7 +188,8 @@ def _pieces_below_limit(speeds: Sequence[float], valley: int, limit: float) -> t
     """
     if speeds[valley] >= limit:
         return valley, valley - 1
-    first = last = valley
+    first = valley
+    last = first
     while speeds[first - 1] < limit:
         first -= 1
     while speeds[last + 1] < limit:

@@ -162,7 +162,8 @@ def _tag_candidate(source: TagSource, track: Array, q: Array, width: float) -> C
 def _colour_candidate(
     one: HsvRange, found: Array, t: Array, recording: Recording, width: float, hand: Colour | None
 ) -> Candidate:
-    low, high = one.parts[0][0], one.parts[-1][1]
+    low = one.parts[0][0]
+    high = one.parts[-1][1]
     choice = (
         clutter.choose_arm_blobs(t, found, recording.signals.joints, width)
         if np.isfinite(found[:, 1:, 0]).any()

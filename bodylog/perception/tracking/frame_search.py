@@ -43,7 +43,8 @@ class InOrder:
 
     def __init__(self, trackers: Sequence[Tracker]) -> None:
         """Nothing happens before the first list."""
-        self._trackers, self._changed = trackers, Condition()
+        self._trackers = trackers
+        self._changed = Condition()
         self._waiting = dict[int, Sequence[Array | None]]()
         self._next = 0
         self._busy = False
@@ -133,13 +134,14 @@ class FrameSearcher:
         self._ranges = ranges
         self._progress = progress
         self._threads = threads
-        self._fast, self._trackers, self._in_order = (
-            fast and not trackers,
-            trackers,
-            InOrder(trackers),
-        )
-        self._begun, self._others = ExitStack(), list[Future[None]]()
-        self._ready, self._told, self._over = Condition(), list[LazyImage](), False
+        self._fast = fast and not trackers
+        self._trackers = trackers
+        self._in_order = InOrder(trackers)
+        self._begun = ExitStack()
+        self._others = list[Future[None]]()
+        self._ready = Condition()
+        self._told = list[LazyImage]()
+        self._over = False
         self._waiting = deque[Take]()
         self._takes = 0
         self._sheets: dict[int, dict[int, SearchResult]] = {}

@@ -115,7 +115,8 @@ def _link_into_runs(t: Array, found: Array, reach: float) -> list[_BlobRun]:
             taken.add(id(run))
             run.frames.append(index)
             run.rows.append(row)
-        at, end = at + 1, ends[at]
+        end = ends[at]
+        at += 1
         if len(open_runs) == 1 and at < end:
             # nothing else that any of these frames could belong to
             open_runs[0].frames += frames[at:end]
@@ -232,8 +233,10 @@ class _Ends(NamedTuple):
 
 
 def _ends_of_runs(t: Array, runs: list[_BlobRun]) -> _Ends:
-    start, end = t[[run.frames[0] for run in runs]], t[[run.frames[-1] for run in runs]]
-    first, last = [run.table[0, [U, V]] for run in runs], [run.table[-1, [U, V]] for run in runs]
+    start = t[[run.frames[0] for run in runs]]
+    end = t[[run.frames[-1] for run in runs]]
+    first = [run.table[0, [U, V]] for run in runs]
+    last = [run.table[-1, [U, V]] for run in runs]
     return _Ends(start, end, np.array(first), np.array(last))
 
 
@@ -317,7 +320,8 @@ def _values_on_local_lines(t: Array, values: Array, weight: Array) -> Array:
     Running sums restart every _AT_ONCE rows, with times and values from there on: those of a whole
     log are so large that what one window adds drowns in their rounding.
     """
-    low, high = np.searchsorted(t, t - _NEAR), np.searchsorted(t, t + _NEAR, side="right")
+    low = np.searchsorted(t, t - _NEAR)
+    high = np.searchsorted(t, t + _NEAR, side="right")
     expected = np.empty(len(t))
     for first in range(0, len(t), _AT_ONCE):
         some = slice(first, first + _AT_ONCE)

@@ -392,7 +392,8 @@ def draw_trajectories(tracks: dict[str, Series], strokes: tuple[Stroke, ...], ax
         ax.plot(*seen[0], "o", color=line_colour(name, i), mec=INK, ms=7, label="_")
         ax.plot(*seen[-1], "s", color=line_colour(name, i), mec=INK, ms=7, label="_")
     if strokes:
-        start, end = np.array([x.start_px for x in strokes]), np.array([x.end_px for x in strokes])
+        start = np.array([x.start_px for x in strokes])
+        end = np.array([x.end_px for x in strokes])
         ax.quiver(
             *start.T,
             *(end - start).T,

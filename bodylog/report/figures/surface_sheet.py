@@ -79,11 +79,13 @@ def draw_surface(image: Array, view: SurfaceView) -> Array:
         cv2.circle(drawn, tuple(line[-1].tolist()), 3 << FINE, ink, -1, cv2.LINE_AA, FINE)
     for u, v, a, b, number in np.asarray(view.corners, float).reshape(-1, 5):
         ink = link_colour(int(number))
-        ring, cross = np.array([u, v]) * scale, np.array([a, b]) * scale
+        ring = np.array([u, v]) * scale
+        cross = np.array([a, b]) * scale
         for width, colour in ((4, _RIM), (2, ink)):
             cv2.circle(drawn, subpixel_place(ring), 6 << FINE, colour, width, cv2.LINE_AA, FINE)
         for arm in (np.array([4.0, 0.0]), np.array([0.0, 4.0])):
-            begin, end = subpixel_place(cross - arm), subpixel_place(cross + arm)
+            begin = subpixel_place(cross - arm)
+            end = subpixel_place(cross + arm)
             cv2.line(drawn, begin, end, (255, 255, 255), 1, cv2.LINE_AA, FINE)
     return drawn
 
@@ -110,7 +112,8 @@ def _crop_to_arm(image: Array, view: SurfaceView) -> tuple[Array, SurfaceView]:
     places = places[((places > 0.0) & (places < size)).all(axis=1)]
     if not len(places):
         return image, view
-    low, high = places.min(axis=0), places.max(axis=0)
+    low = places.min(axis=0)
+    high = places.max(axis=0)
     share = float(((1.0 + 2.0 * _MARGIN) * (high - low) / size).max())
     shown = np.ceil(size * min(max(share, _LEAST_SHARE), 1.0))
     begin = np.clip(0.5 * (low + high - shown), 0.0, size - shown).astype(int)

@@ -165,7 +165,8 @@ def _curve_multiple(
     known = [value for _, curve in curves for value in curve if value is not None]
     if not known:
         return ""
-    low, high = min(known), max(known)
+    low = min(known)
+    high = max(known)
     # episodes that stand out are drawn last, above the others
     ordered = sorted(curves, key=lambda pair: pair[0] in odd)
     paths = [
