@@ -18,6 +18,7 @@ from bodylog.errors import ModelError
 from bodylog.settings import FitSettings, Settings
 from bodylog.types import Series
 from tests.body.conftest import project
+from tests.seeds import seeds
 
 HOME = np.array([0.0, 0.3, 0.6])
 FAR = np.random.default_rng(4).uniform(-0.9, 0.9, (400, 3)) + HOME
@@ -81,7 +82,7 @@ def _place(q):
     return 1e3 * np.column_stack([reach * np.cos(q[:, 0]), reach * np.sin(q[:, 0]), height])
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", seeds(1, 3))
 def test_points_in_space_tell_axes_too(explored, seed):
     run = explored(seed, 0.001)
     seen = _place(run.angles) + np.random.default_rng(seed).normal(0.0, 0.1, (len(run.angles), 3))

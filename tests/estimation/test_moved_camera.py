@@ -17,7 +17,7 @@ from tests.estimation.conftest import JOINTS
 from tests.estimation.mechanisms import Fault, Mechanism, replayed
 from tests.estimation.moved_cameras import MOVED, cameras, moved
 from tests.estimation.resting import MOTIONS, Drawn, drawn, judged
-from tests.seeds import seeds
+from tests.seeds import first_of, seeds
 
 
 def stepped(features, joint, size, since):
@@ -81,7 +81,7 @@ def test_moved_camera_does_not_degrade_the_estimate(method, px):
 
 
 @pytest.mark.parametrize("moves", MOTIONS)
-@pytest.mark.parametrize("seed", seeds(3, 20))
+@pytest.mark.parametrize("seed", seeds(2, 20))
 def test_moved_camera_is_absent_in_logs_without_one(moves, seed):
     world = drawn(300 + seed, Drawn(moves, noise=(0.01, 0.002, 0.0005)[seed % 3]))
     t = world.features.joints.t
@@ -243,7 +243,7 @@ def test_noise_that_moves_a_motor_within_its_play_is_no_play(seed):
     assert not screen_measurements(seen, sound.body, EstimationSettings()).worn.any()
 
 
-@pytest.mark.parametrize("seed", [7801, 7803, 7805])
+@pytest.mark.parametrize("seed", first_of(1, [7801, 7803, 7805]))
 def test_an_encoder_that_drifts_beside_a_move_is_no_play(world, seed):
     features = replayed(seed, Mechanism(1e-3, Hardware()), Fault(), reaches=True)
     joints, track = features.joints, features.tracks["effector"]

@@ -179,7 +179,7 @@ def test_joints_without_an_encoder_give_a_warning_about_error_bars(world):
         senses: [
             f.text
             for f in estimate_from_features(drawn.features, drawn.body, settings).findings
-            if f.severity == "warning" and "expected" not in f.text
+            if f.severity == "warning" and f.text.startswith("predictive-coding: ")
         ]
         for senses, settings in (
             ("all", DESCENT),
@@ -188,7 +188,7 @@ def test_joints_without_an_encoder_give_a_warning_about_error_bars(world):
         )
     }
     (text,) = texts["pan"]
-    assert text.startswith("predictive-coding: knows no motion of lift, elbow without encoders")
+    assert "knows no motion of lift, elbow without encoders" in text
     assert text.endswith("type --method filter") and texts["all"] == texts["paper"] == []
 
 

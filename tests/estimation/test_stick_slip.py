@@ -135,7 +135,7 @@ def test_angles_of_joints_that_slip_are_better_than_their_readings(method, reach
 
 @pytest.mark.parametrize(
     ("motion", "slip"),
-    first_of(3, [("slow", 0.02), ("sines", 0.04), ("reach", 0.02), ("sines", 0.02), ("reach", 0.04)]),
+    first_of(1, [("reach", 0.02), ("slow", 0.02), ("sines", 0.04), ("sines", 0.02), ("reach", 0.04)]),
 )
 @pytest.mark.parametrize("method", ["filter", "smoother"])
 def test_joints_that_slip_by_many_times_their_noise_are_followed(method, motion, slip):
