@@ -228,7 +228,7 @@ FULL = {
 }
 
 
-@pytest.mark.parametrize("name", FULL)
+@pytest.mark.parametrize("name", first_of(4, FULL))
 def test_full_disk_prints_one_line_and_leaves_nothing(tmp_path, robot, name):
     words = [tmp_path / word if word.startswith("out.") else word for word in FULL[name]]
     words = [robot / word if (robot / word).is_file() else word for word in words]
