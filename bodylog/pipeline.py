@@ -103,8 +103,8 @@ def fit(
     """Learn a body model from exploration logs and
     write it as .npz; `update` is one to learn on from.
 
-    It is scored on the logs to `test` it with, which it does not learn from. `leave_out`: a log that
-    teaches nothing is a finding, as long as another one does.
+    It is scored on the logs to `test` it with, which it does not learn from. `leave_out`: a log
+    that teaches nothing is a finding, as long as another one does.
     """
     from .annotating.background_copy import Copy
     from .body import storage
@@ -121,7 +121,8 @@ def fit(
     known = None if update is None else storage.load_body(update)
     if known is not None and known.surface is not None:
         raise UsageError(
-            f"{update}: a body of the robot's surface is not learned on; fit all logs together again"
+            f"{update}: a body of the robot's surface is not learned on; "
+            "fit all logs together again"
         )
     settings = settings if known is None else default_features.features_of_body(known, settings)
     otherwise = robot_model.check_urdf(logs, settings)

@@ -199,4 +199,5 @@ def moved_sentences(camera: str, step: Step | None, names: Sequence[str]) -> Ite
     """What a lasting move says of the dataset."""
     if step is not None:
         where = f"from {names[step.first]} on"
-        yield f"{camera}: the camera moved by {step.size:.1f} px {where}, by the scene that does not move"
+        size = f"{step.size:.1f} px"
+        yield f"{camera}: the camera moved by {size} {where}, by the scene that does not move"

@@ -114,7 +114,9 @@ def _forward_kinematics(known: _Constants, angles: list[float]) -> tuple[Row, li
         else:
             c = cos(angle)
             s = sin(angle)
-            px, py = c * px - s * py, s * px + c * py
+            turned_x = c * px - s * py
+            py = s * px + c * py
+            px = turned_x
         turned[k] = (c, s, px, py)
         px, py, pz = _apply_pose(known.fixed[k], (px, py, pz))
     return (px, py, pz), turned

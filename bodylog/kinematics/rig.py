@@ -87,10 +87,11 @@ class Rig:
     """Cameras, markers, sights, and joints (M,) with the prior
     std of their offsets (M,) rad or m; all unknowns are θ (P,).
 
-    θ: each camera's pose (6) and lens (6 or 0), each marker's place (3) or place and rotation (6), each
-    joint's offset δ, and each joint's scale s where `scale_doubt` is (M,) and not empty: a joint
-    that reads q is at (1 + s) q + δ. Where `sag_doubt` is (M,) and not empty, each joint has a
-    compliance c, readings are (N,2M) with the torques τ beside q, and it is at (1 + s) q + δ + c τ.
+    θ: each camera's pose (6) and lens (6 or 0), each marker's place (3) or place and rotation (6),
+    each joint's offset δ, and each joint's scale s where `scale_doubt` is (M,) and not empty: a
+    joint that reads q is at (1 + s) q + δ. Where `sag_doubt` is (M,) and not empty, each joint has
+    a compliance c, readings are (N,2M) with the torques τ beside q, and it is at
+    (1 + s) q + δ + c τ.
     lenses: the camera whose lens each camera has, itself if
     empty; a camera that moved between logs keeps its lens.
     """

@@ -117,7 +117,8 @@ def estimate_by_surface(log: LogWithBody) -> Estimate:
     missing = [name for name in learned.joints if name not in joints.names]
     if missing:
         raise ModelError(
-            f"{log.path}: joint {missing[0]!r} of the body is missing; it has {', '.join(joints.names)}"
+            f"{log.path}: joint {missing[0]!r} of the body is missing; "
+            f"it has {', '.join(joints.names)}"
         )
     motion = smoothed_motion(joints, learned.joints)
     judged = list[CameraJudgement]()
@@ -532,7 +533,7 @@ def _least_offset(change: "ChangeHypothesis") -> float:
 
 
 def _winning_fault(one: CameraChanges, since: float, learned: BodyModel) -> Fault | None:
-    """The fault that wins, if one does, from `since` (s) on; it has a std where its size is known."""
+    """The fault that wins, if one does, from `since` (s) on; with a std where its size is known."""
     from ..kinematics.landmark_hypotheses import CAMERA, SOUND
 
     assert learned.surface is not None

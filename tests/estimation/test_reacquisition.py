@@ -117,7 +117,7 @@ def test_smoother_bridges_a_silence_in_which_the_filter_takes_another_posture(wo
 
 @pytest.mark.parametrize("seed", seeds(1, 6))
 def test_smoother_knows_that_two_long_silent_joints_may_have_another_posture(world, seed):
-    """Two numbers for two joints: a path begun without the images was sure of a mirrored posture, NEES 5,000 and 5,900."""
+    """Two numbers for two joints: a path that started without the images was sure of a mirrored posture, NEES 5,000 and 5,900."""
     assert silent(world, seed, 8.0, "smoother", ("pan", "lift"))[1] < 6.0
 
 

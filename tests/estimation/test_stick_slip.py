@@ -210,7 +210,7 @@ def test_encoders_that_jump_together_where_joints_slip_are_known_to_their_jumps(
 
 
 @pytest.mark.soak
-def test_images_that_no_encoder_explains_are_distrusted_and_said_to_be_wrong():
+def test_images_that_no_encoder_explains_are_distrusted_and_reported():
     how = resting.Drawn("sines", noise=1e-3, encoder_hz=100.0, camera_hz=20.0, pixel=0.3, slip=0.02)
     for seed in (700, 701):
         world = resting.drawn(seed, how)
@@ -243,7 +243,7 @@ def test_smooth_motion_shows_no_slips(motion, step, noise):
         assert not any(len(find_evident_slips(joints.t, column)) for column in joints.values.T)
 
 
-def test_an_encoder_that_jumps_is_told_from_a_joint_that_slips():
+def test_an_encoder_that_jumps_is_separated_from_a_joint_that_slips():
     how = resting.Drawn("reach", noise=1e-3, encoder_hz=100.0, camera_hz=20.0, pixel=0.3)
     for seed in range(720, 724):
         world = resting.drawn(seed, how)

@@ -50,16 +50,19 @@ def _warn_of_undetermined_joints(evidence: Evidence, poses: bool) -> Iterator[Fi
             tuple(_find_long_silence(frames, encoders.t[index_true_rows(np.isfinite(column))])), []
         ).append(name)
     for when, joints in groups.items():
-        if when and (len(joints) >= seen or len(joints) == len(names)):
+        if not when or len(joints) < min(seen, len(names)):
+            continue
+        text = (
+            f"encoders: {', '.join(joints)} silent from "
+            f"{list_in_words(when, ' times', ', from ')}, while images continue"
+        )
+        if len(joints) >= seen:
             fit = "may fit a mirrored posture of" if len(joints) == seen else "do not determine"
-            loose = f": {seen} numbers per image {fit} {len(joints)} joints, error bars may be too small"
-            text = (
-                f"encoders: {', '.join(joints)} silent from "
-                f"{list_in_words(when, ' times', ', from ')}"
+            text += (
+                f": {seen} numbers per image {fit} {len(joints)} joints, "
+                "error bars may be too small"
             )
-            yield Finding(
-                "warning", f"{text}, while images continue{loose * (len(joints) >= seen)}"
-            )
+        yield Finding("warning", text)
 
 
 def _find_long_silence(frames: Array, known: Array) -> Iterator[str]:

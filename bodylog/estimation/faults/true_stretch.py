@@ -143,10 +143,12 @@ def compare_with_images(
     Readings put an image nowhere if a joint is never read.
     """
     for sighting in images:
-        angles = encoders.interpolate_at(sighting.t)
-        known = np.flatnonzero(find_finite_rows(sighting.values) & find_finite_rows(angles))
-        if not len(known):
+        seen = np.flatnonzero(find_finite_rows(sighting.values))
+        some = seen[:: 1 + len(seen) // MOST_IMAGES]
+        angles = encoders.interpolate_at(sighting.t[some])
+        known = find_finite_rows(angles)
+        if not known.any():
             continue
-        rows = known[:: 1 + len(known) // MOST_IMAGES]
-        mean, slope, var = sighting.model.predict(angles[rows])
+        rows = some[known]
+        mean, slope, var = sighting.model.predict(angles[known])
         yield sighting.values[rows] - mean, slope, sighting.var[rows] + var

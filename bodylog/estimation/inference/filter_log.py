@@ -177,8 +177,8 @@ def _with_silent_motion(problem: FilterProblem) -> FilterProblem:
     """The problem with the motion of joints whose encoders are silent for long: a stationary one
     where images leave them open.
 
-    A joint is as fast as its bursts. One whose encoder froze or died may be as fast as any joint, as
-    this shows nothing but what it did before; and so may one that hardly moved, where images
+    A joint is as fast as its bursts. One whose encoder froze or died may be as fast as any joint,
+    as this shows nothing but what it did before; and so may one that hardly moved, where images
     determine it and show whether it moves.
     """
     precision = problem.precision

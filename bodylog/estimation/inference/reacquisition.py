@@ -114,11 +114,11 @@ def find_silent_joints(t: Array, evidence: Evidence) -> Array:
     Of an encoder that froze or died it is known from its last sound reading on.
     """
     assert evidence.encoders is not None
-    silences = _measure_reading_ages(t, evidence.encoders)
+    durations = _measure_reading_ages(t, evidence.encoders)
     stopped = evidence.stopped_encoders
     if stopped.any():
-        silences = np.where(stopped, measure_reading_gaps(t, evidence.encoders), silences)
-    return np.asarray(silences > LONG_SILENCE_S)
+        durations = np.where(stopped, measure_reading_gaps(t, evidence.encoders), durations)
+    return np.asarray(durations > LONG_SILENCE_S)
 
 
 def find_joints_left_open(t: Array, evidence: Evidence, missing: int = 0) -> Array:

@@ -313,6 +313,7 @@ class SequentialFilter:
         """Dynamics, and the posture prior of joints without an encoder."""
         self._dynamics = dynamics
         self._posture = posture
+        self._never_read = 0 if posture is None else int(posture.joints.sum())
         self._rest = rest
         self._steps = dict[tuple[int, int], FilterStep]()
 
@@ -368,8 +369,8 @@ class SequentialFilter:
         belief = step()
         if frames:
             in_view = _count_numbers_in_view(t, {**before.seen, **frames})
-            adrift = numbers > 0 and held is not None
-            adrift = adrift or in_view <= self._count_joints_never_read()
+            open_silence = numbers > 0 and held is not None
+            adrift = open_silence or in_view <= self._never_read
             belief = self._filter_frames(after, belief, frames, step, adrift)
         after.z = belief.z
         after.p = belief.p
@@ -382,10 +383,6 @@ class SequentialFilter:
             for sure, d, last in zip(confirmed, after.encoder_d, confirmed_t, strict=True)
         ]
         return after
-
-    def _count_joints_never_read(self) -> int:
-        """The number of joints without an encoder."""
-        return 0 if self._posture is None else int(self._posture.joints.sum())
 
     def _step_belief(
         self,

@@ -7,6 +7,8 @@ without its frames; then lines and path follow from each other until the path co
 (iterated posterior linearisation: García-Fernández, Svensson & Särkkä 2017). Two
 postures may look the same and both converge, so a silence starts several times, through
 the cubature points of its widest belief, and each path counts by its evidence.
+A long silence has too many such paths. Where single postures look the same in it, the
+smoother keeps the filter's lines, which are over a belief that holds all of them.
 """
 
 from collections.abc import Iterator, Mapping
@@ -33,7 +35,7 @@ Frames = Mapping[int, Mapping[int, PendingFrame]]
 
 
 def smooth_across_silence(problem: FilterProblem) -> Smooth:
-    """Smooth along the filter's own tangents, and open frames along lines over the smoothed belief.
+    """Smooth along the filter's own lines, and open frames along lines over the smoothed belief.
 
     Residuals of lines last, so in the last pass they count as often as their silence has frames.
     Counted so before, images weigh too little to leave a wrong posture.
@@ -54,8 +56,8 @@ def smooth_across_silence(problem: FilterProblem) -> Smooth:
 
 
 def _find_open_instants(problem: FilterProblem) -> Array:
-    """Instants (E,) bool at which images leave joints open that are not read, with a continuum of
-    postures that look the same, or for briefly.
+    """Instants (E,) bool of silences that images leave open, so that the filter's lines are too
+    coarse: those that are short, or in which a continuum of postures looks the same.
     """
     t = problem.timeline.t
     alone = np.full(len(t), problem.is_undetermined(missing=1))
@@ -64,8 +66,8 @@ def _find_open_instants(problem: FilterProblem) -> Array:
         return alone
     undetermined = find_joints_left_open(t, problem.evidence, missing=1)
     for begin, end in _list_runs(np.asarray(held.any(axis=1))):
-        brief = t[end - 1] - t[begin] <= BRIEF_SILENCE_S
-        alone[begin:end] |= brief or undetermined[begin:end].any()
+        is_short = t[end - 1] - t[begin] <= BRIEF_SILENCE_S
+        alone[begin:end] |= is_short or undetermined[begin:end].any()
     return alone
 
 
@@ -89,10 +91,10 @@ def _undo_resets(problem: FilterProblem, solution: Solution) -> Solution:
 def _split_frames_by_silence(problem: FilterProblem, alone: Array) -> Iterator[Frames]:
     """The frames of each run of instants `alone` (E,) bool, by instant and by track."""
     every = group_frames_by_instant(problem, True, len(alone)) if alone.any() else {}
-    shown = np.array([k for k in sorted(every) if alone[k]], int)
-    for part in np.split(shown, np.flatnonzero(np.diff(np.cumsum(~alone)[shown])) + 1):
-        if len(part):
-            yield {k: every[k] for k in part.tolist()}
+    for begin, end in _list_runs(alone):
+        frames = {k: every[k] for k in range(begin, end) if k in every}
+        if frames:
+            yield frames
 
 
 def _start_from_cubature_points(

@@ -36,7 +36,8 @@ _SEPARATOR = re.compile(r"^={3,}\s*$", re.MULTILINE)
 _HEADING = re.compile(r"\s*(?:MSG|IDL):\s*(\S+)[^\n]*(?:\n|$)")
 _DIRECTIVE = re.compile(r"^\s*#.*$", re.MULTILINE)
 _LINE = re.compile(
-    r"(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?\s*(?P<array>\[(?:<=)?\d*\])?\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
+    r"(?P<type>[A-Za-z][\w/]*)(?:<=\d+)?\s*(?P<array>\[(?:<=)?\d*\])?"
+    r"\s+(?P<name>[A-Za-z]\w*)\s*(?P<rest>.*)$"
 )
 _LARGEST = 1 << 31
 _LONGEST = 1 << 20

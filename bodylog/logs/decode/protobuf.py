@@ -73,7 +73,8 @@ class ProtobufLayout:
 
         def numbers(places: Sequence[Place]) -> Array | None:
             parts = [_read_place_numbers(rows, place) for place in places]
-            return None if any(part is None for part in parts) else np.stack(parts, axis=1)  # type: ignore[arg-type]
+            known = [part for part in parts if part is not None]
+            return np.stack(known, axis=1) if len(known) == len(parts) else None
 
         found: list[Array | tuple[str, ...]] = []
         for some, alone in zip(self._items, single, strict=True):
