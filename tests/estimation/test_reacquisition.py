@@ -163,6 +163,16 @@ def test_error_bars_hold_where_joints_are_never_read(world, names, settings):
     assert np.median(nees) < 1.5 and max(nees) < 4.0
 
 
+@pytest.mark.parametrize("method", ["filter", "smoother"])
+def test_images_are_where_they_are_expected_though_no_joint_is_read(world, method):
+    """A smoother left lines over beliefs out as tangents: each image seemed to be an outlier."""
+    drawn = world(1, duration=10.0, model=Explored())
+    settings = EstimationSettings(method=method, senses=("vision",), rate=25.0)
+    found = estimate_from_features(drawn.features, drawn.body, settings)
+    assert np.mean(np.abs(found.errors["effector"].values) > 3.0) < 0.05
+    assert not [one.text for one in found.findings if "from what was expected" in one.text]
+
+
 @pytest.mark.soak
 def test_smoother_by_images_alone_draws_lines_over_its_belief(world):
     """Two numbers for three joints: tangents were sure of a wrong posture, with NEES of 14 to 2,400."""

@@ -89,7 +89,11 @@ def _predict_left_out_encoders(
 def _predict_left_out_frames(
     problem: FilterProblem, smooth: Smooth, index: int
 ) -> tuple[tuple[Array, Array, Array], Array, Array, Array]:
-    """Places, squares and nats of a sighting's frames, and which were gated."""
+    """Places, squares and nats of a sighting's frames, and which were gated.
+
+    A frame that is a line over a belief cannot be left out by its tangent: it is compared with the
+    belief that holds it.
+    """
     sighting = problem.evidence.sightings[index]
     at = problem.timeline.sightings[index]
     m = len(problem.start)
@@ -97,14 +101,15 @@ def _predict_left_out_frames(
     x = smooth.z[at, :m]
     removed = np.isnan(smooth.readings.y[at, index, 0])
     mean, jac, var = smooth.tangents.predict_from_tangents(index, x)
-    noise = smooth.readings.var[at, index, : values.shape[1]]
-    std = np.sqrt(noise + var * removed[:, None])
+    noise = smooth.tangents.var[index]
+    apart = removed | ~smooth.tangents.find_written_frames(problem, smooth.readings, index)
+    std = np.sqrt(noise + var * apart[:, None])
     # rows in units of their noise, so that R is 1
     residual = (values - mean) / std
     h = jac / std[..., None]
-    far = ~removed & _find_gated_frames(smooth, at, index)
+    far = ~apart & _find_gated_frames(smooth, at, index)
     a = project_covariance(h, smooth.cov[at, :m, :m])
-    used = ~(removed | far)[:, None, None]
+    used = ~(apart | far)[:, None, None]
     identity = np.eye(h.shape[1])
     inverse, log_total = _invert_with_log_determinant(identity + np.where(used, -a, a))
     scaled = np.einsum("fde,fe->fd", inverse, residual)

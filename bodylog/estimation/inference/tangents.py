@@ -30,7 +30,7 @@ class Tangents:
         """Tangents at points (F,M) that are yet to be computed.
 
         resting: moves below so many rad are ignored · whole: for the smoother of a whole log ·
-        model_var (F,D): the models' own variances.
+        model_var (F,D): the models' own variances · var (F,D): of the frames, with the models' own.
         """
         self._sightings = sightings
         self.points = points
@@ -47,7 +47,7 @@ class Tangents:
             np.zeros((*y.shape, x.shape[1])) for x, y in zip(points, self._intercept, strict=True)
         )
         self.model_var = tuple(np.zeros(y.shape) for y in self._intercept)
-        self._var = tuple(np.ones(y.shape) for y in self._intercept)
+        self.var = tuple(np.ones(y.shape) for y in self._intercept)
         # the misfit of the kernel is each model's own
         common = [
             sighting.common / getattr(sighting.model, "misfit", 1.0) for sighting in sightings
@@ -79,8 +79,8 @@ class Tangents:
             elif self._precision is problem.precision:
                 continue
             var = self._compute_variances(index, problem.precision, self.whole)
-            differs = np.any(np.abs(var / self._var[index] - 1.0) > 1e-9, axis=1)  # beyond rounding
-            self._var[index][differs] = var[differs]
+            differs = np.any(np.abs(var / self.var[index] - 1.0) > 1e-9, axis=1)  # beyond rounding
+            self.var[index][differs] = var[differs]
             _write_frames(readings.var, index, events, var, differs)
             changed = changed or bool(differs.any())
         self._precision = problem.precision
@@ -91,7 +91,15 @@ class Tangents:
         for index, events in enumerate(problem.timeline.sightings):
             _write_frames(readings.y, index, events, self._compute_y(index))
             _write_frames(readings.jac, index, events, self._jac[index])
-            _write_frames(readings.var, index, events, self._var[index])
+            _write_frames(readings.var, index, events, self.var[index])
+
+    def find_written_frames(
+        self, problem: FilterProblem, readings: FilterReadings, index: int
+    ) -> Array:
+        """Which frames (F,) of a sighting are tangents in the readings, and no lines over beliefs."""
+        jac = self._jac[index]
+        written = readings.jac[problem.timeline.sightings[index], index, : jac.shape[1]]
+        return np.asarray((written == jac).all(axis=(1, 2)))
 
     def compute_smoother_variances(self, problem: FilterProblem, readings: FilterReadings) -> Array:
         """Variances (E,T,D) of the readings' frames by the problem's noise, for a smoother."""
@@ -156,9 +164,9 @@ class Tangents:
             return Tangents(sightings, self.points)
         other = copy(self)
         other._precision = None
-        other._intercept, other._jac, other.model_var, other._var = (
+        other._intercept, other._jac, other.model_var, other.var = (
             tuple(part.copy() for part in parts)
-            for parts in (self._intercept, self._jac, self.model_var, self._var)
+            for parts in (self._intercept, self._jac, self.model_var, self.var)
         )
         return other
 
