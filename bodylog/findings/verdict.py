@@ -163,6 +163,18 @@ def _hardware_error_sentences(found: Estimate) -> Iterator[str]:
         yield f"{describe_load(load)}; angles and error bars allow for it"
 
 
+def _list_read_encoders(found: Estimate) -> list[str]:
+    """The joints whose encoder readings the estimate uses."""
+    if "encoders" not in found.used or not found.used["encoders"].used:
+        return []
+    names = found.joints.names
+    errors = found.errors.get("encoders")
+    if errors is None:
+        return list(names)
+    columns = zip(names, errors.values.T, strict=True)
+    return [name for name, column in columns if np.isfinite(column).any()]
+
+
 def _agreement_sentence(found: Estimate) -> str:
     """The senses in which no fault is found, and which faults were not looked for."""
     faulty = {name for fault in found.faults for name in (*fault.names, fault.name)}
@@ -175,8 +187,8 @@ def _agreement_sentence(found: Estimate) -> str:
         for name in tracks
         if name not in faulty and (name.rpartition("/")[0] or "camera") not in faulty
     ]
-    encoders = [name for name in found.joints.names if name not in faulty]
-    if "encoders" in found.used and found.used["encoders"].used and encoders:
+    encoders = [name for name in _list_read_encoders(found) if name not in faulty]
+    if encoders:
         sound.insert(0, _counted_noun(len(encoders), "encoder"))
     listed = " and ".join([", ".join(sound[:-1]), sound[-1]] if sound[1:] else sound)
     text = f"no fault found in {listed or 'any sense'}"

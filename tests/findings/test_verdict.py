@@ -63,6 +63,15 @@ def test_verdict_names_a_fault_first(fault: Fault, text: str) -> None:
     assert lines[1] == f"no fault found in {len(JOINTS) - 1} encoders and effector"
 
 
+def test_verdict_clears_no_encoder_that_is_left_out() -> None:
+    errors = SOUND.errors["encoders"]
+    values = errors.values.copy()
+    values[:, 0] = np.nan
+    unread = replace(SOUND, errors={**SOUND.errors, "encoders": replace(errors, values=values)})
+    (line, *_) = verdict_of_estimate(unread, TRUTH)
+    assert line == f"no fault found in {len(JOINTS) - 1} encoders and effector"
+
+
 def test_a_moved_board_has_the_displacement_of_its_centre_and_its_turn() -> None:
     moved = Fault("vision", "board", FaultKind.MOVED, 0.0, 0.0031, "m", 0.0003, 0.0367, 0.001)
     lines = verdict_of_estimate(replace(SOUND, faults=(moved,)), TRUTH)
